@@ -1,0 +1,96 @@
+"""MeshArrays: a simplicial mesh as frozen arrays, the form in which every other layer sees a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+__all__ = ["MeshArrays"]
+
+
+def _frozen(array: np.ndarray, dtype: type) -> np.ndarray:
+    result = np.array(array, dtype=dtype, order="C")
+    result.flags.writeable = False
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class MeshArrays:
+    """A mesh of triangles or tetrahedra with named boundaries.
+
+    Parameters
+    ----------
+    points : (n_nodes, dim) array
+        m.
+    elements : (n_elements, dim + 1) array
+        Node numbers, positively oriented.
+    facets : (n_facets, dim) array
+        Boundary edges (triangles in 3D), oriented so that the normal points out of the body: in 2D the outward
+        normal of the edge (a, b) is its direction turned by -90 degrees; in 3D of (a, b, c) it is (b - a) x (c - a).
+    facet_labels : (n_facets,) array
+        Index into ``boundaries``.
+    boundaries : tuple of str
+        Distinct boundary names.
+    element_body : (n_elements,) array, optional
+        Index into ``bodies``; all zero by default.
+    bodies : tuple of str
+        Names of the bodies.
+    source : ngsolve.Mesh, optional
+        The mesh these arrays were read from, with the same node numbers; assembly needs it. Not saved.
+    """
+
+    points: np.ndarray
+    elements: np.ndarray
+    facets: np.ndarray
+    facet_labels: np.ndarray
+    boundaries: tuple[str, ...]
+    element_body: np.ndarray | None = None
+    bodies: tuple[str, ...] = ("body",)
+    source: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
+                            ("facet_labels", np.int32)):
+            object.__setattr__(self, name, _frozen(getattr(self, name), dtype))
+        body = np.zeros(len(self.elements)) if self.element_body is None else self.element_body
+        object.__setattr__(self, "element_body", _frozen(body, np.int32))
+        object.__setattr__(self, "boundaries", tuple(self.boundaries))
+        object.__setattr__(self, "bodies", tuple(self.bodies))
+
+    @property
+    def dim(self) -> int:
+        """Space dimension, 2 or 3."""
+        return self.points.shape[1]
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.points)
+
+    def boundary_facets(self, boundary: str) -> np.ndarray:
+        """Facets (n, dim) of a named boundary; ValueError if there is no such boundary."""
+        if boundary not in self.boundaries:
+            raise ValueError(f"boundary {boundary!r} does not exist; the boundaries are {', '.join(self.boundaries)}")
+        return self.facets[self.facet_labels == self.boundaries.index(boundary)]
+
+    def boundary_nodes(self, boundary: str) -> np.ndarray:
+        """Sorted node numbers of a named boundary."""
+        return np.unique(self.boundary_facets(boundary))
+
+    @cached_property
+    def element_sizes(self) -> np.ndarray:
+        """Longest edge of each element (n_elements,), m."""
+        corners = self.points[self.elements]
+        k = corners.shape[1]
+        return np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
+                       for i in range(k) for j in range(i)], axis=0)
+
+    @cached_property
+    def volumes(self) -> np.ndarray:
+        """Signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
+        corners = self.points[self.elements]
+        edges = corners[:, 1:] - corners[:, :1]
+        return np.linalg.det(edges) / (2 if self.dim == 2 else 6)

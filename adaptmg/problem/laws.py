@@ -1,0 +1,123 @@
+r"""Contact laws: what a contact node can bear tangentially.
+
+With the compressive nodal force p >= 0 every law here has the form
+
+.. math:: |f_t| \le s + \mu\,p, \qquad f_t \text{ opposite to the slip where equal},
+
+a Tresca limit s plus a Coulomb part. A law of one's own is any object with the two methods :meth:`at_nodes` and
+:meth:`bounds`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from adaptmg.problem import checks
+
+__all__ = ["Coulomb", "Frictionless", "Law", "Tresca"]
+
+FieldLike = float | Callable[[np.ndarray], np.ndarray]
+
+
+@runtime_checkable
+class Law(Protocol):
+    """What a contact law must offer."""
+
+    def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Law:
+        """The law with its parameters evaluated at contact nodes (points (n, dim) m, weights (n,) m or m^2)."""
+
+    def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
+        """Nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
+
+
+def _nodal(name: str, value: float | np.ndarray, n: int) -> np.ndarray:
+    result = np.asarray(value, dtype=np.float64)
+    if result.shape not in ((), (n,)):
+        raise ValueError(f"{name} must be a number or an array over the {n} contact nodes, got shape {result.shape}")
+    return np.array(np.broadcast_to(result, (n,)))
+
+
+def _check_parameter(name: str, value: FieldLike | np.ndarray) -> None:
+    if callable(value):
+        return
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must be a number, a function of position or an array, got {value!r}")
+    if not (np.isfinite(array).all() and (array >= 0).all()):
+        raise ValueError(f"{name} must be finite and >= 0, got {value!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Frictionless:
+    """No tangential force: f_t = 0."""
+
+    def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Frictionless:
+        """Nothing to evaluate."""
+        return self
+
+    def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
+        """Zero limit, zero friction."""
+        return np.zeros(n_contact), np.zeros(n_contact)
+
+
+@dataclass(frozen=True, eq=False)
+class Tresca:
+    """Given friction: |f_t| <= limit, whatever the pressure.
+
+    Parameters
+    ----------
+    limit : float, callable or array
+        On a ContactProblem a traction in Pa (number or function of position); on a DiscreteProblem the nodal
+        forces in N (number or array over the contact nodes).
+    """
+
+    limit: FieldLike | np.ndarray
+
+    def __post_init__(self) -> None:
+        _check_parameter("limit", self.limit)
+
+    def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Tresca:
+        """The nodal forces: traction times lumped boundary mass."""
+        if isinstance(self.limit, np.ndarray) and self.limit.ndim:
+            raise TypeError("limit: give a number (Pa) or a function of position on a ContactProblem; "
+                            "arrays of nodal forces belong on a DiscreteProblem")
+        return Tresca(checks.field("limit", self.limit, points, minimum=0.0) * weights)
+
+    def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
+        """Nodal limits, zero friction."""
+        if callable(self.limit):
+            raise TypeError("limit: a function of position must be evaluated at the nodes first (Tresca.at_nodes)")
+        return _nodal("limit", self.limit, n_contact), np.zeros(n_contact)
+
+
+@dataclass(frozen=True, eq=False)
+class Coulomb:
+    """Coulomb friction: |f_t| <= friction * p.
+
+    Parameters
+    ----------
+    friction : float, callable or array
+        The coefficient (number or function of position; on a DiscreteProblem also an array over the contact nodes).
+    """
+
+    friction: FieldLike | np.ndarray
+
+    def __post_init__(self) -> None:
+        _check_parameter("friction", self.friction)
+
+    def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Coulomb:
+        """The coefficient at each contact node."""
+        if isinstance(self.friction, np.ndarray) and self.friction.ndim:
+            raise TypeError("friction: give a number or a function of position on a ContactProblem; "
+                            "arrays over contact nodes belong on a DiscreteProblem")
+        return Coulomb(checks.field("friction", self.friction, points, minimum=0.0))
+
+    def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
+        """Zero limit, nodal friction."""
+        if callable(self.friction):
+            raise TypeError("friction: a function of position must be evaluated at the nodes first (Coulomb.at_nodes)")
+        return np.zeros(n_contact), _nodal("friction", self.friction, n_contact)

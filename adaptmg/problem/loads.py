@@ -1,0 +1,116 @@
+"""Loads and supports, by boundary name. SI units; numbers, or vectorised functions of position (n, dim) -> (n,)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg.problem import checks
+
+__all__ = ["BodyForce", "Load", "Pressure", "Support", "Traction"]
+
+FieldLike = float | Callable[[np.ndarray], np.ndarray]
+
+
+def _check_components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]:
+    if callable(values) or isinstance(values, str):
+        raise TypeError(f"{name} must be a sequence of numbers or functions, one a component, got {values!r}")
+    result = tuple(v if callable(v) else checks.number(name, v) for v in values)
+    if len(result) not in (2, 3):
+        raise ValueError(f"{name} must have 2 or 3 components, got {len(result)}")
+    return result
+
+
+@dataclass(frozen=True)
+class Pressure:
+    """Pressure on a boundary: traction ``-value * n``, n outward.
+
+    Parameters
+    ----------
+    boundary : str
+        Name of the boundary.
+    value : float or callable
+        Pa; positive pushes into the body.
+    """
+
+    boundary: str
+    value: FieldLike
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+        if not callable(self.value):
+            object.__setattr__(self, "value", checks.number("value", self.value))
+
+
+@dataclass(frozen=True)
+class Traction:
+    """Traction vector on a boundary.
+
+    Parameters
+    ----------
+    boundary : str
+        Name of the boundary.
+    components : sequence of float or callable
+        Cartesian components, Pa.
+    """
+
+    boundary: str
+    components: tuple[FieldLike, ...]
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+        object.__setattr__(self, "components", _check_components("components", self.components))
+
+
+@dataclass(frozen=True)
+class BodyForce:
+    """Force per volume on the whole body.
+
+    Parameters
+    ----------
+    components : sequence of float or callable
+        Cartesian components, N/m^3.
+    """
+
+    components: tuple[FieldLike, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "components", _check_components("components", self.components))
+
+
+Load = Pressure | Traction | BodyForce
+
+
+@dataclass(frozen=True)
+class Support:
+    """Prescribed displacement components on a boundary; ``None`` leaves a component free.
+
+    Parameters
+    ----------
+    boundary : str
+        Name of the boundary.
+    x, y, z : float or None
+        Prescribed displacement, m.
+    """
+
+    boundary: str
+    x: float | None = None
+    y: float | None = None
+    z: float | None = None
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+        for name in "xyz":
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, checks.number(name, value))
+        if self.x is None and self.y is None and self.z is None:
+            raise ValueError(f"support on {self.boundary!r} fixes nothing: give x, y or z a displacement in m")
+
+    def components(self, dim: int) -> tuple[float | None, ...]:
+        """The prescribed components in ``dim`` dimensions."""
+        if dim == 2 and self.z is not None:
+            raise ValueError(f"support on {self.boundary!r}: z is prescribed in a 2D problem")
+        return (self.x, self.y, self.z)[:dim]

@@ -1,0 +1,75 @@
+r"""Linear elastic, isotropic materials.
+
+The stress is :math:`\sigma = \lambda\,\mathrm{tr}(\varepsilon) I + 2\mu\,\varepsilon` with
+:math:`\mu = E / (2(1+\nu))` and :math:`\lambda = E\nu / ((1+\nu)(1-2\nu))` in three dimensions and in plane strain;
+plane stress has :math:`\lambda = E\nu / (1-\nu^2)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from adaptmg.problem import checks
+
+__all__ = ["Elastic", "PlaneStrain", "PlaneStress", "Solid"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Elastic:
+    """Isotropic linear elasticity; use one of the subclasses.
+
+    Parameters
+    ----------
+    young : float
+        Young's modulus, Pa, > 0.
+    poisson : float
+        Poisson's ratio, -1 < poisson < 0.5 (P1 elements lock well before 0.5).
+    """
+
+    young: float
+    poisson: float
+    dim: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "young", checks.positive("young", self.young))
+        poisson = checks.number("poisson", self.poisson)
+        if not -1 < poisson < 0.5:
+            raise ValueError(f"poisson must lie between -1 and 0.5 (both excluded), got {self.poisson!r}")
+        object.__setattr__(self, "poisson", poisson)
+
+    @property
+    def shear_modulus(self) -> float:
+        """Second Lame constant mu, Pa."""
+        return self.young / (2 * (1 + self.poisson))
+
+    @property
+    def lame(self) -> float:
+        """First Lame constant lambda as it enters the stress, Pa."""
+        return self.young * self.poisson / ((1 + self.poisson) * (1 - 2 * self.poisson))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneStrain(Elastic):
+    """Plane strain: a long body, strain only in the plane. Forces are per metre of length."""
+
+    dim: ClassVar[int] = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneStress(Elastic):
+    """Plane stress: a thin sheet. Forces are per metre of thickness."""
+
+    dim: ClassVar[int] = 2
+
+    @property
+    def lame(self) -> float:
+        """First Lame constant of plane stress, Pa."""
+        return self.young * self.poisson / (1 - self.poisson**2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solid(Elastic):
+    """A three-dimensional body."""
+
+    dim: ClassVar[int] = 3

@@ -1,0 +1,256 @@
+r"""LocalSystem: a matrix in contact frames, fixed dofs eliminated, as the flat arrays the kernels read.
+
+At contact node i the unknowns are :math:`w = F_i u`, the rows of F_i being n, t (2D: t = n turned by +90 degrees) or
+n, t1, t2 (3D); elsewhere w = u. Fixed dofs are lifted off: :math:`w` counts from the prescribed values, the rows and
+columns of fixed dofs are zero but for the diagonal, so a kernel leaves them at zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.discrete import ContactNodes, DiscreteProblem
+
+__all__ = ["LocalSystem", "NodalContact", "frames_of", "inverse_blocks", "local_system"]
+
+
+def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
+    """Orthonormal frames at contact nodes.
+
+    Parameters
+    ----------
+    contact : ContactNodes
+    fixed : (n_nodes, dim) bool array
+        In 3D the tangents are laid along fixed Cartesian components, where there are such.
+
+    Returns
+    -------
+    (n_contact, dim, dim) array
+        Row 0 the normal, then the tangents (2D: the normal turned by +90 degrees; 3D: right-handed n, t1, t2).
+    """
+    n = contact.normals
+    frames = np.empty((len(n), contact.dim, contact.dim))
+    frames[:, 0] = n
+    if contact.dim == 2:
+        frames[:, 1, 0], frames[:, 1, 1] = -n[:, 1], n[:, 0]
+        return frames
+    # the Cartesian axis nearest the tangent plane, projected into it; a fixed axis lies in the plane and goes first
+    key = np.abs(n) - 2.0 * fixed[contact.nodes]
+    axis = np.eye(3)[np.argmin(key, axis=1)]
+    t1 = axis - np.sum(axis * n, axis=1)[:, None] * n
+    t1 /= np.linalg.norm(t1, axis=1)[:, None]
+    frames[:, 1], frames[:, 2] = t1, np.cross(n, t1)
+    return frames
+
+
+@dataclass
+class NodalContact:
+    """The data of the contact conditions at contact nodes, in local components, as the kernels read them.
+
+    The condition at node i: w_n <= gap; |f_t| <= limit + friction * p; f_t opposite to w_t - slip_reference.
+
+    Attributes
+    ----------
+    gap : (n_contact,) array
+        Largest normal displacement, m; +inf where there is no obstacle.
+    slip_reference : (n_contact, dim - 1) array
+        Tangential displacement of zero slip, m.
+    limit, friction : (n_contact,) arrays
+        Nodal Tresca limit, N, and Coulomb coefficient.
+    """
+
+    gap: np.ndarray
+    slip_reference: np.ndarray
+    limit: np.ndarray
+    friction: np.ndarray
+
+    def frozen(self, normal_force: np.ndarray) -> NodalContact:
+        """The Tresca problem with the limit held at limit + friction * normal_force (n_contact,), N."""
+        return replace(self, limit=self.limit + self.friction * normal_force, friction=np.zeros_like(self.friction))
+
+
+@dataclass(eq=False)
+class LocalSystem:
+    """A block-sparse matrix in local components with fixed dofs eliminated.
+
+    Attributes
+    ----------
+    dim : int
+        Block size.
+    indptr, indices : (n_nodes + 1,), (n_blocks,) int32 arrays
+        Block rows and columns; sorted.
+    data : (n_blocks * dim * dim,) array
+        Blocks, row by row, flat.
+    diagonal, inverse : (n_nodes * dim * dim,) arrays
+        Diagonal blocks and their inverses, flat.
+    fixed : (n_dofs,) bool array
+        Eliminated dofs, local components.
+    nodes : (n_contact,) int32 array
+        Contact nodes.
+    contact_of : (n_nodes,) int32 array
+        Index of a node among the contact nodes, or -1.
+    """
+
+    dim: int
+    indptr: np.ndarray
+    indices: np.ndarray
+    data: np.ndarray
+    diagonal: np.ndarray
+    inverse: np.ndarray
+    fixed: np.ndarray
+    nodes: np.ndarray
+    contact_of: np.ndarray
+
+    @classmethod
+    def from_matrix(cls, matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray) -> LocalSystem:
+        """From an eliminated matrix in local components (fixed rows and columns already decoupled)."""
+        dim = matrix.blocksize[0]
+        n_nodes = matrix.shape[0] // dim
+        if not matrix.has_sorted_indices:
+            matrix = matrix.sorted_indices()
+        indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        rows = np.repeat(np.arange(n_nodes), np.diff(indptr))
+        diagonal = np.zeros((n_nodes, dim, dim))
+        on_diagonal = rows == indices
+        diagonal[rows[on_diagonal]] = matrix.data[on_diagonal]
+        contact_of = np.full(n_nodes, -1, dtype=np.int32)
+        contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
+        return cls(dim=dim, indptr=indptr, indices=indices, data=np.ascontiguousarray(matrix.data).reshape(-1),
+                   diagonal=diagonal.reshape(-1), inverse=inverse_blocks(diagonal).reshape(-1), fixed=np.asarray(fixed),
+                   nodes=np.asarray(nodes, dtype=np.int32), contact_of=contact_of)
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.indptr) - 1
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of dofs, fixed ones included."""
+        return self.n_nodes * self.dim
+
+    @property
+    def nonzeros(self) -> int:
+        """Stored entries: the unit in which work is counted."""
+        return len(self.data)
+
+    @property
+    def matrix(self) -> sparse.bsr_array:
+        """The matrix, sharing memory."""
+        blocks = self.data.reshape(-1, self.dim, self.dim)
+        return sparse.bsr_array((blocks, self.indices, self.indptr), shape=(self.n_dofs, self.n_dofs), copy=False)
+
+
+def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
+    """Inverses of (n, dim, dim) blocks; ValueError names the first singular one."""
+    try:
+        inverse = np.linalg.inv(blocks)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(blocks, np.nan)
+    if not np.isfinite(inverse).all():
+        bad = int(np.argmin(np.abs(np.linalg.det(blocks))))
+        raise ValueError(f"the diagonal block of node {bad} is singular: is the node part of an element?")
+    return inverse
+
+
+@dataclass(eq=False)
+class LocalProblem:
+    """A DiscreteProblem in local components: what the nonlinear solvers iterate on.
+
+    Attributes
+    ----------
+    system : LocalSystem
+    load : (n_dofs,) array
+        Local components, prescribed values lifted, zero at fixed dofs, N.
+    contact : NodalContact
+    frames : (n_contact, dim, dim) array
+    discrete : DiscreteProblem
+        Where it comes from.
+    """
+
+    system: LocalSystem
+    load: np.ndarray
+    contact: NodalContact
+    frames: np.ndarray
+    discrete: DiscreteProblem
+
+    def to_local(self, displacement: np.ndarray) -> np.ndarray:
+        """Cartesian displacement (n_nodes, dim) or (n_dofs,) -> local unknowns (n_dofs,)."""
+        u = np.array(displacement, dtype=np.float64).reshape(-1) - self.discrete.fixed_values
+        w = rotate(u, self.frames, self.system.nodes)
+        w[self.system.fixed] = 0.0
+        return w
+
+    def to_cartesian(self, unknowns: np.ndarray) -> np.ndarray:
+        """Local unknowns (n_dofs,) -> Cartesian displacement (n_nodes, dim), prescribed values included, m."""
+        u = rotate(unknowns, np.swapaxes(self.frames, 1, 2), self.system.nodes) + self.discrete.fixed_values
+        return u.reshape(-1, self.system.dim)
+
+
+def rotate(vector: np.ndarray, frames: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """A copy of a dof vector with ``frames`` (n_contact, dim, dim) applied at ``nodes``."""
+    dim = frames.shape[1]
+    result = np.array(vector, dtype=np.float64).reshape(-1, dim)
+    result[nodes] = np.einsum("nij,nj->ni", frames, result[nodes])
+    return result.reshape(-1)
+
+
+def local_system(problem: DiscreteProblem) -> LocalProblem:
+    """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs."""
+    dim, contact = problem.dim, problem.contact
+    frames = frames_of(contact, problem.fixed.reshape(-1, dim))
+    # Q maps local to Cartesian components: u = Q w
+    blocks = np.broadcast_to(np.eye(dim), (problem.n_nodes, dim, dim)).copy()
+    blocks[contact.nodes] = np.swapaxes(frames, 1, 2)
+    n = problem.n_nodes
+    rotation = sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=problem.matrix.shape)
+    fixed = _local_fixed(problem, frames)
+    matrix = sparse.bsr_array(rotation.T @ problem.matrix @ rotation, blocksize=(dim, dim)).sorted_indices()
+    load = rotate(problem.load - problem.matrix @ problem.fixed_values, frames, contact.nodes)
+    load[fixed] = 0.0
+    system = LocalSystem.from_matrix(_eliminated(matrix, fixed), fixed, contact.nodes)
+    lifted = contact_lift(problem, frames)
+    limit, friction = problem.law.bounds(len(contact))
+    reference = np.einsum("nij,nj->ni", frames, contact.slip_reference)[:, 1:] - lifted[:, 1:]
+    reference[fixed.reshape(-1, dim)[contact.nodes][:, 1:]] = 0.0
+    nodal = NodalContact(gap=contact.gaps - lifted[:, 0], slip_reference=np.ascontiguousarray(reference),
+                         limit=np.array(limit, dtype=np.float64), friction=np.array(friction, dtype=np.float64))
+    return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
+
+
+def contact_lift(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
+    """Prescribed values at contact nodes in local components (n_contact, dim)."""
+    values = problem.fixed_values.reshape(-1, problem.dim)[problem.contact.nodes]
+    return np.einsum("nij,nj->ni", frames, values)
+
+
+def _local_fixed(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
+    """Fixed dofs in local components: at contact nodes a tangent that is a fixed Cartesian axis."""
+    dim = problem.dim
+    fixed = problem.fixed.reshape(-1, dim).copy()
+    at_contact = fixed[problem.contact.nodes]
+    # tangent j is fixed if all of it lies in fixed Cartesian components
+    share = np.einsum("nij,nj->ni", frames**2, at_contact.astype(float))
+    local = share > 1 - 1e-10
+    if (local.sum(axis=1) != at_contact.sum(axis=1)).any():
+        i = int(np.argmax(local.sum(axis=1) != at_contact.sum(axis=1)))
+        raise ValueError(f"fixed: the fixed components at contact node {i} (node {problem.contact.nodes[i]}) are not "
+                         "tangential; take the node out of the contact boundary or free the component")
+    fixed[problem.contact.nodes] = local
+    return fixed.reshape(-1)
+
+
+def _eliminated(matrix: sparse.bsr_array, fixed: np.ndarray) -> sparse.bsr_array:
+    """Zero the rows and columns of fixed dofs, keep their diagonal entries; the pattern stays."""
+    dim = matrix.blocksize[0]
+    free = (~fixed).astype(np.float64).reshape(-1, dim)
+    rows = np.repeat(np.arange(matrix.shape[0] // dim), np.diff(matrix.indptr))
+    data = matrix.data * free[rows][:, :, None] * free[matrix.indices][:, None, :]
+    at_diagonal = np.flatnonzero(rows == matrix.indices)
+    node = rows[at_diagonal]
+    kept = matrix.data[at_diagonal] * (np.eye(dim) * (1 - free[node])[:, :, None])
+    data[at_diagonal] += kept
+    return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
