@@ -1,1 +1,53 @@
-"""adaptmg."""
+"""adaptmg: multigrid for frictional contact on adaptively refined, non-nested meshes.
+
+``import adaptmg as am``; names are loaded when first used, so that importing stays fast.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+_SUBMODULES = ("cases", "discretisation", "export", "mesh", "multigrid", "plot", "problem", "smoother", "solver",
+               "study", "transfer")
+
+_WHERE = {
+    "adaptmg.problem": ("BodyForce", "Box", "Contact", "ContactProblem", "Coulomb", "Frictionless", "GapFunction",
+                        "Plane", "PlaneStrain", "PlaneStress", "Polygon", "Pressure", "Rectangle", "Solid", "Support",
+                        "Traction", "Tresca"),
+    "adaptmg.discrete": ("ContactNodes", "DiscreteProblem"),
+    "adaptmg.mesh": ("MeshArrays",),
+    "adaptmg.discretisation.discretise": ("discretise",),
+    "adaptmg.transfer": ("Interpolation", "L2", "LumpedL2", "PseudoL2", "QuasiInterpolation"),
+    "adaptmg.hierarchy": ("Hierarchy", "Level"),
+    "adaptmg.smoother.gauss_seidel": ("ProjectedGaussSeidel",),
+    "adaptmg.smoother.state": ("OPEN", "SLIP", "STICK"),
+    "adaptmg.multigrid": ("CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection"),
+    "adaptmg.solver.single_grid": ("SingleGrid",),
+    "adaptmg.solver.multigrid": ("FullMultigrid", "Multigrid"),
+    "adaptmg.solver.active_set": ("ActiveSet",),
+    "adaptmg.solver.linear": ("AMG", "Direct"),
+    "adaptmg.solver.solve": ("solve",),
+    "adaptmg.solver.result": ("Result",),
+    "adaptmg.solver.status": ("NotConverged", "Status"),
+    "adaptmg.study.study": ("Study",),
+}
+_HOME = {name: module for module, names in _WHERE.items() for name in names}
+
+__all__ = sorted([*_HOME, *_SUBMODULES, "__version__"])
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        value = getattr(importlib.import_module(_HOME[name]), name)
+        globals()[name] = value
+        return value
+    if name in _SUBMODULES:
+        return importlib.import_module(f"adaptmg.{name}")
+    raise AttributeError(f"module 'adaptmg' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

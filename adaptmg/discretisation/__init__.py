@@ -1,1 +1,11 @@
-"""."""
+"""ContactProblem + mesh -> DiscreteProblem. Importing the package does not import ngsolve; assembly does."""
+
+from adaptmg.discretisation.contact_nodes import contact_nodes
+from adaptmg.discretisation.discretise import discretise
+from adaptmg.discretisation.elasticity import stiffness
+from adaptmg.discretisation.loads import load_vector
+from adaptmg.discretisation.measures import element_strain, element_stress, von_mises
+from adaptmg.discretisation.supports import fixed_dofs
+
+__all__ = ["contact_nodes", "discretise", "element_strain", "element_stress", "fixed_dofs", "load_vector", "stiffness",
+           "von_mises"]

@@ -1,1 +1,21 @@
-"""."""
+"""Files for other programs: VTK, and one HTML page a study."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from adaptmg.export.report import Report
+    from adaptmg.export.vtu import vtk
+
+_WHERE = {"Report": "adaptmg.export.report", "vtk": "adaptmg.export.vtu"}
+
+__all__ = ["Report", "vtk"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _WHERE:
+        import importlib
+
+        return getattr(importlib.import_module(_WHERE[name]), name)
+    raise AttributeError(f"module 'adaptmg.export' has no attribute {name!r}")

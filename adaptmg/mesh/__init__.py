@@ -1,5 +1,33 @@
-"""Meshes: NGSolve/Netgen in, frozen arrays out. Importing the package does not import ngsolve; its functions do."""
+"""Meshes: NGSolve/Netgen in, frozen arrays out. Importing the package does not import ngsolve; its functions do.
+
+Every mesh that comes from here is checked (:func:`check_mesh`) and carries an ``ngsolve.Mesh`` with the same node
+numbers as its ``source``.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
 
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.check import check_mesh
+from adaptmg.mesh.quality import MeshQuality, quality
+from adaptmg.mesh.structured import structured
 
-__all__ = ["MeshArrays"]
+# these modules import ngsolve: they are loaded at the first use of a name (PEP 562)
+_LAZY = {"as_mesh": "user", "bisect": "bisected", "from_gmsh": "gmsh", "from_ngsolve": "build", "graded": "grading",
+         "refine_near": "bisected", "sized": "grading", "to_ngsolve": "build", "with_source": "build"}
+
+__all__ = ["MeshArrays", "MeshQuality", "as_mesh", "bisect", "check_mesh", "from_gmsh", "from_ngsolve", "graded",
+           "quality", "refine_near", "sized", "structured", "to_ngsolve", "with_source"]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))

@@ -1,1 +1,10 @@
 """The projected block Gauss-Seidel smoother: numba kernels on arrays, and one thin wrapper."""
+
+from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
+from adaptmg.smoother.residuals import contact_state, energy, natural_residual, normal_force, residual
+from adaptmg.smoother.state import OPEN, SLIP, STICK, ContactState
+from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact, local_system
+
+__all__ = ["OPEN", "SLIP", "STICK", "ContactState", "LocalProblem", "LocalSystem", "NodalContact",
+           "ProjectedGaussSeidel", "Smoother", "contact_state", "energy", "local_system", "natural_residual",
+           "normal_force", "residual"]

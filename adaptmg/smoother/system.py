@@ -14,7 +14,8 @@ from scipy import sparse
 
 from adaptmg.discrete import ContactNodes, DiscreteProblem
 
-__all__ = ["LocalSystem", "NodalContact", "frames_of", "inverse_blocks", "local_system"]
+__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_lift", "frames_of", "inverse_blocks", "local_system",
+           "rotate"]
 
 
 def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:

@@ -1,1 +1,32 @@
-"""."""
+"""Transfers between meshes, nested or not: point location, prolongations, restriction, transport of contact data.
+
+Loads no ngsolve.
+"""
+
+from adaptmg.transfer.constraints import (
+    Supports,
+    injected_gap,
+    injected_limit,
+    injected_slip,
+    interpolated_pressure,
+    largest_gap,
+    minmod_slip,
+    smallest_gap,
+    summed_limit,
+    supports,
+)
+from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
+from adaptmg.transfer.interpolation import Interpolation
+from adaptmg.transfer.l2 import L2
+from adaptmg.transfer.location import Location, PointLocator
+from adaptmg.transfer.lumped_l2 import LumpedL2
+from adaptmg.transfer.operators import expand, injection, mask, mesh_ratio, restriction
+from adaptmg.transfer.protocol import Transfer
+from adaptmg.transfer.pseudo_l2 import PseudoL2
+from adaptmg.transfer.quasi_interpolation import QuasiInterpolation
+from adaptmg.transfer.rows import CLIP
+
+__all__ = ["CLIP", "L2", "Interpolation", "Location", "LumpedL2", "PointLocator", "PseudoL2", "QuasiInterpolation",
+           "Supports", "Transfer", "expand", "injected_gap", "injected_limit", "injected_slip", "injection",
+           "interpolated_pressure", "largest_gap", "mask", "mesh_ratio", "minmod_slip", "restriction", "smallest_gap",
+           "summed_limit", "supports", "surface_interpolation", "with_contact_rows"]

@@ -1,0 +1,60 @@
+"""The cases by name, for the command line and for studies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from types import MappingProxyType
+
+from adaptmg.cases.block import greco_block
+from adaptmg.cases.curved import curved_obstacle
+from adaptmg.cases.greco import greco_bar
+from adaptmg.cases.upset import upset_block
+from adaptmg.problem import ContactProblem
+
+__all__ = ["CASES", "Case", "get", "names"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A benchmark case.
+
+    Parameters
+    ----------
+    function : callable
+        Keyword arguments, all with defaults, -> ContactProblem.
+    description : str
+        One line.
+    """
+
+    function: Callable[..., ContactProblem]
+    description: str
+
+
+CASES: Mapping[str, Case] = MappingProxyType({
+    "greco_bar": Case(greco_bar, "square pressed on a plane and pushed along it, Coulomb friction 1 (2D)"),
+    "curved_obstacle": Case(curved_obstacle, "the same square in front of a curved obstacle, frictionless (2D)"),
+    "upset_block": Case(upset_block, "square squeezed on a plane, friction 0.5: singular foot (2D)"),
+    "greco_block": Case(greco_block, "the GRECO bar as a solid (3D)"),
+})
+
+
+def names() -> tuple[str, ...]:
+    """Names of all cases."""
+    return tuple(CASES)
+
+
+def get(name: str) -> Case:
+    """The case of that name; ValueError lists the names if there is none.
+
+    Examples
+    --------
+    >>> get("greco_bar").function(poisson=0.3).material.poisson
+    0.3
+    """
+    if name not in CASES:
+        close = get_close_matches(str(name), CASES, n=1)
+        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        raise ValueError(f"there is no case {name!r}{hint}; the cases are {', '.join(CASES)}")
+    return CASES[name]

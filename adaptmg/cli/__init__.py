@@ -1,0 +1,5 @@
+"""The command ``adaptmg``: ``adaptmg cases``, ``adaptmg solve CASE``."""
+
+from adaptmg.cli.command import app, main
+
+__all__ = ["app", "main"]

@@ -1,0 +1,57 @@
+"""Names that options take."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+__all__ = ["CorrectionName", "LawName", "LinearName", "Shape", "SolverName", "TransferName"]
+
+
+class SolverName(StrEnum):
+    """Methods."""
+
+    FULL = "full-multigrid"
+    MULTIGRID = "multigrid"
+    SINGLE = "single-grid"
+    ACTIVE = "active-set"
+
+
+class LawName(StrEnum):
+    """Contact laws."""
+
+    FRICTIONLESS = "frictionless"
+    COULOMB = "coulomb"
+    TRESCA = "tresca"
+
+
+class TransferName(StrEnum):
+    """Transfers between non-nested grids."""
+
+    INTERPOLATION = "interpolation"
+    L2 = "l2"
+    LUMPED = "lumped-l2"
+    PSEUDO = "pseudo-l2"
+    QUASI = "quasi-interpolation"
+
+
+class CorrectionName(StrEnum):
+    """Multigrid corrections."""
+
+    MONOTONE = "monotone"
+    PAPER = "paper"
+
+
+class Shape(StrEnum):
+    """Shapes of multigrid cycles."""
+
+    V = "V"
+    W = "W"
+    F = "F"
+    COMPLETE = "complete"
+
+
+class LinearName(StrEnum):
+    """Linear solvers inside the active set method."""
+
+    DIRECT = "direct"
+    AMG = "amg"

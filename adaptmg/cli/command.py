@@ -1,0 +1,109 @@
+"""The commands and their options. What is heavy is imported inside them, so that ``--help`` is instant."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from adaptmg import __version__
+from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False,
+                  context_settings={"help_option_names": ["-h", "--help"]},
+                  epilog="Example: adaptmg solve greco_bar --divisions 4,8,16,32")
+
+
+def main() -> None:
+    """Entry point of the command."""
+    app(prog_name="adaptmg")
+
+
+@app.callback(invoke_without_command=True)
+def _root(context: typer.Context,
+          version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False) -> None:
+    """Multigrid for frictional contact on adaptively refined, non-nested meshes."""
+    if version:
+        typer.echo(f"adaptmg {__version__}")
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command(epilog="Example: adaptmg cases --json")
+def cases(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+    """List the benchmark cases."""
+    from adaptmg.cases import CASES
+
+    if as_json:
+        typer.echo(json.dumps([{"name": n, "description": case.description} for n, case in CASES.items()], indent=2))
+        return
+    width = max(map(len, CASES))
+    for name, case in CASES.items():
+        typer.echo(f"{name:<{width}}  {case.description}")
+
+
+@app.command(epilog="Example: adaptmg solve greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
+                    "--transfer pseudo-l2 --friction 0.3 --out results/bar")
+def solve(
+    case: Annotated[str, typer.Argument(help="Name of a case, see 'adaptmg cases'.")],
+    divisions: Annotated[str | None, typer.Option(
+        show_default="4,8,16,32; 3D: 2,4,8", help="Uniform nested grids: cells a side, coarse to fine.")] = None,
+    sizes: Annotated[str | None, typer.Option(
+        help="Independent graded meshes instead: element sizes in m, coarse to fine.")] = None,
+    contact_ratio: Annotated[float | None, typer.Option(
+        show_default="1", help="With --sizes: size away from contact over size at contact.")] = None,
+    transfer: Annotated[TransferName | None, typer.Option(
+        show_default="interpolation", help="With --sizes: transfer between the grids.")] = None,
+    law: Annotated[LawName | None, typer.Option(show_default="that of the case", help="Contact law.")] = None,
+    friction: Annotated[float | None, typer.Option(help="Coefficient of Coulomb friction.")] = None,
+    limit: Annotated[float | None, typer.Option(help="Tresca limit, Pa.")] = None,
+    solver: Annotated[SolverName, typer.Option(help="Method.")] = SolverName.FULL,
+    correction: Annotated[CorrectionName | None, typer.Option(
+        show_default="monotone", help="Multigrid: correction.")] = None,
+    cycle: Annotated[Shape | None, typer.Option(show_default="V", help="Multigrid: shape of the cycle.")] = None,
+    pre: Annotated[int | None, typer.Option(show_default="2", help="Multigrid: sweeps before the correction.")] = None,
+    post: Annotated[int | None, typer.Option(show_default="0", help="Multigrid: sweeps after the correction.")] = None,
+    omega: Annotated[float | None, typer.Option(show_default="1", help="Relaxation of the sweeps.")] = None,
+    linear: Annotated[LinearName | None, typer.Option(show_default="direct", help="Active set: linear solver.")] = None,
+    rtol: Annotated[float | None, typer.Option(
+        show_default="that of the method", help="Tolerance: estimated relative error in the energy norm.")] = None,
+    most: Annotated[int | None, typer.Option(
+        "--max-cycles", show_default="that of the method", help="Cycles, sweeps or Newton steps at most.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Directory for the result (.npz), pictures and a .vtu file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Solve a case and say how it went: exit code 1 if the tolerance was not reached, 2 for bad input."""
+    with _told():
+        from adaptmg.cli import work
+        from adaptmg.cli.progress import watched
+
+        problem = work.problem_of(case, law, friction, limit)
+        method = work.solver_of(solver, correction=correction, cycle=cycle, pre=pre, post=post, omega=omega,
+                                linear=linear, rtol=rtol, most=most)
+        with watched(method.rtol) as callback:
+            grids = work.hierarchy_of(problem, divisions, sizes, contact_ratio, transfer)
+            result = work.solved(grids, method, callback)
+        files = [] if out is None else work.write(out, problem, grids, result)
+        if as_json:
+            typer.echo(json.dumps(work.summary(result, files), indent=2, allow_nan=False))
+        else:
+            typer.echo("\n".join([repr(grids), "", repr(result), *(f"wrote {file}" for file in files)]))
+    if not result.status.ok:
+        typer.echo(f"adaptmg: not converged ({result.status.name}): {result.status.value}", err=True)
+        raise typer.Exit(1)
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Bad input, and files that cannot be written, become one line on standard error and exit code 2."""
+    try:
+        yield
+    except (ValueError, TypeError, OSError) as error:
+        typer.echo(f"adaptmg: {error}", err=True)
+        raise typer.Exit(2) from None

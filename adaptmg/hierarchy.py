@@ -1,0 +1,267 @@
+"""Levels and hierarchies: the same contact problem on a family of grids, coarsest first, nested or not."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import ContactProblem, checks
+
+if TYPE_CHECKING:
+    from adaptmg.transfer import Transfer
+
+__all__ = ["Hierarchy", "Level"]
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One grid.
+
+    Attributes
+    ----------
+    discrete : DiscreteProblem
+        The problem discretised on this grid.
+    mesh : MeshArrays or None
+    prolongation : csr_array (n_nodes, n_nodes of the next coarser level) or None
+        Nodal values from the next coarser level; None on the coarsest.
+    mesh_ratio : float
+        Largest local ratio of mesh sizes, next coarser over this; NaN if unknown.
+    """
+
+    discrete: DiscreteProblem
+    mesh: MeshArrays | None = None
+    prolongation: sparse.csr_array | None = None
+    mesh_ratio: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Hierarchy:
+    """Levels, coarsest first, and how they were made. Printing it shows a table.
+
+    Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`, :meth:`single`.
+    """
+
+    levels: tuple[Level, ...]
+    problem: ContactProblem | None = None
+    origin: str = "levels"
+    timings: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        levels = tuple(self.levels)
+        if not levels:
+            raise ValueError("levels is empty: a hierarchy needs at least one level")
+        for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
+            wanted = (fine.discrete.n_nodes, coarse.discrete.n_nodes)
+            if fine.prolongation is None or fine.prolongation.shape != wanted:
+                got = None if fine.prolongation is None else fine.prolongation.shape
+                raise ValueError(f"levels[{k}].prolongation must have shape {wanted} (nodes fine, coarse), got {got}")
+        object.__setattr__(self, "levels", levels)
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+    def __getitem__(self, index: int) -> Level:
+        return self.levels[index]
+
+    @property
+    def finest(self) -> Level:
+        """The finest level."""
+        return self.levels[-1]
+
+    def truncated(self, *, coarsest: int = 0, finest: int | None = None) -> Hierarchy:
+        """The levels ``coarsest`` .. ``finest`` (inclusive; default: the last) as a hierarchy of their own."""
+        finest = len(self) - 1 if finest is None else checks.integer("finest", finest)
+        if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
+            raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
+        first, *rest = self.levels[coarsest:finest + 1]
+        first = Level(first.discrete, first.mesh)
+        return Hierarchy((first, *rest), self.problem, self.origin, dict(self.timings))
+
+    # -- constructors -------------------------------------------------------------------------------------------
+
+    @classmethod
+    def single(cls, discrete: DiscreteProblem) -> Hierarchy:
+        """One level, for methods that need no coarse grid."""
+        return cls((Level(discrete),), origin="one level")
+
+    @classmethod
+    def uniform(cls, problem: ContactProblem, divisions: Sequence[int | tuple[int, ...]],
+                diagonal: str = "right") -> Hierarchy:
+        """Structured grids of a rectangle or box.
+
+        Parameters
+        ----------
+        problem : ContactProblem
+            With a Rectangle or Box as domain.
+        divisions : sequence of int or tuple of int
+            Cells along the sides, coarse to fine; nested where each divides the next.
+        diagonal : {"right", "left", "alternating"}
+            How squares are cut (2D).
+        """
+        from adaptmg.mesh.structured import structured
+
+        _need_domain(problem)
+        begin = time.perf_counter()
+        meshes = [structured(problem.domain, n, diagonal=diagonal) for n in divisions]
+        seconds = time.perf_counter() - begin
+        return cls._build(problem, meshes, None, f"uniform {', '.join(map(str, divisions))}", seconds)
+
+    @classmethod
+    def graded(cls, problem: ContactProblem, sizes: Sequence[float], contact_ratio: float = 1.0,
+               transfer: Transfer | None = None, contact_rows: bool = True) -> Hierarchy:
+        """Independent (non-nested) Netgen meshes, graded towards the contact boundaries.
+
+        Parameters
+        ----------
+        problem : ContactProblem
+            With a domain.
+        sizes : sequence of float
+            Element size away from contact, coarse to fine, m.
+        contact_ratio : float
+            Size away from contact over size at contact, >= 1.
+        transfer : Transfer, optional
+            Default :class:`adaptmg.transfer.Interpolation`.
+        contact_rows : bool
+            See :meth:`from_meshes`.
+        """
+        from adaptmg.mesh.graded import graded
+
+        _need_domain(problem)
+        begin = time.perf_counter()
+        meshes = [graded(problem.domain, size, problem.contact_boundaries, contact_ratio) for size in sizes]
+        seconds = time.perf_counter() - begin
+        origin = f"graded {', '.join(f'{s:g}' for s in sizes)} m, ratio {contact_ratio:g} at contact"
+        return cls._build(problem, meshes, transfer, origin, seconds, contact_rows)
+
+    @classmethod
+    def bisected(cls, problem: ContactProblem, coarsest: Any, levels: int) -> Hierarchy:
+        """Nested meshes: ``coarsest`` refined ``levels`` times by bisection of the elements that touch contact.
+
+        Parameters
+        ----------
+        problem : ContactProblem
+        coarsest : MeshArrays, ngsolve.Mesh or path of a mesh file
+        levels : int
+            Number of refinements, >= 1.
+        """
+        from adaptmg.mesh.bisected import refine_near
+        from adaptmg.mesh.user import as_mesh
+
+        begin = time.perf_counter()
+        first = as_mesh(coarsest)
+        problem.check_boundaries(first.boundaries)
+        meshes = [first, *refine_near(first, problem.contact_boundaries, checks.integer("levels", levels, 1))]
+        seconds = time.perf_counter() - begin
+        return cls._build(problem, meshes, None, f"bisected near contact {levels} times", seconds)
+
+    @classmethod
+    def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
+                    contact_rows: bool = True) -> Hierarchy:
+        """From one's own meshes, coarse to fine.
+
+        Parameters
+        ----------
+        problem : ContactProblem
+        meshes : sequence of ngsolve.Mesh, MeshArrays or paths of mesh files (.msh, .vol)
+            Checked before use; the boundary names must be those of the problem.
+        transfer : Transfer, optional
+            Default :class:`adaptmg.transfer.Interpolation`; one's own is any object with ``build(coarse, fine)``.
+        contact_rows : bool
+            Replace the rows of fine contact nodes by linear interpolation along the coarse contact boundary, whatever
+            the transfer does elsewhere: the monotone correction is proven only so (or where the transfer does it).
+        """
+        from adaptmg.mesh.user import as_mesh
+
+        begin = time.perf_counter()
+        arrays = [as_mesh(mesh) for mesh in meshes]
+        return cls._build(problem, arrays, transfer, "given meshes", time.perf_counter() - begin, contact_rows)
+
+    @classmethod
+    def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
+               mesh_seconds: float, contact_rows: bool = True) -> Hierarchy:
+        from adaptmg.discretisation.discretise import discretise
+        from adaptmg.transfer import Interpolation
+
+        if not meshes:
+            raise ValueError("no meshes: give at least one, coarse to fine")
+        transfer = Interpolation() if transfer is None else transfer
+        if not callable(getattr(transfer, "build", None)):
+            raise TypeError(f"transfer must offer build(coarse, fine) -> sparse matrix, got {transfer!r}")
+        _check_coarse_to_fine(meshes)
+        begin = time.perf_counter()
+        discretes = [discretise(problem, mesh) for mesh in meshes]
+        assembled = time.perf_counter()
+        levels = [Level(discretes[0], meshes[0])]
+        for k in range(1, len(meshes)):
+            levels.append(_transferred(transfer, levels[-1], meshes[k], discretes[k], contact_rows))
+        timings = {"mesh": mesh_seconds, "assembly": assembled - begin, "transfer": time.perf_counter() - assembled}
+        return cls(tuple(levels), problem, origin, timings)
+
+    # -- what it is ---------------------------------------------------------------------------------------------
+
+    @property
+    def grid_complexity(self) -> float:
+        """Nodes on all levels over nodes on the finest."""
+        return sum(level.discrete.n_nodes for level in self.levels) / self.finest.discrete.n_nodes
+
+    @property
+    def operator_complexity(self) -> float:
+        """Nonzeros of the discretised matrices on all levels over those of the finest."""
+        return sum(level.discrete.matrix.nnz for level in self.levels) / self.finest.discrete.matrix.nnz
+
+    def table(self) -> list[dict[str, float]]:
+        """One dict a level: level, nodes, contact_nodes, nonzeros, mesh_ratio (to the next coarser level)."""
+        return [{"level": k, "nodes": level.discrete.n_nodes, "contact_nodes": len(level.discrete.contact),
+                 "nonzeros": level.discrete.matrix.nnz, "mesh_ratio": level.mesh_ratio}
+                for k, level in enumerate(self.levels)]
+
+    def __repr__(self) -> str:
+        name = self.problem.name if self.problem is not None else self.finest.discrete.name
+        lines = [f"Hierarchy of {len(self)} levels ({self.origin}) for {name}",
+                 f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11} {'h ratio':>8}"]
+        for row in self.table():
+            ratio = "-" if np.isnan(row["mesh_ratio"]) else f"{row['mesh_ratio']:.2f}"
+            lines.append(f"{row['level']:>5} {row['nodes']:>9} {row['contact_nodes']:>8} {row['nonzeros']:>11} "
+                         f"{ratio:>8}")
+        lines.append(f"grid complexity {self.grid_complexity:.3f}, "
+                     f"operator complexity (discretised) {self.operator_complexity:.3f}")
+        return "\n".join(lines)
+
+
+def _need_domain(problem: ContactProblem) -> None:
+    if problem.domain is None:
+        raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
+
+
+def _check_coarse_to_fine(meshes: list[MeshArrays]) -> None:
+    sizes = [mesh.n_nodes for mesh in meshes]
+    if any(a >= b for a, b in pairwise(sizes)):
+        raise ValueError(f"meshes must go from coarse to fine; they have {sizes} nodes")
+
+
+def _transferred(transfer: Transfer, coarse: Level, mesh: MeshArrays, discrete: DiscreteProblem,
+                 contact_rows: bool) -> Level:
+    """A finer level with its prolongation; contact nodes interpolate along the coarse contact boundary."""
+    from adaptmg.transfer import mesh_ratio, surface_interpolation, with_contact_rows
+
+    nodal = sparse.csr_array(transfer.build(coarse.mesh, mesh))
+    wanted = (mesh.n_nodes, coarse.mesh.n_nodes)
+    if nodal.shape != wanted:
+        raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
+                         f"got {nodal.shape}")
+    if not np.isfinite(nodal.data).all():
+        raise ValueError(f"transfer.build of {transfer!r} returned entries that are not finite")
+    contact = discrete.contact
+    for index, name in enumerate(contact.names if contact_rows else ()):
+        nodes = contact.nodes[contact.boundary == index]
+        rows = surface_interpolation(coarse.mesh, mesh, coarse.mesh.boundary_facets(name), nodes)
+        nodal = with_contact_rows(nodal, nodes, rows)
+    return Level(discrete, mesh, nodal, mesh_ratio(coarse.mesh, mesh))

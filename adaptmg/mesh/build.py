@@ -1,0 +1,171 @@
+"""Arrays to an NGSolve mesh and back, node numbers kept, no loop over elements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import netgen.meshing
+import ngsolve
+import numpy as np
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.check import check_mesh
+from adaptmg.mesh.normalise import normalised
+
+__all__ = ["from_ngsolve", "to_ngsolve", "with_source"]
+
+# Netgen's element types of first and second order
+_TRIANGLES = (10, 12)
+_TETRAHEDRA = (20, 21)
+
+
+def to_ngsolve(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_labels: np.ndarray,
+               boundaries: Sequence[str], *, element_body: np.ndarray | None = None,
+               bodies: Sequence[str] = ("body",)) -> ngsolve.Mesh:
+    """Build an NGSolve mesh from arrays, as :class:`MeshArrays` describes them.
+
+    Parameters
+    ----------
+    points : (n_nodes, dim) array
+        m, dim 2 or 3.
+    elements : (n_elements, dim + 1) array of int
+        Positively oriented.
+    facets : (n_facets, dim) array of int
+        Boundary facets, normal outwards: NGSolve takes the sign of its normals from them.
+    facet_labels : (n_facets,) array of int
+        Index into ``boundaries``.
+    boundaries : sequence of str
+        Boundary names.
+    element_body : (n_elements,) array of int, optional
+        Index into ``bodies``.
+    bodies : sequence of str
+        Material names.
+
+    Returns
+    -------
+    ngsolve.Mesh
+        Its nodes, elements and boundary elements have the numbers of the arrays; it has no geometry, so it stays
+        straight when refined.
+
+    Raises
+    ------
+    ValueError
+        On wrong shapes, or numbers out of range (which would crash NGSolve).
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
+    dim = points.shape[1]
+    elements = _table("elements", elements, dim + 1, len(points))
+    facets = _table("facets", facets, dim, len(points))
+    labels = _labels("facet_labels", facet_labels, len(facets), len(boundaries))
+    body = np.zeros(len(elements)) if element_body is None else element_body
+    body = _labels("element_body", body, len(elements), len(bodies))
+
+    mesh = netgen.meshing.Mesh(dim=dim)
+    mesh.AddPoints(np.ascontiguousarray(np.pad(points, ((0, 0), (0, 3 - dim)))))
+    for i in range(len(bodies if dim == 2 else boundaries)):
+        mesh.Add(netgen.meshing.FaceDescriptor(surfnr=i + 1, domin=i + 1 if dim == 2 else 1, domout=0, bc=i + 1))
+    for i, name in enumerate(bodies):
+        mesh.SetMaterial(i + 1, name)
+    if dim == 3:
+        # Netgen counts the other orientation of tetrahedra as positive
+        elements = np.ascontiguousarray(elements[:, [0, 1, 3, 2]])
+    mesh.AddElements(dim=dim, index=1, data=elements, base=0)
+    mesh.AddElements(dim=dim - 1, index=1, data=facets, base=0)
+    volume, surface = ((mesh.Elements2D(), mesh.Elements1D()) if dim == 2 else (mesh.Elements3D(), mesh.Elements2D()))
+    volume.NumPy()["index"] = body + 1
+    surface.NumPy()["index"] = labels + 1
+    for i, name in enumerate(boundaries):
+        mesh.SetBCName(i, name)
+    return ngsolve.Mesh(mesh)
+
+
+def _table(name: str, array: np.ndarray, width: int, n_nodes: int) -> np.ndarray:
+    table = np.ascontiguousarray(array, dtype=np.int32)
+    if table.ndim != 2 or table.shape[1] != width or len(table) == 0:
+        raise ValueError(f"{name} must have shape (n, {width}) with n > 0, got {table.shape}")
+    if table.min() < 0 or table.max() >= n_nodes:
+        raise ValueError(f"{name} must be node numbers from 0 to {n_nodes - 1}, got {table.min()} to {table.max()}")
+    return table
+
+
+def _labels(name: str, array: np.ndarray, n: int, n_names: int) -> np.ndarray:
+    labels = np.asarray(array, dtype=np.int32)
+    if labels.shape != (n,):
+        raise ValueError(f"{name} must have shape ({n},), got {labels.shape}")
+    if labels.min() < 0 or labels.max() >= n_names:
+        raise ValueError(f"{name} must index {n_names} names, got {labels.min()} to {labels.max()}")
+    return labels
+
+
+def with_source(mesh: MeshArrays) -> MeshArrays:
+    """The checked mesh with an ``ngsolve.Mesh`` of the same node and element numbers as its ``source``.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        With or without a source; one that is there is replaced.
+
+    Returns
+    -------
+    MeshArrays
+    """
+    check_mesh(mesh)
+    return replace(mesh, source=to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
+                                           element_body=mesh.element_body, bodies=mesh.bodies))
+
+
+def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
+    """Read an NGSolve mesh.
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+        Triangles or tetrahedra. Of curved and second-order elements the corners are read. Materials become bodies,
+        those with the same name one body; boundaries inside the mesh (interfaces of glued materials) are left out.
+
+    Returns
+    -------
+    MeshArrays
+        Copies: refining ``mesh`` later changes nothing here. The nodes keep their numbers unless some belong to no
+        element (these are dropped). ``source`` is a straight mesh of its own with the same node numbers.
+
+    Raises
+    ------
+    TypeError
+        If it is no NGSolve mesh.
+    ValueError
+        On other elements, dimensions other than 2 and 3, or a mesh that is not sound
+        (:func:`adaptmg.mesh.check_mesh`).
+    """
+    if not isinstance(mesh, ngsolve.Mesh):
+        raise TypeError(f"mesh must be an ngsolve.Mesh, got {type(mesh).__name__}")
+    dim, ngmesh = mesh.dim, mesh.ngmesh
+    if dim not in (2, 3):
+        raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
+    if mesh.ne == 0:
+        raise ValueError("the mesh has no elements" + (" (a surface mesh?); generate the volume mesh first"
+                                                       if dim == 3 else ""))
+    # Coordinates() and NumPy() are views that dangle when the mesh changes: copy all that is kept
+    points = np.array(ngmesh.Coordinates(), dtype=np.float64)[:, :dim]
+    volume = (ngmesh.Elements2D() if dim == 2 else ngmesh.Elements3D()).NumPy()
+    _check_simplices(volume["type"], _TRIANGLES if dim == 2 else _TETRAHEDRA)
+    elements = volume["nodes"][:, :dim + 1].astype(np.int64) - 1
+    surface = (ngmesh.Elements1D() if dim == 2 else ngmesh.Elements2D()).NumPy()
+    facets = surface["nodes"][:, :dim].astype(np.int64) - 1
+    label = surface["index"].astype(np.int64) - 1
+    if dim == 3:
+        label = np.array([face.bc for face in ngmesh.FaceDescriptors()], dtype=np.int64)[label] - 1
+    body = volume["index"].astype(np.int64) - 1
+    return with_source(normalised(points, elements, facets, label, mesh.GetBoundaries(), body, mesh.GetMaterials()))
+
+
+def _check_simplices(types: np.ndarray, allowed: tuple[int, ...]) -> None:
+    bad = ~np.isin(types, allowed)
+    if bad.any():
+        what = "triangles" if allowed is _TRIANGLES else "tetrahedra"
+        raise ValueError(f"the mesh must consist of {what}, but {np.count_nonzero(bad)} of {len(types)} elements are "
+                         f"others (quadrilaterals, hexahedra, ...), first element {int(np.argmax(bad))}; "
+                         "split them, or generate the mesh without quads")

@@ -1,0 +1,149 @@
+"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every generator and reader ends here.
+
+Netgen does not raise when a face fails, it returns a mesh with holes; a misspelt boundary name gives an empty
+integral without a word. Both are found here: every facet belongs to two elements, or to one element and one named
+boundary facet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.topology import FacetTable, components, facet_keys, facet_table, same_orientation
+
+__all__ = ["check_mesh"]
+
+# volume over longest edge to the power dim (0.43 for an equilateral triangle), below which an element is degenerate
+_FLAT = 1e-10
+
+
+def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
+    """Return the mesh if it is sound.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        What to check.
+    boundaries : sequence of str
+        Boundaries that must exist and have facets.
+
+    Returns
+    -------
+    MeshArrays
+        The same object.
+
+    Raises
+    ------
+    TypeError
+        If it is no MeshArrays.
+    ValueError
+        No elements; wrong shapes; a node number out of range; an inverted or degenerate element; an unused node; a hole
+        (a facet of one element that is no boundary facet), a boundary facet inside the mesh, given twice, or oriented
+        inwards; a named boundary that is missing; a body of several pieces.
+    """
+    if not isinstance(mesh, MeshArrays):
+        raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}; as_mesh converts")
+    _check_shapes(mesh)
+    _check_elements(mesh)
+    table = facet_table(mesh.elements, mesh.n_nodes)
+    _check_closed(mesh, table)
+    _check_bodies(mesh, table)
+    _check_names(mesh, (boundaries,) if isinstance(boundaries, str) else boundaries)
+    return mesh
+
+
+def _at(points: np.ndarray) -> str:
+    """Position for a message: the mean of some points."""
+    return "(" + ", ".join(f"{c:.6g}" for c in points.mean(axis=0)) + ")"
+
+
+def _check_shapes(mesh: MeshArrays) -> None:
+    points, dim = mesh.points, mesh.points.shape[-1]
+    if points.ndim != 2 or dim not in (2, 3):
+        raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
+    for name, width in (("elements", dim + 1), ("facets", dim)):
+        array = getattr(mesh, name)
+        if len(array) == 0:
+            raise ValueError(f"the mesh has no {'elements' if name == 'elements' else 'boundary facets'}")
+        if array.ndim != 2 or array.shape[1] != width:
+            raise ValueError(f"{name} must have shape (n, {width}) in {dim}D, got {array.shape}")
+        if array.min() < 0 or array.max() >= len(points):
+            bad = int(np.argmax(((array < 0) | (array >= len(points))).any(axis=1)))
+            raise ValueError(f"{name}[{bad}] = {array[bad].tolist()} names a node that does not exist; "
+                             f"there are {len(points)} nodes, counted from 0")
+    for name, count, names in (("facet_labels", len(mesh.facets), mesh.boundaries),
+                               ("element_body", len(mesh.elements), mesh.bodies)):
+        index, what = getattr(mesh, name), "boundaries" if name == "facet_labels" else "bodies"
+        if index.shape != (count,):
+            raise ValueError(f"{name} must have shape ({count},), got {index.shape}")
+        if index.min() < 0 or index.max() >= len(names):
+            raise ValueError(f"{name} must index {what} ({len(names)} names), got {index.min()} to {index.max()}")
+        if len(set(names)) < len(names):
+            raise ValueError(f"{what} must be distinct, got {names}")
+
+
+def _check_elements(mesh: MeshArrays) -> None:
+    unit = "m^2" if mesh.dim == 2 else "m^3"
+    inverted = np.flatnonzero(mesh.volumes < 0)
+    flat = np.flatnonzero(np.abs(mesh.volumes) <= _FLAT * mesh.element_sizes**mesh.dim)
+    for bad, what in ((flat, "degenerate"), (inverted, "inverted")):
+        if len(bad):
+            e = int(bad[0])
+            raise ValueError(f"{len(bad)} of {len(mesh.elements)} elements are {what}; element {e} at "
+                             f"{_at(mesh.points[mesh.elements[e]])} has volume {mesh.volumes[e]:.4g} {unit}, "
+                             f"nodes {mesh.elements[e].tolist()}")
+    used = np.zeros(mesh.n_nodes, dtype=bool)
+    used[mesh.elements] = True
+    if not used.all():
+        i = int(np.argmin(used))
+        raise ValueError(f"{np.count_nonzero(~used)} of {mesh.n_nodes} nodes belong to no element; node {i} at "
+                         f"{_at(mesh.points[i:i + 1])}; leave them out and renumber")
+
+
+def _check_closed(mesh: MeshArrays, table: FacetTable) -> None:
+    kind = "edge" if mesh.dim == 2 else "face"
+
+    def fail(bad: np.ndarray, what: str, facets: np.ndarray) -> None:
+        if bad.any():
+            facet = facets[int(np.argmax(bad))]
+            raise ValueError(f"{np.count_nonzero(bad)} {what}; one with nodes {facet.tolist()} at "
+                             f"{_at(mesh.points[facet])}")
+
+    fail(table.counts > 2, f"{kind}s belong to more than two elements (overlapping elements)", table.facets)
+    row = table.find(facet_keys(mesh.facets, mesh.n_nodes))
+    fail(row < 0, f"boundary facets are no {kind} of any element", mesh.facets)
+    fail(table.counts[row] == 2, "boundary facets lie inside the mesh", mesh.facets)
+    named = np.bincount(row, minlength=len(table.keys))
+    fail(named > 1, "boundary facets are given twice", table.facets)
+    fail((table.counts == 1) & (named == 0), f"{kind}s belong to one element and to no boundary (the mesh has a hole, "
+         "or part of its boundary has no name)", table.facets)
+    fail(~same_orientation(mesh.facets, table.facets[row]), "boundary facets have their normal inwards", mesh.facets)
+
+
+def _check_bodies(mesh: MeshArrays, table: FacetTable) -> None:
+    part = components(table, mesh.element_body)
+    elements_of = np.bincount(part)
+    body_of = np.empty(len(elements_of), dtype=np.int64)
+    body_of[part] = mesh.element_body
+    pieces = np.bincount(body_of, minlength=len(mesh.bodies))
+    for body in np.flatnonzero(pieces != 1):
+        name = mesh.bodies[body]
+        if pieces[body] == 0:
+            raise ValueError(f"body {name!r} has no elements")
+        sizes = np.sort(elements_of[body_of == body])[::-1]
+        shown = ", ".join(map(str, sizes[:8])) + (", ..." if len(sizes) > 8 else "")
+        raise ValueError(f"body {name!r} consists of {len(sizes)} pieces, of {shown} elements; "
+                         "give each piece a body (material) name of its own, or join them")
+
+
+def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:
+    present = np.bincount(mesh.facet_labels, minlength=len(mesh.boundaries)) > 0
+    known = [name for name, there in zip(mesh.boundaries, present, strict=True) if there]
+    for name in boundaries:
+        if name not in known:
+            raise ValueError(f"boundary {name!r} does not exist; the boundaries are {', '.join(known)}")

@@ -1,0 +1,85 @@
+"""Geometry of domains: sides of a box, distance to named boundaries, whether a polygon crosses itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adaptmg.problem.domains import Box, Polygon, Rectangle
+
+__all__ = ["BOX_SIDES", "distance_to_boundaries", "require_simple"]
+
+# which side of a box a boundary is: axis, and lower (0) or upper (1) end; a rectangle's vertical axis is its last one
+BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
+
+
+def distance_to_boundaries(domain: Rectangle | Polygon | Box, boundaries: Sequence[str],
+                           points: np.ndarray) -> np.ndarray:
+    """Distance of points to the nearest of some boundaries of a domain.
+
+    Parameters
+    ----------
+    domain : Rectangle, Polygon or Box
+        Whose boundaries.
+    boundaries : sequence of str
+        At least one of ``domain.boundaries``.
+    points : (n, dim) array
+        m; in a box, points of the box itself.
+
+    Returns
+    -------
+    (n,) array
+        m.
+    """
+    distance = np.full(len(points), np.inf)
+    if isinstance(domain, Box):
+        for name in boundaries:
+            axis, end = BOX_SIDES[name]
+            distance = np.minimum(distance, np.abs(points[:, axis] - (domain.lower, domain.upper)[end][axis]))
+        return distance
+    start = np.array(domain.polygon.vertices)
+    end = np.roll(start, -1, axis=0)
+    for name, a, b in zip(domain.boundaries, start, end, strict=True):
+        if name in boundaries:
+            along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+            distance = np.minimum(distance, np.linalg.norm(points - a - along[:, None] * (b - a), axis=1))
+    return distance
+
+
+def require_simple(polygon: Polygon) -> None:
+    """Raise ValueError if edges of a polygon cross, touch, or have no length (Netgen would not end, or err)."""
+    a = np.array(polygon.vertices)
+    b = np.roll(a, -1, axis=0)
+    n = len(a)
+    lengths = np.linalg.norm(b - a, axis=1)
+    tiny = 1e-12 * np.ptp(a, axis=0).max()
+    if not lengths.min() > tiny:
+        i = int(np.argmin(lengths))
+        raise ValueError(f"vertices: edge {i} ({polygon.boundaries[i]!r}) of the polygon has no length")
+    i, j = np.triu_indices(n, 2)
+    apart = (i != 0) | (j != n - 1)
+    i, j = i[apart], j[apart]
+    # the distance of two edges that do not cross is reached at an end of one of them
+    ends = [_to_segment(a[j], a[i], b[i]), _to_segment(b[j], a[i], b[i]), _to_segment(a[i], a[j], b[j]),
+            _to_segment(b[i], a[j], b[j])]
+    crossing = (_side(a[i], b[i], a[j]) * _side(a[i], b[i], b[j]) < 0) & (
+        _side(a[j], b[j], a[i]) * _side(a[j], b[j], b[i]) < 0)
+    bad = crossing | (np.min(ends, axis=0) <= tiny) if len(i) else np.zeros(0, dtype=bool)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise ValueError(f"vertices: edges {i[k]} ({polygon.boundaries[i[k]]!r}) and {j[k]} "
+                         f"({polygon.boundaries[j[k]]!r}) of the polygon meet; its boundary must not cross itself")
+
+
+def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Positive where c lies to the left of the line from a to b."""
+    u, v = b - a, c - a
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+
+def _to_segment(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance of points to segments, pair by pair."""
+    u = b - a
+    along = np.clip(np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1), 0.0, 1.0)
+    return np.linalg.norm(p - a - along[:, None] * u, axis=1)

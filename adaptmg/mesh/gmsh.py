@@ -1,0 +1,121 @@
+"""from_gmsh: meshes of Gmsh (MSH 2.2 and 4.1), read through meshio; physical groups name boundaries and bodies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.build import with_source
+from adaptmg.mesh.normalise import normalised
+from adaptmg.mesh.topology import facet_keys, facet_table
+
+__all__ = ["from_gmsh"]
+
+# meshio's names of the cells of first and second order, by dimension
+_LINES = ("line", "line3")
+_TRIANGLES = ("triangle", "triangle6")
+_TETRAHEDRA = ("tetra", "tetra10")
+_POINTS = ("vertex",)
+
+
+def from_gmsh(path: str | Path, *, unnamed: str | None = None) -> MeshArrays:
+    """Read a Gmsh mesh of triangles in the plane, or of tetrahedra.
+
+    Parameters
+    ----------
+    path : str or Path
+        An ``.msh`` file, MSH 2.2 or 4.1, coordinates in m. Physical curves (3D: surfaces) become boundaries, physical
+        surfaces (3D: volumes) bodies; groups without a name are called by their number. Of second-order elements the
+        corners are read. Points of no element (centres of circles) are dropped.
+    unnamed : str, optional
+        Name for the boundary facets that belong to no physical group. By default there must be none.
+
+    Returns
+    -------
+    MeshArrays
+        With its source.
+
+    Raises
+    ------
+    ImportError
+        Without meshio.
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it cannot be read, has other elements, is not plane, lacks physical groups, or is not sound
+        (:func:`adaptmg.mesh.check_mesh`).
+    """
+    try:
+        import meshio
+    except ImportError as error:
+        raise ImportError("reading Gmsh files needs meshio: pip install 'adaptmg[gmsh]'") from error
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"path: there is no file {str(path)!r}")
+    try:
+        raw = meshio.gmsh.read(path)
+    except Exception as error:
+        # meshio raises whatever its parser stumbles over (IndexError, KeyError, ...); partial groups fail in MSH 4.1
+        raise ValueError(f"{str(path)!r} cannot be read as a Gmsh mesh ({type(error).__name__}: {error}); it must be "
+                         "MSH 2.2 or 4.1, and in 4.1 all entities that are saved need a physical group: "
+                         "set Mesh.SaveAll = 0 or Mesh.MshFileVersion = 2.2") from error
+    kinds = {block.type for block in raw.cells}
+    other = kinds.difference(_LINES, _TRIANGLES, _TETRAHEDRA, _POINTS)
+    if other:
+        raise ValueError(f"{str(path)!r} holds {', '.join(sorted(other))}; only triangles and tetrahedra can be used "
+                         "(in Gmsh: no 'Recombine', Mesh.ElementOrder 1 or 2)")
+    dim = 3 if kinds.intersection(_TETRAHEDRA) else 2
+    volumes, surfaces = (_TETRAHEDRA, _TRIANGLES) if dim == 3 else (_TRIANGLES, _LINES)
+    elements, body, bodies = _cells(raw, volumes, dim, "body")
+    facets, label, boundaries = _cells(raw, surfaces, dim - 1, unnamed or "")
+    if len(elements) == 0:
+        raise ValueError(f"{str(path)!r} has neither triangles nor tetrahedra (Gmsh saves only what is in a physical "
+                         f"group: add a Physical {'Surface' if dim == 2 else 'Volume'})")
+    if min(elements.min(), facets.min(initial=0)) < 0:
+        raise ValueError(f"{str(path)!r} has elements with nodes that it does not hold")
+    points = _plane(raw.points, elements, path) if dim == 2 else raw.points
+    named = label > 0
+    facets, label = facets[named], label[named]
+    rest = _unnamed_facets(elements, facets, len(points))
+    if len(rest) and unnamed is None:
+        what = "Physical Curve" if dim == 2 else "Physical Surface"
+        place = ", ".join(f"{c:.6g}" for c in points[rest[0]].mean(axis=0))
+        raise ValueError(f"{str(path)!r}: {len(rest)} facets of the boundary, one of them at ({place}), belong to no "
+                         f'physical group; name them in Gmsh, like {what}("contact") = {{1}};, '
+                         'or here by unnamed="free"')
+    facets, label = np.concatenate([facets, rest]), np.concatenate([label, np.zeros(len(rest), dtype=np.int64)])
+    return with_source(normalised(points, elements, facets, label, boundaries, body, bodies))
+
+
+def _cells(raw: Any, kinds: tuple[str, ...], dim: int, unnamed: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Corners of all cells of some kinds, the index of the physical group of each, and names; index 0 means none."""
+    tags = raw.cell_data.get("gmsh:physical", [np.zeros(len(block.data), dtype=np.int64) for block in raw.cells])
+    chosen = [(block.data[:, :dim + 1], np.abs(tag)) for block, tag in zip(raw.cells, tags, strict=True)
+              if block.type in kinds]
+    cells = np.concatenate([np.empty((0, dim + 1), dtype=np.int64)] + [data for data, _ in chosen])
+    tag = np.concatenate([np.empty(0, dtype=np.int64)] + [t for _, t in chosen])
+    known = {int(number): name for name, (number, of_dim) in raw.field_data.items() if of_dim == dim}
+    groups = np.union1d([0], tag).astype(np.int64)
+    names = [unnamed] + [known.get(int(number), str(int(number))) for number in groups[1:]]
+    return cells, np.searchsorted(groups, tag), names
+
+
+def _plane(points: np.ndarray, elements: np.ndarray, path: Path) -> np.ndarray:
+    """x and y of points whose elements lie in a plane z = constant."""
+    used = points[np.unique(elements)]
+    if np.ptp(used[:, 2]) > 1e-9 * np.ptp(used[:, :2], axis=0).max():
+        raise ValueError(f"{str(path)!r} holds triangles only, but they are not in a plane z = constant: z runs from "
+                         f"{used[:, 2].min():.6g} to {used[:, 2].max():.6g}; a body in space needs tetrahedra")
+    return points[:, :2]
+
+
+def _unnamed_facets(elements: np.ndarray, facets: np.ndarray, n_nodes: int) -> np.ndarray:
+    """Facets of one element only that are not among ``facets``."""
+    table = facet_table(elements, n_nodes)
+    outer = table.counts == 1
+    row = table.find(facet_keys(facets, n_nodes))
+    outer[row[row >= 0]] = False
+    return table.facets[outer]

@@ -1,0 +1,103 @@
+r"""structured: regular triangulations of rectangles and boxes, nested when the divisions are multiples.
+
+Node :math:`(i_1, \dots)` lies at exactly lower :math:`+ (i_k / n_k)` (upper - lower), x running fastest, so that the
+nodes of nested grids coincide to the last bit. In 3D each cell is cut into the six Kuhn tetrahedra: one for each
+permutation :math:`\pi` of the axes, :math:`x_0, x_0 + e_{\pi(1)}, x_0 + e_{\pi(1)} + e_{\pi(2)}, \dots`
+(H. Freudenthal, Annals of Mathematics 43, 1942, doi:10.2307/1968813); halving the cells gives a nested refinement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations
+
+import numpy as np
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.geometry import BOX_SIDES
+from adaptmg.mesh.topology import facet_table
+from adaptmg.problem import checks
+from adaptmg.problem.domains import Box, Rectangle
+
+__all__ = ["structured"]
+
+
+def structured(domain: Rectangle | Box, divisions: int | Sequence[int], diagonal: str = "right") -> MeshArrays:
+    """Triangulate a rectangle or box by a lattice.
+
+    Parameters
+    ----------
+    domain : Rectangle or Box
+        What to mesh.
+    divisions : int or sequence of int
+        Cells along every side, or along x, y (, z); 4 gives 5 x 5 nodes.
+    diagonal : {"right", "left", "alternating"}
+        Diagonals of the cells in 2D: from lower left to upper right, from lower right to upper left, or in turns like
+        the squares of a chessboard (lower left cell "right"). In 3D only "right".
+
+    Returns
+    -------
+    MeshArrays
+        With its source; nested in the mesh of n times the divisions (alternating: n = 2, 4, 8, ...).
+
+    Raises
+    ------
+    TypeError, ValueError
+        On a domain that is no rectangle or box, divisions below 1, or an unknown diagonal.
+    """
+    if not isinstance(domain, Rectangle | Box):
+        raise TypeError(f"domain must be a Rectangle or a Box, got {domain!r}; graded meshes other domains")
+    dim = domain.dim
+    counts = np.array(_divisions(divisions, dim))
+    checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
+    if dim == 3 and diagonal != "right":
+        raise ValueError(f"diagonal must be 'right' in 3D, got {diagonal!r}")
+    stride = np.cumprod(np.r_[1, counts[:-1] + 1])
+    axes = [np.arange(n + 1) for n in counts]
+    # x fastest: the last axis goes first in the lattice
+    lattice = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1).reshape(-1, dim)
+    cells = np.flatnonzero((lattice < counts).all(axis=1))
+    elements = _triangles(cells, lattice, stride, diagonal) if dim == 2 else _kuhn(cells, stride)
+    facets = facet_table(elements, len(lattice))
+    facets = facets.facets[facets.counts == 1]
+    labels = np.full(len(facets), -1)
+    for label, name in enumerate(domain.boundaries):
+        axis, end = BOX_SIDES[name]
+        axis = min(axis, dim - 1)
+        labels[(lattice[facets, axis] == end * counts[axis]).all(axis=1)] = label
+    # the order of a walk: side by side, along each in the order of the nodes
+    order = np.lexsort((facets.min(axis=1), labels))
+    points = domain.lower + lattice / counts * (domain.upper - domain.lower)
+    from adaptmg.mesh.build import with_source
+
+    return with_source(MeshArrays(points, elements, facets[order], labels[order], domain.boundaries))
+
+
+def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
+    """One number of cells for each axis."""
+    if np.ndim(divisions) == 0:
+        return (checks.integer("divisions", divisions, 1),) * dim
+    if len(divisions) != dim:
+        raise ValueError(f"divisions must be one integer or {dim} of them, got {divisions!r}")
+    return tuple(checks.integer("divisions", n, 1) for n in divisions)
+
+
+def _triangles(cells: np.ndarray, lattice: np.ndarray, stride: np.ndarray, diagonal: str) -> np.ndarray:
+    """Two triangles a cell, given by its lower left node, one after the other."""
+    a, b, c, d = cells, cells + 1, cells + stride[1] + 1, cells + stride[1]
+    right = np.stack([a, b, c, a, c, d], axis=1)
+    left = np.stack([a, b, d, b, c, d], axis=1)
+    if diagonal == "alternating":
+        even = (lattice[cells].sum(axis=1) % 2 == 0)[:, None]
+        return np.where(even, right, left).reshape(-1, 3)
+    return (right if diagonal == "right" else left).reshape(-1, 3)
+
+
+def _kuhn(cells: np.ndarray, stride: np.ndarray) -> np.ndarray:
+    """Six tetrahedra a cell, given by its lowest node, positively oriented."""
+    tetrahedra = []
+    for path in permutations(range(3)):
+        offsets = np.cumsum(np.r_[0, stride[list(path)]])
+        odd = np.linalg.det(np.eye(3)[list(path)]) < 0
+        tetrahedra.append(offsets[[0, 1, 3, 2]] if odd else offsets)
+    return (cells[:, None, None] + np.array(tetrahedra)).reshape(-1, 4)

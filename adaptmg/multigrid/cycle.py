@@ -1,0 +1,135 @@
+"""The multigrid cycle: smoothing, coarse correction, recursion. Fig. 1 of the paper shows its shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from adaptmg.multigrid.coarse import CoarseSolve
+from adaptmg.multigrid.correction import Correction, InitialContact, Recorder, correction_contact
+from adaptmg.multigrid.stack import Stack
+from adaptmg.problem import checks
+from adaptmg.smoother.gauss_seidel import Smoother
+from adaptmg.smoother.residuals import residual
+from adaptmg.smoother.system import NodalContact
+
+__all__ = ["Cycle", "CycleRunner"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cycle:
+    """Shape of a cycle.
+
+    Parameters
+    ----------
+    shape : {"V", "W", "F", "complete"}
+        How often a coarse problem is visited: once, twice, once fully and once as V, or until it is solved to the
+        tolerance of the coarse solve (the paper's 'complete resolution').
+    pre, post : int
+        Smoothing sweeps before and after the coarse correction, not both 0.
+    """
+
+    shape: str = "V"
+    pre: int = 2
+    post: int = 0
+
+    def __post_init__(self) -> None:
+        checks.choice("shape", self.shape, ("V", "W", "F", "complete"))
+        checks.integer("pre", self.pre)
+        checks.integer("post", self.post)
+        if self.pre + self.post == 0:
+            raise ValueError("pre and post must not both be 0: without smoothing the cycle does not converge")
+
+
+@dataclass(eq=False)
+class CycleRunner:
+    """Runs cycles on a stack.
+
+    Parameters
+    ----------
+    stack : Stack
+    cycle : Cycle
+    smoother : Smoother
+    correction : Correction
+    coarse : CoarseSolve
+    recorder : Recorder
+    initial : list of InitialContact or None
+        By level, where the correction needs it.
+    """
+
+    stack: Stack
+    cycle: Cycle
+    smoother: Smoother
+    correction: Correction
+    coarse: CoarseSolve
+    recorder: Recorder
+    initial: list[InitialContact] = field(default_factory=list)
+
+    #: cycles of a 'complete' coarse solution at most
+    COMPLETE_LIMIT = 60
+
+    def smooth(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, sweeps: int) -> None:
+        """Sweep on a level, in place."""
+        if sweeps:
+            system = self.stack.levels[level].system
+            passes = self.smoother.smooth(system, contact, load, unknowns, sweeps)
+            self.recorder.count(passes, system.nonzeros)
+            self.recorder.visit(level, "smooth", sweeps)
+
+    def residual(self, level: int, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+        """b - A w on a level (n_dofs,), one pass."""
+        system = self.stack.levels[level].system
+        self.recorder.count(1, system.nonzeros)
+        return residual(system, load, unknowns)
+
+    def correct(self, level: int, contact: NodalContact, unknowns: np.ndarray, defect: np.ndarray,
+                shape: str | None = None) -> None:
+        """Add the correction from the next coarser level, in place; ``defect`` is the residual at ``unknowns``."""
+        fine, coarse = self.stack.levels[level], self.stack.levels[level - 1]
+        initial = self.initial[level - 1] if self.correction.needs_initial else None
+        data = correction_contact(self.correction, fine.contact_prolongation, fine.system, coarse.system, contact,
+                                  unknowns, defect, initial)
+        self.recorder.visit(level, "restrict")
+        load = fine.restriction @ defect
+        error = np.zeros(coarse.system.n_dofs)
+        self._solve_coarse(level - 1, data, load, error, self.cycle.shape if shape is None else shape)
+        unknowns += fine.prolongation @ error
+        self.recorder.visit(level, "prolong")
+
+    def once(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str) -> None:
+        """One cycle on a level, in place."""
+        self.smooth(level, contact, load, unknowns, self.cycle.pre)
+        self.correct(level, contact, unknowns, self.residual(level, load, unknowns), shape)
+        self.smooth(level, contact, load, unknowns, self.cycle.post)
+
+    def solve_coarsest(self, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:
+        """Solve on the coarsest level, in place."""
+        sweeps = self.coarse.solve(self.stack.levels[0].system, contact, load, unknowns, self.recorder)
+        self.recorder.visit(0, "solve", sweeps)
+
+    def _solve_coarse(self, level: int, contact: NodalContact, load: np.ndarray, error: np.ndarray, shape: str) -> None:
+        if level == 0:
+            self.solve_coarsest(contact, load, error)
+        elif shape == "V":
+            self.once(level, contact, load, error, "V")
+        elif shape == "W":
+            self.once(level, contact, load, error, "W")
+            self.once(level, contact, load, error, "W")
+        elif shape == "F":
+            self.once(level, contact, load, error, "F")
+            self.once(level, contact, load, error, "V")
+        else:
+            self._complete(level, contact, load, error)
+
+    def _complete(self, level: int, contact: NodalContact, load: np.ndarray, error: np.ndarray) -> None:
+        """Cycles until the estimated error meets the tolerance of the coarse solve."""
+        change = np.inf
+        for _ in range(self.COMPLETE_LIMIT):
+            before = error.copy()
+            self.once(level, contact, load, error, "complete")
+            previous, change = change, float(np.linalg.norm(error - before))
+            rate = change / previous if np.isfinite(previous) else np.inf
+            remaining = change if self.coarse.test == "change" else change * rate / (1 - rate) if rate < 1 else np.inf
+            if change == 0.0 or remaining <= self.coarse.rtol * float(np.linalg.norm(error)) + self.coarse.atol:
+                break

@@ -1,0 +1,69 @@
+"""Carrying a solution to the next finer level (step b of the paper, u0 = J U0)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.multigrid.correction import InitialContact, sliding_limit
+from adaptmg.problem import checks
+from adaptmg.smoother.system import LocalProblem
+
+__all__ = ["NestedStart", "initial_contact", "project", "prolonged_start"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NestedStart:
+    """How the levels below the finest are solved before it.
+
+    Parameters
+    ----------
+    cycles : int or "complete"
+        Cycles on each level between the coarsest and the finest, or until ``rtol`` is met.
+    rtol : float
+        Tolerance on the coarsest level, and with 'complete' on all of them.
+    """
+
+    cycles: int | str = 1
+    rtol: float = 1e-8
+
+    def __post_init__(self) -> None:
+        if self.cycles != "complete":
+            checks.integer("cycles", self.cycles, 1)
+        object.__setattr__(self, "rtol", checks.positive("rtol", self.rtol))
+
+
+def project(local: LocalProblem, unknowns: np.ndarray) -> None:
+    """Put normal displacements that exceed the gap back onto the obstacle, in place."""
+    normal = local.system.nodes.astype(np.int64) * local.system.dim
+    unknowns[normal] = np.minimum(unknowns[normal], local.contact.gap)
+
+
+def prolonged_start(nodal: sparse.csr_array, coarse: LocalProblem, unknowns: np.ndarray,
+                    fine: LocalProblem) -> np.ndarray:
+    """Interpolate a coarse solution (primal values, all Cartesian components) to the next finer level.
+
+    Parameters
+    ----------
+    nodal : csr_array (n_nodes fine, n_nodes coarse)
+    coarse, fine : LocalProblem
+    unknowns : (n_dofs coarse,) array
+        Local components on the coarse level.
+
+    Returns
+    -------
+    (n_dofs fine,) array
+        Local components, prescribed values and gaps respected.
+    """
+    result = fine.to_local(nodal @ coarse.to_cartesian(unknowns))
+    project(fine, result)
+    return result
+
+
+def initial_contact(local: LocalProblem, unknowns: np.ndarray, residual: np.ndarray) -> InitialContact:
+    """Slip and sliding limit of a first solution (the paper's U0 and G0)."""
+    system = local.system
+    slip = unknowns.reshape(-1, system.dim)[system.nodes][:, 1:] - local.contact.slip_reference
+    return InitialContact(slip, sliding_limit(system, local.contact, residual))

@@ -1,0 +1,113 @@
+"""mesh and grids: the triangles, or in three dimensions the boundary facets, with the contact boundary marked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.plot.solid import draw_facets, finish_axes
+from adaptmg.plot.style import INK, ORANGE, PALE, axes_of, bounds, canvas, scaled, styled
+
+__all__ = ["grids", "mesh"]
+
+
+@styled
+def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = ()) -> Figure:
+    """Draw a mesh.
+
+    Parameters
+    ----------
+    drawn : MeshArrays
+    ax : matplotlib Axes, optional
+        In 3D with ``projection="3d"``.
+    contact : sequence of str
+        Boundaries to mark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    if not isinstance(drawn, MeshArrays):
+        raise TypeError(f"drawn must be MeshArrays, got {type(drawn).__name__}; read a mesh file with "
+                        "am.Hierarchy.from_meshes or adaptmg.mesh.user.as_mesh")
+    ax = canvas(ax, (5.4, 5.0), drawn.dim)
+    _draw(drawn, ax, contact)
+    ax.set_title(f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
+    return ax.figure
+
+
+@styled
+def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
+    """Draw the grids of a hierarchy side by side, coarsest first, with their numbers of nodes.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+        Made of meshes.
+    axes : sequence of matplotlib Axes, optional
+        One a level; in 3D with ``projection="3d"``.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ValueError
+        If a level has no mesh.
+    """
+    if not isinstance(hierarchy, Hierarchy):
+        raise TypeError(f"hierarchy must be a Hierarchy, got {type(hierarchy).__name__}")
+    without = [k for k, level in enumerate(hierarchy.levels) if level.mesh is None]
+    if without:
+        raise ValueError(f"levels {without} have no mesh to draw: make the hierarchy from meshes")
+    dim = hierarchy.finest.mesh.dim
+    if axes is None:
+        columns = min(len(hierarchy), 4)
+        rows = -(-len(hierarchy) // columns)
+        figure = plt.figure(figsize=(3.1 * columns, 3.3 * rows))
+        axes = [figure.add_subplot(rows, columns, k + 1, projection="3d" if dim == 3 else None)
+                for k in range(len(hierarchy))]
+    axes = axes_of(axes, len(hierarchy), "axes")
+    for k, (level, ax) in enumerate(zip(hierarchy.levels, axes, strict=True)):
+        _draw(level.mesh, canvas(ax, (1, 1), dim), level.discrete.contact.names)
+        ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes, {len(level.discrete.contact)} contact", fontsize=9.5)
+        if dim == 2 and k % 4:
+            ax.set_ylabel("")
+    return axes[0].figure
+
+
+def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
+    scale, unit = scaled(bounds(drawn.points)[2], "m")
+    points = drawn.points * scale
+    marked = np.isin(drawn.facet_labels, [drawn.boundaries.index(name) for name in contact if name in drawn.boundaries])
+    if drawn.dim == 3:
+        colors = np.where(marked[:, None], np.array([0.93, 0.55, 0.25, 1.0]), np.array([0.90, 0.92, 0.94, 1.0]))
+        draw_facets(ax, points[drawn.facets], colors)
+        finish_axes(ax, points, unit)
+        if marked.any() and _mean_normal(points, drawn.facets[marked])[2] < -0.5:
+            ax.view_init(elev=-24, azim=-58)
+        return
+    width = float(np.clip(18 / np.sqrt(len(drawn.elements)), 0.12, 0.7))
+    ax.add_collection(PolyCollection(points[drawn.elements], facecolor=PALE, edgecolor=INK, linewidth=width))
+    ax.add_collection(LineCollection(points[drawn.facets], color=INK, linewidth=0.9))
+    ax.add_collection(LineCollection(points[drawn.facets[marked]], color=ORANGE, linewidth=2.4, capstyle="butt"))
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    ax.spines[:].set_visible(False)
+    ax.set_xlabel(f"x [{unit}]")
+    ax.set_ylabel(f"y [{unit}]")
+
+
+def _mean_normal(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Mean outward unit normal (3,) of boundary triangles (n, 3), weighted by area."""
+    a, b, c = (points[facets[:, k]] for k in range(3))
+    total = np.cross(b - a, c - a).sum(axis=0)
+    return total / max(float(np.linalg.norm(total)), np.finfo(float).tiny)

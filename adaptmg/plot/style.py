@@ -1,0 +1,79 @@
+"""The look of all pictures: type, colours that the colour-blind can tell apart (Okabe and Ito), units on axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+__all__ = ["BLUE", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "axes_of", "bounds", "canvas", "number",
+           "scaled", "styled"]
+
+INK, GREY, PALE = "#1f2328", "#8a9099", "#eceef1"
+BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
+CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#806000", INK)
+
+_STYLE: dict[str, Any] = {
+    "figure.dpi": 120, "savefig.dpi": 200, "savefig.bbox": "tight", "figure.facecolor": "white",
+    "axes.facecolor": "white", "font.family": "sans-serif", "font.size": 9.5, "axes.titlesize": 10.5,
+    "axes.labelsize": 9.5, "axes.titlepad": 8, "axes.edgecolor": "#5b626b",
+    "axes.labelcolor": INK, "text.color": INK, "xtick.color": "#3f454d", "ytick.color": "#3f454d",
+    "axes.linewidth": 0.8, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": False,
+    "grid.color": "#dfe3e8", "grid.linewidth": 0.7, "legend.frameon": False, "legend.fontsize": 9,
+    "lines.linewidth": 1.6, "lines.markersize": 4.5, "mathtext.fontset": "dejavusans", "hatch.linewidth": 0.6,
+    "axes.prop_cycle": matplotlib.cycler(color=CYCLE), "image.cmap": "viridis", "axes.axisbelow": True,
+    "figure.constrained_layout.use": True,
+}
+
+#: decorator that runs a drawing function under the common style and leaves the user's own settings alone
+styled = matplotlib.rc_context(rc=_STYLE)
+
+_PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+
+
+def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
+    """``ax``, or the axes of a new figure of ``size`` inches; three-dimensional where ``dim`` is 3."""
+    if ax is None:
+        return plt.figure(figsize=size).add_subplot(projection="3d" if dim == 3 else None)
+    if not isinstance(ax, Axes):
+        raise TypeError(f"ax must be matplotlib axes, got {ax!r}")
+    if (ax.name == "3d") != (dim == 3):
+        raise ValueError(f"ax must be {'three' if dim == 3 else 'two'}-dimensional: make it with "
+                         f"add_subplot({'projection=' + repr('3d') if dim == 3 else ''})")
+    return ax
+
+
+def axes_of(axes: Sequence[Axes] | None, count: int, name: str = "ax") -> list[Axes]:
+    """Given axes as a list of ``count``."""
+    found = list(np.ravel(np.asarray(axes, dtype=object)))
+    if len(found) != count or not all(isinstance(a, Axes) for a in found):
+        raise ValueError(f"{name} must hold {count} matplotlib axes, got {axes!r}")
+    return found
+
+
+def scaled(largest: float, unit: str) -> tuple[float, str]:
+    """Factor and prefixed unit that make ``largest`` read well: 0.004 m gives (1e3, 'mm')."""
+    if not (np.isfinite(largest) and largest > 0):
+        return 1.0, unit
+    for size, prefix in _PREFIXES:
+        if largest >= 0.9999 * size:
+            return 1.0 / size, prefix + unit
+    return 1.0 / _PREFIXES[-1][0], _PREFIXES[-1][1] + unit
+
+
+def number(value: float) -> str:
+    """A number for a label: three digits, no exponent where it can be avoided."""
+    if value != 0 and not 1e-3 <= abs(value) < 1e5:
+        mantissa, exponent = f"{value:.2e}".split("e")
+        return rf"{float(mantissa):g}$\cdot$10$^{{{int(exponent)}}}$"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Lower and upper corner of points (n, dim), and the length of the diagonal."""
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    return lower, upper, float(np.linalg.norm(upper - lower))

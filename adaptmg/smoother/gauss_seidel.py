@@ -1,0 +1,120 @@
+r"""ProjectedGaussSeidel: block Gauss-Seidel / SOR with the exact contact problem solved at each contact node.
+
+The paper's smoother (a relaxation with projection onto the contact and friction conditions). One step takes the node's
+block of unknowns to the minimum of the functional over that block (omega = 1), in the metric :math:`D/\omega` in
+general; see :mod:`adaptmg.smoother.node_solve`.
+
+Coulomb's bound :math:`\mu p` either follows the iterate inside each node solve (the diagonal process) or is held for a
+number of sweeps. Over-relaxed sweeps with the former may cycle (omega >= 1.65 was seen to), with the latter each
+held problem is Tresca's and its energy falls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from adaptmg.problem import checks
+from adaptmg.smoother import kernels_2d, kernels_3d
+from adaptmg.smoother.arguments import check_contact, check_vector
+from adaptmg.smoother.compiling import notice
+from adaptmg.smoother.residuals import contact_share, normal_force
+from adaptmg.smoother.system import LocalSystem, NodalContact
+
+__all__ = ["ProjectedGaussSeidel", "Smoother"]
+
+_SWEEPS = {2: kernels_2d.sweep, 3: kernels_3d.sweep}
+_DIRECTIONS = {"forward": (1,), "backward": (-1,), "symmetric": (1, -1)}
+
+
+class Smoother(Protocol):
+    """What a smoother must offer."""
+
+    def smooth(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
+               sweeps: int = 1) -> float:
+        """Improve ``unknowns`` in place by ``sweeps`` sweeps; return the passes over the matrix that it took."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectedGaussSeidel:
+    """Projected block Gauss-Seidel (omega = 1) or SOR.
+
+    Parameters
+    ----------
+    omega : float
+        Relaxation factor, 0 < omega < 2. 1 is best inside multigrid; alone on a fine mesh a factor near 2 is.
+    order : {"forward", "backward", "symmetric"}
+        Order of the nodes in a sweep. A symmetric sweep is one forward and one backward pass.
+    friction_update : "sweep" or int
+        How mu * p follows the iterate: "sweep": within each node solve; k >= 1: held, and updated before the first
+        sweep of a call and every k sweeps after it.
+    """
+
+    omega: float = 1.0
+    order: Literal["forward", "backward", "symmetric"] = "forward"
+    friction_update: Literal["sweep"] | int = "sweep"
+
+    def __post_init__(self) -> None:
+        omega = checks.number("omega", self.omega)
+        if not 0 < omega < 2:
+            raise ValueError(f"omega must lie between 0 and 2 (both excluded), got {self.omega!r}")
+        object.__setattr__(self, "omega", omega)
+        checks.choice("order", self.order, _DIRECTIONS)
+        if isinstance(self.friction_update, str):
+            checks.choice("friction_update", self.friction_update, ("sweep",))
+        else:
+            object.__setattr__(self, "friction_update", checks.integer("friction_update", self.friction_update, 1))
+
+    def smooth(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
+               sweeps: int = 1) -> float:
+        """Sweep in place.
+
+        Parameters
+        ----------
+        system : LocalSystem
+            Of any level.
+        contact : NodalContact
+            Gaps, slip references and bounds at its contact nodes.
+        load : (n_dofs,) array
+            b (dual), local components, zero at fixed dofs, N.
+        unknowns : (n_dofs,) array
+            w (primal), local components, zero at fixed dofs, m; changed. Need not be admissible: afterwards it is.
+        sweeps : int
+            >= 0.
+
+        Returns
+        -------
+        float
+            Passes over the matrix: 1 a sweep (symmetric: 2), and for each update of a held bound the share of the
+            matrix that the rows of the contact nodes hold.
+
+        Raises
+        ------
+        TypeError, ValueError
+            An array has the wrong type or shape. Values (nan) are not looked at.
+        """
+        check_contact(system, contact)
+        check_vector("load", load, system)
+        check_vector("unknowns", unknowns, system, changed=True)
+        sweeps = checks.integer("sweeps", sweeps)
+        held = self.friction_update != "sweep" and bool(contact.friction.any())
+        passes, current = 0.0, contact
+        for k in range(sweeps):
+            if held and k % self.friction_update == 0:
+                current = contact.frozen(normal_force(system, load, unknowns))
+                passes += contact_share(system)
+            for step in _DIRECTIONS[self.order]:
+                self._pass(system, current, load, unknowns, step)
+                passes += 1.0
+        return passes
+
+    def _pass(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
+              step: int) -> None:
+        """One pass over all nodes, first to last (step 1) or last to first (-1)."""
+        kernel = _SWEEPS[system.dim]
+        notice(kernel)
+        kernel(0 if step > 0 else system.n_nodes - 1, step, system.indptr, system.indices, system.data,
+               system.diagonal, system.inverse, system.contact_of, contact.gap, contact.slip_reference.reshape(-1),
+               contact.limit, contact.friction, load, unknowns, self.omega)

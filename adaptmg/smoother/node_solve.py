@@ -1,0 +1,226 @@
+r"""The exact solution of the contact problem of one node, in 2D and 3D, without regularisation.
+
+With a symmetric positive definite block M (the diagonal block D over the relaxation factor: a proximal step in the
+metric D / omega), a force c, component 0 normal and the slip :math:`\tau = w_t - w_t^{ref}`, find w with
+:math:`q = c - M w` (minus the force on the body) and
+
+.. math:: w_n \le g_0,\quad p = q_n \ge 0,\quad p\,(g_0 - w_n) = 0,\qquad
+          |q_t| \le s + \mu p,\quad |\tau|\,q_t = (s + \mu p)\,\tau .
+
+One form holds for all laws: frictionless s = mu = 0, Tresca mu = 0, Coulomb s = 0. **The Tresca limit s acts whether
+the node touches or not**, so that for mu = 0 this is the minimum of
+:math:`\frac12 w'Mw - c'w + s|\tau|` over :math:`w_n \le g_0`; the Coulomb part acts only through p.
+
+*Open* (p = 0): eliminate w_n; tangentially a shrinkage with the bound s. Kept if :math:`w_n \le g_0`. Else
+*closed*: :math:`w_n = g_0`, :math:`p = p_0 - a\cdot\tau`, B the tangential block of M and c_t the tangential force at
+zero slip: stick if :math:`|c_t| \le s + \mu p_0`, else slip in
+
+- 2D: :math:`\tau = \sigma\,(|c_t| - s - \mu p_0) / (b - \sigma\mu a)`, :math:`\sigma = \mathrm{sign}\,c_t`;
+- 3D: :math:`q_t = (I + \theta B)^{-1} c_t`, :math:`\tau = \theta q_t`, where the number
+  :math:`\theta = |\tau| / |q_t| > 0` is the root of :math:`f(\theta) = (s + \mu p)/|q_t| - 1`, found by Newton's method
+  inside a bracket. With B diagonalised a step costs a few operations; f is linear in :math:`\theta` when B is a
+  multiple of the identity, and concave when mu = 0, so that Newton from zero rises monotonically to the root.
+
+The bound is never lagged: p is p of the solution. A solution exists for every mu >= 0; in 2D it is unique if
+:math:`\mu|a| < b`. Where several exist the first of open, stick, slip is taken (in 3D the slip found by the same
+deterministic iteration). If open is rejected, every root of the closed problem with :math:`\max(0, p)` in place of p
+has p >= 0 (its tangential part would otherwise solve the open problem with :math:`w_n \le g_0`); the guards below
+only meet rounding.
+
+numba does not see across modules that a cached kernel is stale: after an edit here delete the
+``kernels_*.nbi`` files in ``__pycache__``.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+__all__ = ["slip_3d", "solve_2d", "solve_3d"]
+
+EPSILON = 2.0**-52
+MAX_STEPS = 200
+
+
+@njit(cache=True)
+def solve_2d(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap: float, reference: float,
+             limit: float, friction: float) -> tuple[float, float]:
+    """Solve the problem of one node in 2D.
+
+    Parameters
+    ----------
+    m_nn, m_nt, m_tt : float
+        The block M, N/m.
+    c_n, c_t : float
+        The force c, N.
+    gap : float
+        Largest normal displacement, m; may be +inf.
+    reference : float
+        Tangential displacement of zero slip, m.
+    limit, friction : float
+        Tresca limit s, N, and Coulomb coefficient mu, both >= 0.
+
+    Returns
+    -------
+    w_n, w_t : float
+        m. ``w_n == gap`` and ``w_t == reference`` hold exactly where the node touches and sticks.
+    """
+    c_n -= m_nt * reference
+    c_t -= m_tt * reference
+    ratio = m_nt / m_nn
+    slip = _shrink(c_t - ratio * c_n, limit) / (m_tt - ratio * m_nt)
+    w_n = c_n / m_nn - ratio * slip
+    if w_n <= gap:
+        return w_n, reference + slip
+    p_stick = c_n - m_nn * gap
+    c_t -= m_nt * gap
+    size = abs(c_t)
+    if size <= limit + friction * max(p_stick, 0.0):
+        return gap, reference
+    sign = math.copysign(1.0, c_t)
+    slope = m_tt - sign * friction * m_nt
+    slip = sign * (size - limit) / m_tt
+    if slope > 0.0:
+        with_pressure = sign * (size - limit - friction * p_stick) / slope
+        if p_stick - m_nt * with_pressure > 0.0:
+            slip = with_pressure
+    return gap, reference + slip
+
+
+@njit(cache=True)
+def _shrink(value: float, bound: float) -> float:
+    """Move ``value`` towards zero by ``bound``."""
+    if value > bound:
+        return value - bound
+    if value < -bound:
+        return value + bound
+    return 0.0
+
+
+@njit(cache=True)
+def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_22: float,
+             c_n: float, c_1: float, c_2: float, gap: float, reference_1: float, reference_2: float,
+             limit: float, friction: float) -> tuple[float, float, float]:
+    """Solve the problem of one node in 3D; see :func:`solve_2d`.
+
+    Parameters
+    ----------
+    m_nn, m_n1, m_n2, m_11, m_12, m_22 : float
+        The block M, N/m.
+    c_n, c_1, c_2 : float
+        The force c, N.
+    gap : float
+        Largest normal displacement, m; may be +inf.
+    reference_1, reference_2 : float
+        Tangential displacement of zero slip, m.
+    limit, friction : float
+        Tresca limit s, N, and Coulomb coefficient mu, both >= 0.
+
+    Returns
+    -------
+    w_n, w_1, w_2 : float
+        m.
+    """
+    c_n -= m_n1 * reference_1 + m_n2 * reference_2
+    c_1 -= m_11 * reference_1 + m_12 * reference_2
+    c_2 -= m_12 * reference_1 + m_22 * reference_2
+    ratio_1, ratio_2 = m_n1 / m_nn, m_n2 / m_nn
+    slip_1, slip_2 = slip_3d(m_11 - ratio_1 * m_n1, m_12 - ratio_1 * m_n2, m_22 - ratio_2 * m_n2,
+                             c_1 - ratio_1 * c_n, c_2 - ratio_2 * c_n, 0.0, 0.0, 0.0, limit, 0.0)
+    w_n = c_n / m_nn - ratio_1 * slip_1 - ratio_2 * slip_2
+    if not w_n <= gap:
+        w_n = gap
+        slip_1, slip_2 = slip_3d(m_11, m_12, m_22, c_1 - m_n1 * gap, c_2 - m_n2 * gap, m_n1, m_n2,
+                                 c_n - m_nn * gap, limit, friction)
+    return w_n, reference_1 + slip_1, reference_2 + slip_2
+
+
+@njit(cache=True)
+def slip_3d(b_11: float, b_12: float, b_22: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
+            limit: float, friction: float) -> tuple[float, float]:
+    r"""The slip of a node in 3D with :math:`p = \max(0, p_0 - a\cdot\tau)`.
+
+    Parameters
+    ----------
+    b_11, b_12, b_22 : float
+        Tangential block B, N/m.
+    c_1, c_2 : float
+        Tangential force at zero slip, N.
+    a_1, a_2 : float
+        Coupling of the normal force to the slip, N/m.
+    p_stick : float
+        Normal force p_0 at zero slip, N.
+    limit, friction : float
+        Tresca limit, N, and Coulomb coefficient.
+
+    Returns
+    -------
+    slip_1, slip_2 : float
+        m; exactly zero if the node sticks.
+    """
+    if math.hypot(c_1, c_2) <= limit + friction * max(p_stick, 0.0):
+        return 0.0, 0.0
+    # Jacobi rotation to the eigenbasis of B; none where b_12 = 0, so that a fixed, decoupled tangent stays at zero
+    tangent = 0.0
+    if b_12 != 0.0:
+        cotangent = (b_22 - b_11) / (2.0 * b_12)
+        tangent = math.copysign(1.0 / (abs(cotangent) + math.hypot(cotangent, 1.0)), cotangent)
+    cosine = 1.0 / math.hypot(tangent, 1.0)
+    sine = tangent * cosine
+    slip_1, slip_2 = _slip_in_eigenbasis(
+        b_11 - tangent * b_12, b_22 + tangent * b_12, cosine * c_1 - sine * c_2, sine * c_1 + cosine * c_2,
+        cosine * a_1 - sine * a_2, sine * a_1 + cosine * a_2, p_stick, limit, friction)
+    return cosine * slip_1 + sine * slip_2, cosine * slip_2 - sine * slip_1
+
+
+@njit(cache=True)
+def _slip_in_eigenbasis(b_1: float, b_2: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
+                        limit: float, friction: float) -> tuple[float, float]:
+    """:func:`slip_3d` of a node that slips, B = diag(b_1, b_2): safeguarded Newton for theta."""
+    free_1, free_2 = c_1 / b_1, c_2 / b_2
+    if limit + friction * max(p_stick - a_1 * free_1 - a_2 * free_2, 0.0) == 0.0:
+        return free_1, free_2
+    theta, low, high = 0.0, 0.0, math.inf
+    q_1, q_2 = c_1, c_2
+    for _ in range(MAX_STEPS):
+        scale_1, scale_2 = 1.0 / (1.0 + theta * b_1), 1.0 / (1.0 + theta * b_2)
+        q_1, q_2 = c_1 * scale_1, c_2 * scale_2
+        force = math.hypot(q_1, q_2)
+        coupling = a_1 * q_1 + a_2 * q_2
+        p = p_stick - theta * coupling
+        bound = limit + friction * max(p, 0.0)
+        excess = force - bound
+        if abs(excess) <= EPSILON * (force + limit + friction * (abs(p_stick) + theta * abs(coupling))):
+            break
+        if excess > 0.0:
+            low = theta
+        else:
+            high = theta
+        dq_1, dq_2 = -b_1 * scale_1 * q_1, -b_2 * scale_2 * q_2
+        d_force = (q_1 * dq_1 + q_2 * dq_2) / force
+        d_bound = 0.0
+        if p > 0.0:
+            d_bound = -friction * (coupling + theta * (a_1 * dq_1 + a_2 * dq_2))
+        slope = d_bound - bound * d_force / force
+        following = math.inf
+        if slope > 0.0:
+            following = theta + excess / slope
+        if not low < following < high:
+            following = _inside(low, high, max(b_1, b_2))
+        if following == theta or high - low <= EPSILON * low:
+            break
+        theta = following
+    return theta * q_1, theta * q_2
+
+
+@njit(cache=True)
+def _inside(low: float, high: float, stiffness: float) -> float:
+    """A point between two bounds whose orders of magnitude may differ; ``high`` may be +inf, ``low`` zero."""
+    if high == math.inf:
+        return max(8.0 * low, 1.0 / stiffness)
+    if low == 0.0:
+        return 0.125 * high
+    if high > 4.0 * low:
+        return math.sqrt(low) * math.sqrt(high)
+    return 0.5 * (low + high)

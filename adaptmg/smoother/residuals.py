@@ -1,0 +1,162 @@
+r"""Residuals, forces, states and energy of an iterate in local components.
+
+With r = b - A w, the force on the body at a contact node is -r, and p = max(0, r_n) its compressive magnitude. The
+natural residual
+
+.. math:: D\,(\mathrm{prox}_D(w - D^{-1}(A w - b)) - w)
+
+with D the block diagonal of A and :math:`\mathrm{prox}_D` the exact node solve of
+:mod:`adaptmg.smoother.node_solve` in the metric D, its bound held at :math:`s + \mu\,p(w)`, is a force. It vanishes
+exactly at the solution, Coulomb's law included; away from contact it is r.
+
+Each function is one pass over the matrix, but for :func:`normal_force` and :func:`contact_state`: these read only the
+rows of the contact nodes, the share :func:`contact_share` of a pass.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adaptmg.smoother import kernels_2d, kernels_3d
+from adaptmg.smoother.arguments import check_contact, check_vector
+from adaptmg.smoother.compiling import notice
+from adaptmg.smoother.state import ContactState
+from adaptmg.smoother.system import LocalSystem, NodalContact
+
+__all__ = ["contact_share", "contact_state", "energy", "natural_residual", "normal_force", "residual"]
+
+_KERNELS = {2: kernels_2d, 3: kernels_3d}
+
+
+def residual(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+    """The residual b - A w (dual), contact forces kept.
+
+    Parameters
+    ----------
+    system : LocalSystem
+    load : (n_dofs,) array
+        b, local components, zero at fixed dofs, N.
+    unknowns : (n_dofs,) array
+        w, local components, m.
+
+    Returns
+    -------
+    (n_dofs,) array
+        N. At a contact node minus the force of the obstacle on the body.
+    """
+    check_vector("load", load, system)
+    check_vector("unknowns", unknowns, system)
+    kernel = _KERNELS[system.dim].residual
+    notice(kernel)
+    result = np.empty(system.n_dofs)
+    kernel(system.indptr, system.indices, system.data, load, unknowns, result)
+    return result
+
+
+def natural_residual(system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
+                     defect: np.ndarray | None = None) -> np.ndarray:
+    """The natural residual (dual), a vector whose norm says how far the conditions of the problem are from being met.
+
+    Parameters
+    ----------
+    system : LocalSystem
+    contact : NodalContact
+    load, unknowns : (n_dofs,) arrays
+        N and m; local components.
+    defect : (n_dofs,) array, optional
+        b - A w where it is known already: then no pass over the matrix is needed.
+
+    Returns
+    -------
+    (n_dofs,) array
+        N; zero exactly at the solution, up to rounding.
+    """
+    check_contact(system, contact)
+    if defect is None:
+        result = residual(system, load, unknowns)
+    else:
+        check_vector("unknowns", unknowns, system)
+        check_vector("defect", defect, system)
+        result = defect.copy()
+    kernel = _KERNELS[system.dim].natural_residual
+    notice(kernel)
+    kernel(system.nodes, system.diagonal, contact.gap, contact.slip_reference.reshape(-1), contact.limit,
+           contact.friction, unknowns, result)
+    return result
+
+
+def normal_force(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+    """Compressive nodal force p = max(0, (b - A w)_n) at the contact nodes.
+
+    Returns
+    -------
+    (n_contact,) array
+        N, >= 0.
+    """
+    check_vector("load", load, system)
+    check_vector("unknowns", unknowns, system)
+    kernel = _KERNELS[system.dim].normal_residual
+    notice(kernel)
+    result = np.empty(len(system.nodes))
+    kernel(system.nodes, system.indptr, system.indices, system.data, load, unknowns, result)
+    return np.maximum(result, 0.0, out=result)
+
+
+def contact_share(system: LocalSystem) -> float:
+    """The part of the matrix that the rows of the contact nodes hold: what :func:`normal_force` costs, in passes."""
+    blocks = system.indptr[system.nodes + 1] - system.indptr[system.nodes]
+    return float(blocks.sum()) * system.dim**2 / system.nonzeros
+
+
+def contact_state(system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
+                  *, tolerance: float = 1e-12) -> np.ndarray:
+    """State of each contact node, as codes of :class:`~adaptmg.smoother.state.ContactState`.
+
+    OPEN where there is a gap, or no compressive force; otherwise STICK where the slip is zero and the bound
+    s + mu p is positive, and SLIP elsewhere (so a frictionless node that touches always slips). The smoother puts
+    gaps and slips that vanish exactly on zero; the tolerance lets through the rounding of what other methods leave.
+
+    Parameters
+    ----------
+    system : LocalSystem
+    contact : NodalContact
+    load, unknowns : (n_dofs,) arrays
+        N and m; local components.
+    tolerance : float
+        A gap or slip counts as zero up to this times the largest ``|unknowns|``.
+
+    Returns
+    -------
+    (n_contact,) int8 array
+    """
+    check_contact(system, contact)
+    if not 0 <= tolerance < 1:
+        raise ValueError(f"tolerance must be >= 0 and < 1, got {tolerance!r}")
+    p = normal_force(system, load, unknowns)
+    small = tolerance * np.abs(unknowns).max(initial=0.0)
+    local = unknowns.reshape(-1, system.dim)[system.nodes]
+    slip = np.linalg.norm(local[:, 1:] - contact.slip_reference, axis=1)
+    state = np.full(len(system.nodes), ContactState.SLIP, dtype=np.int8)
+    state[(slip <= small) & (contact.limit + contact.friction * p > 0)] = ContactState.STICK
+    state[(contact.gap - local[:, 0] > small) | (p == 0)] = ContactState.OPEN
+    return state
+
+
+def energy(system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> float:
+    """The functional 1/2 w'Aw - b'w + sum of limit * |w_t - slip_reference| that Tresca's problem minimises.
+
+    ``contact.friction`` does not enter (Coulomb's law has no energy): pass ``contact.frozen(p)`` for the energy of the
+    Tresca problem at the normal force p. The gaps are not looked at.
+
+    Returns
+    -------
+    float
+        N m.
+    """
+    check_contact(system, contact)
+    check_vector("load", load, system)
+    check_vector("unknowns", unknowns, system)
+    kernel = _KERNELS[system.dim].energy
+    notice(kernel)
+    return float(kernel(system.indptr, system.indices, system.data, system.nodes, contact.slip_reference.reshape(-1),
+                        contact.limit, load, unknowns))

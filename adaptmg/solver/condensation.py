@@ -1,0 +1,226 @@
+r"""Condensation: the problem on the contact dofs alone, by one sparse factorisation.
+
+With the contact dofs c and all others i,
+
+.. math:: S = A_{cc} - A_{ci} A_{ii}^{-1} A_{ic},\qquad s = b_c - A_{ci} A_{ii}^{-1} b_i,\qquad
+          w_i = A_{ii}^{-1} (b_i - A_{ic} w_c).
+
+No right-hand sides are solved for S. The matrix :math:`M = A + \Sigma`, :math:`\Sigma` the diagonal of A at the contact
+dofs and zero elsewhere, is factorised as L U with the contact dofs last; what elimination leaves on them is
+:math:`L_{cc} U_{cc} = S + \Sigma`. (:math:`\Sigma` makes M regular where only contact holds the body.) Solves with
+:math:`A_{ii}` are solves with M whose right-hand side at c is chosen so that :math:`w_c` comes out as wanted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
+
+from adaptmg.smoother.system import LocalProblem, LocalSystem
+from adaptmg.solver.newton_ordering import nested_dissection, node_graph
+
+__all__ = ["Condensed", "condense"]
+
+#: a pivot below this times the diagonal entry of the matrix means a singular interior
+_PIVOT = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """The Schur complement on the contact dofs and the way back.
+
+    Attributes
+    ----------
+    problem : LocalProblem
+        One node a contact node, all blocks stored; its ``load`` is condensed, ``contact`` and ``frames`` are those of
+        ``full``. ``discrete`` is the problem it comes from: ``to_local`` and ``to_cartesian`` belong to ``full``.
+    full : LocalProblem
+        What was condensed.
+    """
+
+    problem: LocalProblem
+    full: LocalProblem
+    _interior: Interior
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """S as an array (n, n) with n = n_contact * dim."""
+        return self._interior.schur
+
+    def restrict(self, unknowns: np.ndarray) -> np.ndarray:
+        """The entries (n_contact * dim,) at contact nodes of a vector over all dofs."""
+        return unknowns[self._interior.contact]
+
+    def recover(self, unknowns: np.ndarray) -> np.ndarray:
+        """All unknowns from those at the contact nodes, local components.
+
+        Parameters
+        ----------
+        unknowns : (n_contact * dim,) array
+            m.
+
+        Returns
+        -------
+        (n_dofs,) array
+            In equilibrium at every dof away from contact: refined once, to the rounding of a residual.
+        """
+        result = self.complete(self.reduce(self.full.load)[0], unknowns)
+        defect = self.full.load - self.full.system.matrix @ result
+        return result + self.complete(self.reduce(defect)[0], np.zeros_like(unknowns))
+
+    def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r"""Eliminate the interior from a residual; one solve.
+
+        Parameters
+        ----------
+        residual : (n_dofs,) array
+            r, dual, N.
+
+        Returns
+        -------
+        particular : (n_dofs,) array
+            A change in equilibrium with :math:`r_i` away from contact, for :meth:`complete`, m.
+        condensed : (n_contact * dim,) array
+            :math:`r_c - A_{ci} A_{ii}^{-1} r_i`, N.
+        """
+        interior = self._interior
+        rhs = residual.copy()
+        rhs[interior.contact] = 0.0
+        particular = interior.solve(rhs)
+        return particular, residual[interior.contact] + interior.stiffness(particular[interior.contact])
+
+    def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+        r"""The solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve.
+
+        Parameters
+        ----------
+        particular : (n_dofs,) array
+            From :meth:`reduce`, whose argument is r, m.
+        unknowns : (n_contact * dim,) array
+            :math:`w_c`, m.
+        """
+        interior = self._interior
+        rhs = np.zeros_like(particular)
+        rhs[interior.contact] = interior.stiffness(unknowns - particular[interior.contact])
+        result = particular + interior.solve(rhs)
+        result[interior.contact] = unknowns
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Interior:
+    """The factorised interior; see the module for the formulas.
+
+    Attributes
+    ----------
+    factors : SuperLU
+        Of M, permuted.
+    order : (n_dofs,) int array
+        Elimination order.
+    contact : (n_contact * dim,) int array
+        Contact dofs.
+    schur : (n, n) array
+        S.
+    shift : (n,) array
+        Diagonal of Sigma at the contact dofs.
+    """
+
+    factors: SuperLU
+    order: np.ndarray
+    contact: np.ndarray
+    schur: np.ndarray
+    shift: np.ndarray
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """M^-1 rhs."""
+        result = np.empty_like(rhs)
+        result[self.order] = self.factors.solve(rhs[self.order])
+        return result
+
+    def stiffness(self, unknowns: np.ndarray) -> np.ndarray:
+        """(S + Sigma) w_c: the right-hand side of M that makes w_c."""
+        return self.schur @ unknowns + self.shift * unknowns
+
+
+def condense(local: LocalProblem) -> Condensed:
+    """Condense a problem onto its contact nodes.
+
+    Parameters
+    ----------
+    local : LocalProblem
+
+    Returns
+    -------
+    Condensed
+
+    Raises
+    ------
+    ValueError
+        If the problem is singular even with all contact dofs fixed: a body, or part of one, that neither supports nor
+        contact nodes can hold.
+
+    Notes
+    -----
+    One factorisation and (n_contact * dim)^2 numbers of memory, e.g. 257 x 257 nodes with 257 at contact: 1.5 s, 2 MB.
+    """
+    system = local.system
+    dim = system.dim
+    contact = (dim * system.nodes[:, None].astype(np.int64) + np.arange(dim)).reshape(-1)
+    shift = system.matrix.diagonal()[contact]
+    nodes = nested_dissection(node_graph(system.matrix), local.discrete.coordinates, last=system.nodes)
+    order = (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
+    factors, schur = _eliminate(_shifted(system, contact, shift), order, contact)
+    schur[np.diag_indices_from(schur)] -= shift
+    schur = 0.5 * (schur + schur.T)
+    fixed = system.fixed[contact]
+    n = len(system.nodes)
+    dense = LocalSystem.from_matrix(sparse.bsr_array(_blocks(schur, dim), shape=schur.shape), fixed, np.arange(n))
+    problem = LocalProblem(system=dense, load=np.zeros(len(contact)), contact=local.contact, frames=local.frames,
+                           discrete=local.discrete)
+    condensed = Condensed(problem, local, Interior(factors, order, contact, schur, shift))
+    problem.load = np.where(fixed, 0.0, condensed.reduce(local.load)[1])
+    return condensed
+
+
+def _blocks(matrix: np.ndarray, dim: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All dim x dim blocks of a full matrix in BSR form."""
+    n = len(matrix) // dim
+    blocks = matrix.reshape(n, dim, n, dim).swapaxes(1, 2).reshape(-1, dim, dim)
+    return blocks, np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
+
+
+def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> sparse.csc_array:
+    """M with every entry between two contact dofs stored, so that SuperLU keeps them at the end of its order."""
+    n = len(contact)
+    full = sparse.coo_array((np.zeros(n * n), (np.repeat(contact, n), np.tile(contact, n))), shape=system.matrix.shape)
+    diagonal = sparse.coo_array((shift, (contact, contact)), shape=system.matrix.shape)
+    matrix = sparse.coo_array(system.matrix)
+    data = np.concatenate([matrix.data, diagonal.data, full.data])
+    rows, columns = (np.concatenate([matrix.coords[k], diagonal.coords[k], full.coords[k]]) for k in (0, 1))
+    return sparse.coo_array((data, (rows, columns)), shape=system.matrix.shape).tocsc()
+
+
+def _eliminate(matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray) -> tuple[SuperLU, np.ndarray]:
+    """Factors of the permuted matrix, and L_cc U_cc in the order of ``contact``."""
+    message = ("the problem is singular even with all contact dofs fixed: add a support, or check that every node "
+               "belongs to an element")
+    permuted = matrix[order][:, order].tocsc()
+    try:
+        # the matrix is symmetric and positive definite: pivots on the diagonal are safe
+        factors = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as error:
+        raise ValueError(message) from error
+    # SuperLU postorders the elimination tree: row and column k of the permuted matrix became place[k]
+    place, rows = factors.perm_c, factors.perm_r
+    upper = factors.U
+    pivots = upper.diagonal()[place]
+    if not (np.array_equal(place, rows) and (pivots > _PIVOT * permuted.diagonal()).all()):
+        raise ValueError(message)
+    inverse = np.empty_like(order)
+    inverse[order] = np.arange(len(order))
+    at = place[inverse[contact]]
+    lower = factors.L.tocsr()[at][:, at].toarray()
+    return factors, lower @ upper.tocsc()[:, at].tocsr()[at].toarray()

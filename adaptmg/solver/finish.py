@@ -1,0 +1,61 @@
+"""From a displacement to contact quantities and the true natural residual: every Result passes here."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adaptmg.smoother.residuals import contact_state, natural_residual, residual
+from adaptmg.smoother.system import LocalProblem
+from adaptmg.solver.result import ContactResult
+
+__all__ = ["contact_result", "force_scale", "relative_residual"]
+
+
+def force_scale(local: LocalProblem) -> float:
+    """Scale of the natural residual without reactions: max(|b|, |A u_fixed|), N."""
+    discrete = local.discrete
+    lifted = float(np.linalg.norm(discrete.matrix @ discrete.fixed_values)) if discrete.fixed_values.any() else 0.0
+    return max(float(np.linalg.norm(discrete.load)), lifted)
+
+
+def relative_residual(local: LocalProblem, unknowns: np.ndarray) -> float:
+    """Natural residual over max(|b|, |A u_fixed|, |reactions|), Euclidean norms.
+
+    Parameters
+    ----------
+    local : LocalProblem
+    unknowns : (n_dofs,) array
+        Local components, m.
+    """
+    vector = natural_residual(local.system, local.contact, local.load, unknowns)
+    reactions = residual(local.system, local.load, unknowns).reshape(-1, local.system.dim)[local.system.nodes]
+    scale = max(force_scale(local), float(np.linalg.norm(reactions)))
+    size = float(np.linalg.norm(vector))
+    if scale > 0:
+        return size / scale
+    return 0.0 if size == 0.0 else float("inf")
+
+
+def contact_result(local: LocalProblem, unknowns: np.ndarray, displacement: np.ndarray,
+                   reaction: np.ndarray) -> ContactResult:
+    """Contact quantities at a solution.
+
+    Parameters
+    ----------
+    local : LocalProblem
+    unknowns : (n_dofs,) array
+        Local components.
+    displacement, reaction : (n_nodes, dim) arrays
+        Cartesian, m and N.
+    """
+    discrete, contact = local.discrete, local.discrete.contact
+    u = np.einsum("nij,nj->ni", local.frames, displacement[contact.nodes])
+    force = -residual(local.system, local.load, unknowns).reshape(-1, discrete.dim)[contact.nodes]
+    force_n = np.maximum(-force[:, 0], 0.0)
+    reference = np.einsum("nij,nj->ni", local.frames, contact.slip_reference)[:, 1:]
+    x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[contact.nodes]
+    return ContactResult(node=contact.nodes, x=x, frames=local.frames, gap=contact.gaps - u[:, 0], u_n=u[:, 0],
+                         u_t=u[:, 1:], slip=u[:, 1:] - reference, force_n=force_n, force_t=force[:, 1:],
+                         weights=contact.weights, limit=local.contact.limit + local.contact.friction * force_n,
+                         state=contact_state(local.system, local.contact, local.load, unknowns),
+                         boundary=contact.boundary, names=contact.names)

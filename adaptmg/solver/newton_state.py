@@ -1,0 +1,140 @@
+r"""The linearised contact conditions: one step of the semismooth Newton method at the contact nodes.
+
+With q = b - A w (minus the force on the body), the slip :math:`\tau` and factors :math:`c_n, c_t > 0` (N/m)
+the contact conditions are the equations (P. Alart, A. Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991,
+doi:10.1016/0045-7825(91)90022-X)
+
+.. math:: q_n = \max(0, z_n),\quad z_n = q_n + c_n (w_n - g_0);\qquad
+          q_t = \min(1, B/|z_t|)\, z_t,\quad z_t = q_t + c_t \tau,\quad B = s + \mu \max(0, z_n).
+
+A node is active where :math:`z_n > 0`, sticks where :math:`|z_t| \le B > 0` and slips elsewhere. A Newton step
+:math:`\delta` then satisfies (S. Hueber, G. Stadler, B. Wohlmuth, SIAM J. Sci. Comput. 30, 2008, doi:10.1137/060671061)
+
+- active :math:`\delta_n = g_0 - w_n`, otherwise :math:`(A\delta)_n = q_n`;
+- stick :math:`\delta_t = -\tau`;
+- slip, with :math:`z = z_t/|z_t|,\ \Pi = I - z z^T` and :math:`\mu = 0` where not active,
+
+.. math:: (A_t - \mu z A_n + \kappa \Pi)\,\delta = z (z\cdot q_t - s - \mu q_n) + \frac{|z_t|}{|z_t| - B}\,\Pi q_t,
+          \qquad \kappa = \frac{c_t B}{|z_t| - B} \ge 0.
+
+This is the derivative itself, solved for :math:`\delta q_t`; :math:`\kappa\Pi` tends to the slip Hessian
+:math:`(B/|\tau|)\,\Pi`. Without the Coulomb term :math:`\mu z A_n` the matrix is symmetric and positive definite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg.smoother.system import NodalContact
+
+__all__ = ["Linearised", "hold_all", "linearise"]
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """The equations of one Newton step at the contact nodes; see the module.
+
+    Attributes
+    ----------
+    active, slip : (n,) bool arrays
+        Touching; slipping (open nodes of a law without Tresca limit slip too, against no force).
+    direction : (n, dim - 1) array
+        z, zero where the node sticks.
+    coupling : (n,) array
+        mu where the node is active and slips, else 0.
+    curvature : (n, dim - 1, dim - 1) array
+        kappa Pi, N/m.
+    force : (n, dim) array
+        Right-hand sides of the equations that are not prescriptions, N.
+    prescribed : (n, dim) bool array
+        Components whose change is given.
+    change : (n, dim) array
+        These changes, zero elsewhere, m.
+    """
+
+    active: np.ndarray
+    slip: np.ndarray
+    direction: np.ndarray
+    coupling: np.ndarray
+    curvature: np.ndarray
+    force: np.ndarray
+    prescribed: np.ndarray
+    change: np.ndarray
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the matrix of the step is symmetric."""
+        return not self.coupling.any()
+
+    @property
+    def key(self) -> bytes:
+        """The contact status: active and slip flags and, in 2D, the sign of the slip."""
+        parts = [self.active, self.slip]
+        if self.direction.shape[1] == 1:
+            parts.append(self.direction[:, 0] > 0)
+        return np.packbits(parts).tobytes()
+
+    @property
+    def same_matrix(self) -> bool:
+        """Whether every step with this :attr:`key` has the same matrix: no curvature, directions in the key."""
+        return not self.curvature.any() and (self.direction.shape[1] == 1 or self.symmetric)
+
+
+def linearise(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, stiffness: np.ndarray,
+              factor: float) -> Linearised:
+    """Decide the status of every contact node and set up its equations.
+
+    Parameters
+    ----------
+    contact : NodalContact
+    unknowns, residual : (n, dim) arrays
+        w and q = b - A w at the contact nodes, m and N.
+    stiffness : (n, dim) array
+        Diagonal of the matrix at the contact nodes, N/m.
+    factor : float
+        c_n and c_t over ``stiffness`` (its largest tangential entry).
+    """
+    tangential = factor * stiffness[:, 1:].max(axis=1)
+    with np.errstate(invalid="ignore"):
+        augmented = residual[:, 0] + factor * stiffness[:, 0] * (unknowns[:, 0] - contact.gap)
+    active = augmented > 0
+    tau = unknowns[:, 1:] - contact.slip_reference
+    bound = contact.limit + contact.friction * np.maximum(augmented, 0.0)
+    trial = residual[:, 1:] + tangential[:, None] * tau
+    size = np.linalg.norm(trial, axis=1)
+    slip = ~((size <= bound) & (bound > 0))
+    return _equations(contact, unknowns, residual, active, slip, trial, size, bound, tangential)
+
+
+def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) -> Linearised:
+    """Every node that has an obstacle touches and, where the law has friction, sticks: a safe state to start from."""
+    active = np.isfinite(contact.gap)
+    slip = ~((contact.limit > 0) | (active & (contact.friction > 0)))
+    zero = np.zeros(len(active))
+    return _equations(contact, unknowns, residual, active, slip, np.zeros_like(unknowns[:, 1:]), zero, zero, zero)
+
+
+def _equations(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, active: np.ndarray,
+               slip: np.ndarray, trial: np.ndarray, size: np.ndarray, bound: np.ndarray,
+               tangential: np.ndarray) -> Linearised:
+    """The equations of given states; see the module for the formula."""
+    moving = slip & (size > 0)
+    direction = np.where(moving[:, None], trial / np.where(moving, size, 1.0)[:, None], 0.0)
+    coupling = np.where(active & moving, contact.friction, 0.0)
+    limit = np.where(moving, contact.limit, 0.0)
+    beyond = np.where(moving, size - bound, 1.0)
+    across = np.eye(trial.shape[1]) - direction[:, :, None] * direction[:, None, :]
+    curvature = np.where(moving, tangential * bound / beyond, 0.0)[:, None, None] * across
+    along = np.sum(direction * residual[:, 1:], axis=1)
+    force = residual.copy()
+    force[:, 1:] = (direction * (along - limit - coupling * residual[:, 0])[:, None]
+                    + np.where(moving, size / beyond, 1.0)[:, None] * np.einsum("nij,nj->ni", across, residual[:, 1:]))
+    prescribed = np.zeros(unknowns.shape, dtype=bool)
+    prescribed[active, 0] = True
+    prescribed[~slip, 1:] = True
+    change = np.zeros_like(unknowns)
+    change[active, 0] = (contact.gap - unknowns[:, 0])[active]
+    change[~slip, 1:] = (contact.slip_reference - unknowns[:, 1:])[~slip]
+    return Linearised(active, slip, direction, coupling, curvature, force, prescribed, change)

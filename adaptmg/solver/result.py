@@ -1,0 +1,301 @@
+"""Result: what :func:`adaptmg.solve` returns; it probes, sums forces, saves itself and comes back without pickle."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import checks
+from adaptmg.solver.status import Status
+
+__all__ = ["ContactResult", "Result"]
+
+_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ContactResult:
+    """Contact quantities, one entry a contact node; SI units.
+
+    Attributes
+    ----------
+    node : (n,) int array
+    x : (n, dim) array
+        Position before deformation, m (NaN if the problem has no coordinates).
+    frames : (n, dim, dim) array
+        Unit vectors by row: the normal, out of the body, then the tangents.
+    gap : (n,) array
+        g0 - u_n, m.
+    u_n : (n,) array
+        Normal displacement, m.
+    u_t, slip : (n, dim - 1) arrays
+        Tangential displacement and slip (u_t minus its reference), m; in 2D along the normal turned by +90 degrees.
+    force_n : (n,) array
+        Compressive nodal force p >= 0, N (2D: N/m).
+    force_t : (n, dim - 1) array
+        Tangential nodal force on the body, N (2D: N/m).
+    weights : (n,) array
+        Lumped boundary mass, m^2 (2D: m).
+    limit : (n,) array
+        What the law allows for |force_t|, N (2D: N/m).
+    state : (n,) int8 array
+        ``am.OPEN``, ``am.SLIP``, ``am.STICK``.
+    boundary : (n,) int array
+        Index into ``names``.
+    names : tuple of str
+        Contact boundaries.
+    """
+
+    node: np.ndarray
+    x: np.ndarray
+    frames: np.ndarray
+    gap: np.ndarray
+    u_n: np.ndarray
+    u_t: np.ndarray
+    slip: np.ndarray
+    force_n: np.ndarray
+    force_t: np.ndarray
+    weights: np.ndarray
+    limit: np.ndarray
+    state: np.ndarray
+    boundary: np.ndarray
+    names: tuple[str, ...] = ("contact",)
+
+    @property
+    def pressure(self) -> np.ndarray:
+        """Compressive nodal force over lumped boundary mass (n,), Pa."""
+        return self.force_n / self.weights
+
+    @property
+    def traction(self) -> np.ndarray:
+        """Tangential nodal force over lumped boundary mass (n, dim - 1), Pa."""
+        return self.force_t / self.weights[:, None]
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Unit normals out of the body (n, dim)."""
+        return self.frames[:, 0]
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The solution and how it was found.
+
+    Attributes
+    ----------
+    displacement : (n_nodes, dim) array
+        m.
+    contact : ContactResult
+    reaction : (n_nodes, dim) array
+        A u - b: nodal forces that supports and contact exert on the body, N (2D: N/m); ~0 at free nodes.
+    status : Status
+        Its value is advice.
+    cycles : int
+        Cycles, sweeps or Newton steps on the finest level.
+    work_units : float
+        Passes over matrices weighted by nonzeros over those of the finest.
+    residual : float
+        Natural residual |D (prox_D(u - D^-1 (A u - b)) - u)| of this displacement, over
+        max(|b|, |A u_fixed|, |reactions|), Euclidean norms of nodal forces.
+    error_estimate : float
+        Estimated ||u - u_h||_A / ||u_h||_A against the exact discrete solution; NaN if the solver has none.
+    rate : float
+        Asymptotic convergence rate per cycle (geometric mean of the last cycles); NaN if unknown.
+    rtol : float
+        What was asked for.
+    history : dict of str to (n,) array
+        By name: cycle, work_units, seconds, and what the solver recorded (change, residual, error_estimate).
+    timings : dict of str to float
+        Seconds by phase.
+    path : list of (level, action, times)
+        The way through the levels.
+    levels : list of dict
+        The table of the hierarchy.
+    problem_name, solver_name : str
+    mesh : MeshArrays or None
+        Finest mesh (without its NGSolve source after loading).
+    start_work_units : float
+        The part of ``work_units`` spent before the first cycle on the finest level (nested start).
+    """
+
+    displacement: np.ndarray
+    contact: ContactResult
+    reaction: np.ndarray
+    status: Status
+    cycles: int
+    work_units: float
+    residual: float
+    error_estimate: float
+    rate: float
+    rtol: float
+    history: dict[str, np.ndarray]
+    timings: dict[str, float]
+    path: list[tuple[int, str, int]]
+    levels: list[dict[str, float]]
+    problem_name: str
+    solver_name: str
+    mesh: MeshArrays | None = None
+    start_work_units: float = 0.0
+    versions: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return self.displacement.shape[1]
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of all phases of the solve (set-up included, meshing and assembly not)."""
+        return float(sum(self.timings.values()))
+
+    def __repr__(self) -> str:
+        states = np.bincount(np.asarray(self.contact.state, dtype=int), minlength=3)
+        return (f"Result of {self.solver_name} for {self.problem_name}: {self.status.name}\n"
+                f"  {len(self.displacement)} nodes, {len(self.contact)} contact nodes: "
+                f"{states[0]} open, {states[1]} slip, {states[2]} stick\n"
+                f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
+                f"  natural residual {self.residual:.2e}, estimated error {self.error_estimate:.2e} "
+                f"(rtol {self.rtol:g})")
+
+    def probe(self, points: np.ndarray) -> np.ndarray:
+        """Displacement at points.
+
+        Parameters
+        ----------
+        points : (n, dim) array-like
+            m.
+
+        Returns
+        -------
+        (n, dim) array
+            m.
+
+        Raises
+        ------
+        ValueError
+            Without a mesh, or where a point lies outside it.
+        """
+        from adaptmg.transfer import PointLocator
+
+        if self.mesh is None:
+            raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .displacement")
+        points = np.atleast_2d(np.asarray(points, dtype=np.float64))
+        if points.ndim != 2 or points.shape[1] != self.dim:
+            raise ValueError(f"points must have shape (n, {self.dim}), got {points.shape}")
+        if not np.isfinite(points).all():
+            raise ValueError("points must be finite")
+        found = PointLocator(self.mesh).locate(points)
+        outside = found.distance > 1e-6 * self.mesh.element_sizes[found.element]
+        if outside.any():
+            i = int(np.argmax(outside))
+            raise ValueError(f"point {i} {points[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
+        corners = self.displacement[self.mesh.elements[found.element]]
+        return np.einsum("nk,nkd->nd", found.weights, corners)
+
+    def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
+        """Force and moment exerted on the body through a boundary.
+
+        Parameters
+        ----------
+        boundary : str
+            'contact' for all contact nodes, or a contact boundary (contact forces), or any other boundary
+            (reactions of its supports).
+        about : (dim,) array-like, optional
+            Point of the moment, m; default the origin.
+
+        Returns
+        -------
+        Resultant
+            N and N m (2D: per metre).
+        """
+        if boundary == "contact":
+            nodes = self.contact.node
+        elif boundary in self.contact.names:
+            nodes = self.contact.node[self.contact.boundary == self.contact.names.index(boundary)]
+        elif self.mesh is not None:
+            nodes = self.mesh.boundary_nodes(boundary)
+        else:
+            raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {self.contact.names}")
+        forces = self._forces_at(nodes, boundary)
+        if self.mesh is None:
+            return Resultant(forces.sum(axis=0), None)
+        about = np.zeros(self.dim) if about is None else checks.vector("about", about, self.dim)
+        arms = self.mesh.points[nodes] - about
+        moment = np.cross(arms, forces) if self.dim == 3 else arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0]
+        return Resultant(forces.sum(axis=0), moment.sum(axis=0))
+
+    def _forces_at(self, nodes: np.ndarray, boundary: str) -> np.ndarray:
+        """Contact forces at contact nodes, reactions of supports elsewhere; a corner node has both."""
+        contact_force = np.zeros_like(self.reaction)
+        c = self.contact
+        local = np.column_stack([-c.force_n, c.force_t])
+        contact_force[c.node] = np.einsum("nk,nkd->nd", local, c.frames)
+        if boundary == "contact" or boundary in c.names:
+            return contact_force[nodes]
+        return (self.reaction - contact_force)[nodes]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an ``.npz`` file, whole or not at all (written beside it, then renamed)."""
+        arrays: dict[str, np.ndarray] = {"displacement": self.displacement, "reaction": self.reaction}
+        arrays |= {f"contact.{k}": v for k, v in vars(self.contact).items() if isinstance(v, np.ndarray)}
+        arrays |= {f"history.{k}": np.asarray(v) for k, v in self.history.items()}
+        meta = {"format": _FORMAT, "status": self.status.name, "cycles": self.cycles, "work_units": self.work_units,
+                "residual": self.residual, "error_estimate": self.error_estimate, "rate": self.rate, "rtol": self.rtol,
+                "timings": self.timings, "path": self.path, "levels": self.levels, "problem_name": self.problem_name,
+                "solver_name": self.solver_name, "start_work_units": self.start_work_units, "versions": self.versions,
+                "names": self.contact.names}
+        if self.mesh is not None:
+            arrays |= {f"mesh.{k}": getattr(self.mesh, k)
+                       for k in ("points", "elements", "facets", "facet_labels", "element_body")}
+            meta |= {"boundaries": self.mesh.boundaries, "bodies": self.mesh.bodies}
+        arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
+        target = Path(path)
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=target.name, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez_compressed(file, **arrays)
+            os.replace(temporary, target)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Result:
+        """Read what :meth:`save` wrote; ValueError if it is something else."""
+        with np.load(path, allow_pickle=False) as data:
+            if "meta" not in data:
+                raise ValueError(f"{os.fspath(path)} is not a result saved by adaptmg")
+            meta = json.loads(data["meta"].tobytes())
+            if meta.pop("format") != _FORMAT:
+                raise ValueError(f"{os.fspath(path)} was saved by another version of adaptmg; solve again")
+            groups: dict[str, dict[str, np.ndarray]] = {"contact": {}, "history": {}, "mesh": {}}
+            for key in data.files:
+                group, _, name = key.partition(".")
+                if name:
+                    groups[group][name] = data[key]
+            mesh = None
+            if groups["mesh"]:
+                mesh = MeshArrays(**groups["mesh"], boundaries=tuple(meta.pop("boundaries")),
+                                  bodies=tuple(meta.pop("bodies")))
+            contact = ContactResult(**groups["contact"], names=tuple(meta.pop("names")))
+            meta["status"] = Status[meta["status"]]
+            meta["path"] = [tuple(step) for step in meta["path"]]
+            return cls(displacement=data["displacement"], reaction=data["reaction"], contact=contact, mesh=mesh,
+                       history=groups["history"], **meta)
+
+
+@dataclass(frozen=True, eq=False)
+class Resultant:
+    """Force (dim,) in N (2D: N/m) and moment in N m (3D: (3,); 2D: a number, N); None without a mesh."""
+
+    force: np.ndarray
+    moment: np.ndarray | float | None

@@ -1,0 +1,264 @@
+r"""Rigid-body statics: can contact hold the motions that the supports leave free?
+
+Rigid motions m of a body that vanish at its fixed dofs cost no energy. A solution exists only if admissible contact
+forces balance the load on each of them,
+
+.. math:: \sum_i (-p_i n_i + t_i)\cdot m(x_i) + b\cdot m = 0,\qquad p_i \ge 0,\quad |t_i| \le s_i + \mu_i p_i,
+
+a linear programme in the forces with one row per free motion (at most six). In 2D the friction cone is exact; in 3D it
+is replaced by a circumscribed regular polygon of 16 sides, so that the condition is necessary but not sufficient. The
+Tresca part of the polygon is a sum of eight segments, the Coulomb part a cone over its corners: every inequality is
+then a bound on one variable, which keeps thousands of contact nodes quick. By duality the multipliers of the least
+unbalanced force are a motion that nothing holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.optimize import linprog
+from scipy.sparse.csgraph import connected_components
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.smoother.system import frames_of
+
+__all__ = ["check_statics"]
+
+_UNBALANCED = 1e-6  # share of the load that counts as not held
+_STILL = 1e-7  # amplitude, of a motion of amplitude 1, that counts as none
+_SEGMENTS = 8  # of the friction polygon in 3D, which has twice as many sides
+_LIMIT = 1e6  # Tresca limits beyond this multiple of the load count as this: keeps the programme well scaled
+
+
+def check_statics(problem: DiscreteProblem) -> None:
+    """Raise ValueError if a rigid motion is left free by the supports and contact cannot hold it.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+        Rigid motions are taken from ``near_nullspace``, body by body (connected parts of the matrix); those that strain
+        the matrix, such as a body on springs, are left out. Without ``near_nullspace`` nothing is known about rigid
+        motions and nothing is checked.
+
+    Raises
+    ------
+    ValueError
+        If contact forces cannot balance the load on a free motion; if a free motion neither opens nor closes contact,
+        meets no friction and no work of the load, so that the solution is not unique; or if no load acts on the free
+        motions at all and contact can open. The message names the motion.
+
+    Notes
+    -----
+    Contact forces may act at every contact node, also across a gap. Prescribed values other than zero change nothing:
+    their lift A u_fixed does no work on a rigid motion m, m' A u_fixed = (A m)' u_fixed = 0. An unbalanced part below
+    1e-6 of the load is not seen.
+    """
+    if problem.near_nullspace is None:
+        return
+    graph = sparse.csr_array((np.ones(len(problem.matrix.indices), dtype=np.int8), problem.matrix.indices,
+                              problem.matrix.indptr), shape=(problem.n_nodes, problem.n_nodes))
+    n_bodies, body_of = connected_components(graph, directed=True, connection="weak")
+    sizes = np.bincount(body_of)
+    stiff = problem.matrix @ problem.near_nullspace
+    # a single node is no elastic body: only its own diagonal block can hold it
+    for body in np.flatnonzero(sizes > 1):
+        nodes = np.flatnonzero(body_of == body)
+        motions = _free_motions(problem, stiff, nodes)
+        if motions.shape[1]:
+            _check_body(_Body(problem, nodes, motions, several=n_bodies > 1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A connected part: its nodes, and its free rigid motions (n_nodes * dim, k) with amplitudes about 1."""
+
+    problem: DiscreteProblem
+    nodes: np.ndarray
+    motions: np.ndarray
+    several: bool
+
+    def describe(self, coefficients: np.ndarray) -> str:
+        """The motion with these coefficients, in words."""
+        field = (self.motions @ coefficients).reshape(len(self.nodes), -1)
+        if np.ptp(field, axis=0).max() <= 1e-6 * np.abs(field).max():
+            words = f"translation along {_axis(field[0])}"
+        elif self.problem.coordinates is None:
+            words = "rigid motion (a combination of near_nullspace)"
+        else:
+            words = _describe_turn(self.problem.coordinates[self.nodes], field)
+        return f"{words} of the body of node {self.nodes[0]} ({len(self.nodes)} nodes)" if self.several else words
+
+
+def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Rigid motions (n_nodes * dim, k) of a part that vanish at its fixed dofs and cause no force."""
+    dim = problem.dim
+    dofs = (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
+    modes, forces = problem.near_nullspace[dofs], stiff[dofs] / np.abs(problem.matrix.data).max()
+    # the modes of all bodies, restricted to one, are dependent: an orthonormal basis by their Gram matrix
+    values, vectors = np.linalg.eigh(modes.T @ modes)
+    kept = values > 1e-12 * values[-1]
+    basis = vectors[:, kept] * np.sqrt(len(nodes) / values[kept])
+    modes, forces = modes @ basis, forces @ basis
+    strained = np.abs(forces).max(axis=1) > 1e-9
+    return modes @ _null_combinations(np.vstack([modes[problem.fixed[dofs]], forces[strained]])).T
+
+
+def _null_combinations(rows: np.ndarray) -> np.ndarray:
+    """Orthonormal rows (n_null, k) of coefficients for which ``rows`` (n, k) vanish."""
+    # the triangular factor has at most k rows and the same singular values
+    _, singular, combinations = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
+    return combinations[np.pad(singular, (0, len(combinations) - len(singular))) <= _STILL]
+
+
+def _check_body(body: _Body) -> None:
+    problem = body.problem
+    dofs = (problem.dim * body.nodes[:, None] + np.arange(problem.dim)).reshape(-1)
+    load = problem.load[dofs]
+    scale = np.abs(load).sum()
+    work = load @ body.motions / (scale if scale > 0 else 1.0)
+    pressures, segments, limits = _contact_work(body)
+    if scale > 0:
+        limits = np.minimum(limits / scale, _LIMIT)
+    unbalanced, motion = _least_unbalanced(pressures, segments, limits, work)
+    if unbalanced > _UNBALANCED:
+        motion = _plainest(body, motion, pressures, segments, limits, work)
+        raise ValueError(f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact forces "
+                         "cannot balance the load on it. Add a support that fixes this motion, or change load, "
+                         "obstacle or friction so that contact resists it")
+    forces = np.hstack([pressures, segments])
+    neutral = _null_combinations(forces.T)
+    if len(neutral):
+        plain = [c for c in _plain_motions(body) if np.abs(c @ forces).max(initial=0.0) <= _STILL]
+        raise ValueError(f"the solution is not unique: a {body.describe((plain or neutral)[0])} is left free by the "
+                         "supports, moves no contact node towards or away from the obstacle, meets no friction and no "
+                         "work of the load. Add a support that fixes it")
+    if np.abs(work).max() <= _UNBALANCED:
+        # no load on the free motions: only bodies that contact encloses are held, whose pressures balance each other
+        away, limits = pressures.mean(axis=1), np.zeros_like(limits)
+        unbalanced, motion = _least_unbalanced(pressures, segments, limits, away)
+        if unbalanced > _UNBALANCED:
+            motion = _plainest(body, motion, pressures, segments, limits, away)
+            raise ValueError(f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
+                             "by the supports, and the load does no work on it. Add a load, or a support that fixes "
+                             "this motion")
+
+
+def _contact_work(body: _Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Work of unit contact forces on the free motions.
+
+    Returns
+    -------
+    pressures : (k, n_pressures) array
+        Of the edges of the Coulomb cones: factors >= 0.
+    segments : (k, n_segments) array
+    limits : (n_segments,) array
+        Of the Tresca part: factors within +-limits, N.
+    """
+    problem = body.problem
+    dim, contact = problem.dim, problem.contact
+    position = np.searchsorted(body.nodes, contact.nodes)
+    mine = position < len(body.nodes)
+    mine[mine] = body.nodes[position[mine]] == contact.nodes[mine]
+    frames = frames_of(contact, problem.fixed.reshape(-1, dim))[mine]
+    at_contact = body.motions.reshape(len(body.nodes), dim, -1)[position[mine]]
+    normal, *tangential = np.moveaxis(np.einsum("nij,njk->nik", frames, at_contact), 1, 0)
+    limit, friction = (bound[mine] for bound in problem.law.bounds(len(contact)))
+    rubbing, limited = friction > 0, limit > 0
+    corners, directions, half_length = _friction_polygon(dim)
+    tangential = np.stack(tangential, axis=1)
+    edges = friction[rubbing, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubbing])
+    k = body.motions.shape[1]
+    pressures = np.concatenate([-normal[~rubbing], (edges - normal[rubbing, None]).reshape(-1, k)])
+    return (pressures.T, np.einsum("st,ntk->nsk", directions, tangential[limited]).reshape(-1, k).T,
+            np.repeat(limit[limited] * half_length, len(directions)))
+
+
+def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Corners (n, dim - 1) of the polygon about the unit disc; directions and half length of the segments it sums."""
+    if dim == 2:
+        return np.array([[1.0], [-1.0]]), np.array([[1.0]]), 1.0
+    angle = np.pi * np.arange(2 * _SEGMENTS) / _SEGMENTS
+    half = 0.5 * np.pi / _SEGMENTS
+    corners = np.column_stack([np.cos(angle + half), np.sin(angle + half)]) / np.cos(half)
+    return corners, np.column_stack([np.cos(angle), np.sin(angle)])[:_SEGMENTS], float(np.tan(half))
+
+
+def _least_unbalanced(pressures: np.ndarray, segments: np.ndarray, limits: np.ndarray, work: np.ndarray
+                      ) -> tuple[float, np.ndarray]:
+    """Smallest sum of |unbalanced work| over contact forces, and the motion (k,) on which it is done."""
+    k = len(work)
+    forces = np.hstack([pressures, segments, np.eye(k), -np.eye(k)])
+    n_pressures, n_slack = pressures.shape[1], 2 * k
+    bounds = np.zeros((forces.shape[1], 2))
+    bounds[:, 1] = np.inf
+    bounds[n_pressures:n_pressures + len(limits)] = np.column_stack([-limits, limits])
+    cost = np.zeros(forces.shape[1])
+    cost[-n_slack:] = 1.0
+    result = linprog(cost, A_eq=forces, b_eq=-work, bounds=bounds, method="highs-ds")
+    if not result.success:
+        raise RuntimeError(f"the linear programme of the rigid-body statics failed: {result.message}")
+    return float(result.fun), -result.eqlin.marginals
+
+
+def _plain_motions(body: _Body) -> np.ndarray:
+    """Coefficients (n, k) of those plain motions, both ways, that are free: along and about the coordinate axes."""
+    dim, n = body.problem.dim, len(body.nodes)
+    fields = [np.tile(axis, (n, 1)) for axis in np.eye(dim)]
+    if body.problem.coordinates is not None:
+        x = body.problem.coordinates[body.nodes]
+        x = (x - x.mean(axis=0)) / np.ptp(x, axis=0).max()
+        for a, b in ((0, 1), (1, 2), (2, 0))[:1 if dim == 2 else 3]:
+            turn = np.zeros((n, dim))
+            turn[:, a], turn[:, b] = -x[:, b], x[:, a]
+            fields.append(turn)
+    wanted = np.stack([field.reshape(-1) for field in fields], axis=1)
+    coefficients = body.motions.T @ wanted / n
+    free = np.abs(body.motions @ coefficients - wanted).max(axis=0) <= 1e-8
+    return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
+
+
+def _plainest(body: _Body, motion: np.ndarray, pressures: np.ndarray, segments: np.ndarray, limits: np.ndarray,
+              work: np.ndarray) -> np.ndarray:
+    """A plain motion that nothing holds, if there is one; else ``motion`` (k,)."""
+    for c in _plain_motions(body):
+        resisted = (c @ pressures < -_STILL).any()
+        if not resisted and c @ work - np.abs(c @ segments) @ limits > _UNBALANCED:
+            return c
+    return motion
+
+
+def _describe_turn(points: np.ndarray, field: np.ndarray) -> str:
+    """A rigid motion (n, dim) of points (n, dim), not a translation, in words."""
+    dim = points.shape[1]
+    centre = points.mean(axis=0)
+    size = np.abs(points - centre).max()
+    affine = np.column_stack([np.ones(len(points)), (points - centre) / size])
+    fit = np.linalg.lstsq(affine, field, rcond=None)[0]
+    if np.abs(affine @ fit - field).max() > 1e-6 * np.abs(field).max():
+        return "motion that is not rigid (a combination of near_nullspace)"
+    shift, gradient = fit[0], fit[1:].T / size
+    spin = 0.5 * (gradient - gradient.T)
+    if dim == 2:
+        pole = centre + np.array([-shift[1], shift[0]]) / spin[1, 0]
+        return f"rotation about {_vector(pole, size)}"
+    rotation = np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
+    pole = centre + np.cross(rotation, shift) / (rotation @ rotation)
+    along = abs(shift @ rotation) > 1e-6 * (rotation @ rotation) * size
+    kind = "screw motion" if along else "rotation"
+    return f"{kind} about the axis along {_axis(rotation)} through {_vector(pole, size)}"
+
+
+def _axis(direction: np.ndarray) -> str:
+    """The name of a coordinate axis, or a unit vector."""
+    unit = direction / np.linalg.norm(direction)
+    i = int(np.argmax(np.abs(unit)))
+    if abs(unit[i]) > 1 - 1e-9:
+        return ("-" if unit[i] < 0 else "") + "xyz"[i]
+    return _vector(unit, 1.0)
+
+
+def _vector(values: np.ndarray, size: float) -> str:
+    """Rounded coordinates; what is zero to rounding is printed as 0."""
+    return "(" + ", ".join(f"{0.0 if abs(v) < 1e-6 * size else v:.4g}" for v in values) + ")"

@@ -1,0 +1,64 @@
+"""What makes a stored result stale: the source of the run function, the source of adaptmg, versions of packages.
+
+The hash covers the text of the run function and of every module of adaptmg that computes (pictures, reports, the
+command line and this layer are left out). It does not see values the function takes from outside (globals, closures,
+files, other helpers of the script): after changing those, run the study with ``rerun=True``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import platform
+import textwrap
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+__all__ = ["code_hash", "environment"]
+
+#: parts of the package on which no number depends
+_NOT_COMPUTING = ("study", "plot", "export", "cli.py", "__main__.py")
+
+
+def code_hash(function: Callable[..., Any]) -> str:
+    """Hash of the source of ``function`` and of the modules of adaptmg that compute.
+
+    Parameters
+    ----------
+    function : function
+        A plain function; where its source is not to be had (typed at a prompt) its bytecode is taken.
+
+    Raises
+    ------
+    TypeError
+        For other callables, whose source does not say what they compute.
+    """
+    if not isinstance(function, FunctionType):
+        raise TypeError(f"run must be a plain function (def), got {function!r}; give constants with fixed={{...}}")
+    try:
+        own = textwrap.dedent(inspect.getsource(function))
+    except (OSError, TypeError):
+        code = function.__code__
+        own = repr((code.co_code, code.co_consts, code.co_names))
+    return hashlib.sha256((own + _package_hash()).encode()).hexdigest()
+
+
+@cache
+def _package_hash() -> str:
+    root = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for file in sorted(root.rglob("*.py")):
+        relative = file.relative_to(root)
+        if relative.parts[0] not in _NOT_COMPUTING:
+            digest.update(relative.as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def environment() -> dict[str, str]:
+    """Versions of Python and of the packages the results depend on."""
+    from adaptmg.solver.solve import versions
+
+    return {"python": platform.python_version(), **versions()}

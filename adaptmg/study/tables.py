@@ -1,0 +1,104 @@
+"""Tables of a study as aligned text and as HTML: units in the headers, a caption above, a note below."""
+
+from __future__ import annotations
+
+import html
+import math
+import numbers
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+__all__ = ["as_html", "as_text"]
+
+
+def as_text(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
+            formats: Mapping[str, str] | None = None) -> str:
+    """A table as text in aligned columns.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Its index is not shown.
+    caption : str
+        What the table shows; say the grid and the tolerance.
+    note : str
+        Below it: norms, sources, what differs from a reference.
+    units : mapping of column to str
+        Shown in the header: ``{"seconds": "s"}`` gives 'seconds [s]'.
+    formats : mapping of column to str
+        Format of its numbers, as in ``format(x, ".2e")``; default ``.4g`` for floats.
+
+    Returns
+    -------
+    str
+        Lines without trailing blanks, no newline at the end.
+    """
+    headers, columns = _cells(table, units, formats)
+    widths = [max(map(len, (header, *cells)), default=0) for header, cells in zip(headers, columns, strict=True)]
+    right = [_numeric(table[name]) for name in table.columns]
+
+    def line(cells: list[str]) -> str:
+        padded = (cell.rjust(width) if is_right else cell.ljust(width)
+                  for cell, width, is_right in zip(cells, widths, right, strict=True))
+        return "  ".join(padded).rstrip()
+
+    rows = [line(list(row)) for row in zip(*columns, strict=True)]
+    body = [line(headers), "  ".join("-" * width for width in widths), *rows]
+    return "\n".join([caption] * bool(caption) + body + [note] * bool(note))
+
+
+def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
+            formats: Mapping[str, str] | None = None) -> str:
+    """A table as an HTML ``<figure>``; everything escaped, numbers right-aligned by class ``n``.
+
+    Parameters
+    ----------
+    table, caption, note, units, formats
+        As in :func:`as_text`.
+    """
+    headers, columns = _cells(table, units, formats)
+    classes = [' class="n"' if _numeric(table[name]) else "" for name in table.columns]
+    head = "".join(f"<th{c}>{html.escape(h)}</th>" for h, c in zip(headers, classes, strict=True))
+    rows = ("".join(f"<td{c}>{html.escape(cell)}</td>" for cell, c in zip(row, classes, strict=True))
+            for row in zip(*columns, strict=True))
+    body = "\n".join(f"<tr>{row}</tr>" for row in rows)
+    top = f"<figcaption>{html.escape(caption)}</figcaption>\n" if caption else ""
+    bottom = f'\n<p class="note">{html.escape(note)}</p>' if note else ""
+    return (f'<figure class="table">\n{top}<div class="scroll"><table>\n<thead><tr>{head}</tr></thead>\n'
+            f"<tbody>\n{body}\n</tbody>\n</table></div>{bottom}\n</figure>")
+
+
+def _cells(table: pd.DataFrame, units: Mapping[str, str] | None,
+           formats: Mapping[str, str] | None) -> tuple[list[str], list[list[str]]]:
+    units, formats = units or {}, formats or {}
+    if not table.columns.is_unique:
+        raise ValueError(f"table has columns of the same name: {list(table.columns)}")
+    for what, mapping in (("units", units), ("formats", formats)):
+        unknown = sorted(set(mapping) - set(table.columns))
+        if unknown:
+            raise ValueError(f"{what} names columns the table does not have: {unknown}; it has {list(table.columns)}")
+    headers = [f"{name} [{units[name]}]" if units.get(name) else str(name) for name in table.columns]
+    columns = [[_cell(value, formats.get(name)) for value in table[name]] for name in table.columns]
+    return headers, columns
+
+
+def _cell(value: Any, spec: str | None) -> str:
+    if value is None or value is pd.NA or (isinstance(value, numbers.Real) and math.isnan(value)):
+        return "-"
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, numbers.Integral):
+        return format(int(value), spec or "d")
+    if isinstance(value, numbers.Real):
+        return format(float(value), spec or ".4g")
+    if isinstance(value, tuple):
+        return ", ".join(_cell(v, spec) for v in value)
+    return " ".join(str(value).split())
+
+
+def _numeric(column: pd.Series) -> bool:
+    values = [v for v in column if v is not None]
+    return bool(values) and all(isinstance(v, numbers.Real) and not isinstance(v, bool) for v in values)

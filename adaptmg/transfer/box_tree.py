@@ -1,0 +1,185 @@
+r"""A tree of bounding boxes over simplices: which contain a point, which is the nearest, which overlap a box.
+
+The simplices are laid along a Morton curve and cut into 2^m leaves of equal count; node i of the complete binary tree
+has the children 2 i + 1 and 2 i + 2 and the box of all simplices below it. Leaves hold the same number of simplices
+whatever their sizes, so graded meshes cost what uniform ones do (a grid of cells does not have this). Queries are
+taken along a Morton curve too and climb from the leaf where the last one ended, so that the cost of a query hardly
+depends on the number of simplices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from adaptmg.transfer.closest import closest_on_simplex
+from adaptmg.transfer.morton import morton_order
+
+__all__ = ["STACK", "BoxTree", "box_contains", "box_overlaps", "leaf_range", "nearest_simplex", "padded"]
+
+LEAF_SIZE = 4
+"""Largest number of simplices in a leaf."""
+
+STACK = 128
+"""Depth of the search stacks: more than twice the levels of any tree that fits in memory."""
+
+
+@njit(cache=True)
+def leaf_range(node, n_leaves, n_simplices):
+    """First and past-the-last position of the simplices in a leaf, given its node number."""
+    leaf = node - (n_leaves - 1)
+    return leaf * n_simplices // n_leaves, (leaf + 1) * n_simplices // n_leaves
+
+
+@njit(cache=True)
+def _build(points, simplices, n_leaves, boxes):
+    """Boxes (2 n_leaves - 1, 2 dim): lower corner, upper corner; empty ones are inverted."""
+    n, k = simplices.shape
+    dim = points.shape[1]
+    for node in range(n_leaves - 1, 2 * n_leaves - 1):
+        first, last = leaf_range(node, n_leaves, n)
+        for c in range(dim):
+            low, high = np.inf, -np.inf
+            for s in range(first, last):
+                for m in range(k):
+                    value = points[simplices[s, m], c]
+                    low, high = min(low, value), max(high, value)
+            boxes[node, c], boxes[node, dim + c] = low, high
+    for node in range(n_leaves - 2, -1, -1):
+        left, right = 2 * node + 1, 2 * node + 2
+        for c in range(dim):
+            boxes[node, c] = min(boxes[left, c], boxes[right, c])
+            boxes[node, dim + c] = max(boxes[left, dim + c], boxes[right, dim + c])
+
+
+@njit(cache=True)
+def box_contains(boxes, node, x, dim):
+    """Whether the closed box of ``node`` contains ``x``."""
+    inside = True
+    for c in range(dim):
+        inside = inside and boxes[node, c] <= x[c] <= boxes[node, dim + c]
+    return inside
+
+
+@njit(cache=True)
+def box_overlaps(boxes, node, box, dim):
+    """Whether the box of ``node`` and ``box`` (2 dim,) meet."""
+    meet = True
+    for c in range(dim):
+        meet = meet and box[dim + c] >= boxes[node, c] and box[c] <= boxes[node, dim + c]
+    return meet
+
+
+@njit(cache=True)
+def _box_distance(boxes, node, x, dim):
+    """Squared distance of ``x`` from the box of ``node``; infinite for an empty box."""
+    total = 0.0
+    for c in range(dim):
+        outside = max(max(boxes[node, c] - x[c], x[c] - boxes[node, dim + c]), 0.0)
+        total += outside * outside
+    return total
+
+
+@njit(cache=True)
+def nearest_simplex(x, points, simplices, boxes, dim, weights, trial, candidate, stack):
+    """Position of the simplex nearest to ``x`` (3,), its squared distance; writes the weights of the closest point."""
+    n, k = simplices.shape
+    n_leaves = (len(boxes) + 1) // 2
+    best, best_distance = -1, np.inf
+    stack[0] = 0
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        node = stack[depth]
+        if not _box_distance(boxes, node, x, dim) < best_distance:
+            continue
+        if node < n_leaves - 1:
+            left, right = 2 * node + 1, 2 * node + 2
+            if _box_distance(boxes, left, x, dim) < _box_distance(boxes, right, x, dim):
+                left, right = right, left
+            stack[depth], stack[depth + 1] = left, right
+            depth += 2
+            continue
+        first, last = leaf_range(node, n_leaves, n)
+        for s in range(first, last):
+            distance = closest_on_simplex(points, simplices[s], x, candidate, trial)
+            if distance < best_distance:
+                best, best_distance = s, distance
+                for m in range(k):
+                    weights[m] = candidate[m]
+    return best, best_distance
+
+
+@njit(cache=True)
+def _nearest_all(queries, points, simplices, boxes, dim, found, weights, distances):
+    k = simplices.shape[1]
+    trial, candidate = np.empty(k), np.empty(k)
+    stack = np.empty(STACK, dtype=np.int64)
+    for q in range(len(queries)):
+        found[q], squared = nearest_simplex(queries[q], points, simplices, boxes, dim, weights[q], trial, candidate,
+                                            stack)
+        distances[q] = np.sqrt(squared)
+
+
+class BoxTree:
+    """Bounding boxes over simplices.
+
+    Parameters
+    ----------
+    points : (n_nodes, dim) array
+        m.
+    simplices : (n, k) array of int
+        Segments, triangles or tetrahedra (k = 2, 3, 4), at least one.
+
+    Attributes
+    ----------
+    order : (n,) array
+        Number of the simplex at each position along the curve.
+    simplices : (n, k) int32 array
+        Corners, in that order.
+    boxes : (2 n_leaves - 1, 2 dim) array
+        Lower and upper corners.
+    points : (n_nodes, 3) array
+        Padded with zeros in 2D.
+    """
+
+    def __init__(self, points: np.ndarray, simplices: np.ndarray) -> None:
+        n, self.dim = len(simplices), points.shape[1]
+        self.order = morton_order(points[simplices].mean(axis=1))
+        self.simplices = np.ascontiguousarray(simplices[self.order], dtype=np.int32)
+        n_leaves = 1
+        while n_leaves * LEAF_SIZE < n:
+            n_leaves *= 2
+        self.boxes = np.empty((2 * n_leaves - 1, 2 * self.dim))
+        _build(points, self.simplices, n_leaves, self.boxes)
+        self.points = padded(points)
+
+    def nearest(self, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The nearest simplex of each point.
+
+        Parameters
+        ----------
+        queries : (n, dim) array
+            m.
+
+        Returns
+        -------
+        simplex : (n,) array
+            Its number.
+        weights : (n, k) array
+            Barycentric weights of the closest point; >= 0, sums 1.
+        distance : (n,) array
+            m.
+        """
+        n = len(queries)
+        found = np.empty(n, dtype=np.int64)
+        weights, distance = np.empty((n, self.simplices.shape[1])), np.empty(n)
+        _nearest_all(padded(queries), self.points, self.simplices, self.boxes, self.dim, found, weights, distance)
+        return self.order[found], weights, distance
+
+
+def padded(points: np.ndarray) -> np.ndarray:
+    """Points (n, dim) as (n, 3), z = 0 in 2D."""
+    result = np.zeros((len(points), 3))
+    result[:, :points.shape[1]] = points
+    return result

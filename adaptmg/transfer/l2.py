@@ -1,0 +1,97 @@
+r"""L2 projection with the consistent mass matrix.
+
+.. math:: M P = B, \qquad M_{ik} = \int \varphi^f_i \varphi^f_k, \qquad B_{ij} = \int \varphi^f_i \varphi^c_j
+
+P is full, but its entries decay exponentially with distance. It is found by the Chebyshev semi-iteration with the
+diagonal of M, whose spectrum lies in [1/2, (d + 2)/2] on every mesh (Wathen, IMA J. Numer. Anal. 7 (1987) 449-457), on
+sparse iterates from which small entries are dropped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import checks
+from adaptmg.transfer.coupling import coupling
+from adaptmg.transfer.fine_nodes import OUTSIDE_TOLERANCE
+from adaptmg.transfer.rows import CLIP, dropped, with_moments
+
+__all__ = ["L2"]
+
+Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
+
+
+@dataclass(frozen=True, kw_only=True)
+class L2:
+    """The L2 projection.
+
+    Row sums 1; entries may be negative. Reproduces constants always and, as the moments of a row are restored after
+    entries were dropped, affine fields where the coarse mesh covers the fine one. On nested meshes it is the canonical
+    embedding. The most expensive transfer, with the densest matrices. Integrals: :mod:`adaptmg.transfer.coupling`.
+
+    Parameters
+    ----------
+    drop_tolerance : float
+        Entries of smaller magnitude are removed (rows sum to 1), at least ``CLIP``. The mass system is solved to a
+        hundredth of this.
+    outside_tolerance : float
+        How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
+    """
+
+    drop_tolerance: float = 1e-3
+    outside_tolerance: float = OUTSIDE_TOLERANCE
+
+    def __post_init__(self) -> None:
+        checks.nonnegative("outside_tolerance", self.outside_tolerance)
+        if not CLIP <= checks.number("drop_tolerance", self.drop_tolerance) < 0.1:
+            raise ValueError(f"drop_tolerance must be at least {CLIP:g} and below 0.1, got {self.drop_tolerance!r}")
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        integrals = coupling(coarse, fine, self.outside_tolerance)
+        rhs = integrals.assemble(integrals.shape_coefficients())
+        mass = mass_matrix(fine)
+        centre = coarse.points.mean(axis=0)
+        # coordinate functions, projected to rounding: what the rows must reproduce after dropping
+        affine = np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])
+        moments = _chebyshev(mass, rhs @ affine, fine.dim, 1e-16, 0.0)
+        moments[:, 1:] -= (fine.points - centre) * moments[:, :1]
+        moments /= moments[:, :1]
+        inner = 0.01 * self.drop_tolerance
+        rows = dropped(_chebyshev(mass, rhs, fine.dim, inner, inner), self.drop_tolerance)
+        rows.sort_indices()
+        return with_moments(rows, coarse.points, fine.points, moments)
+
+
+def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
+    """P1 mass matrix (n_nodes, n_nodes), m^2 or m^3."""
+    k = mesh.elements.shape[1]
+    blocks = (np.eye(k) + 1.0) * (mesh.volumes / (k * (k + 1)))[:, None, None]
+    rows, columns = np.repeat(mesh.elements, k, axis=1).ravel(), np.tile(mesh.elements, (1, k)).ravel()
+    return sparse.csr_array((blocks.ravel(), (rows, columns)), shape=(mesh.n_nodes, mesh.n_nodes))
+
+
+def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, drop: float) -> Rows:
+    """Solve M X = B to ``tolerance`` relative in the norm of M; sparse iterates lose entries below ``drop``."""
+    inverse = sparse.diags_array(1.0 / mass.diagonal()).tocsr()
+    low, high = 0.5, (dim + 2) / 2
+    middle, half = (high + low) / 2, (high - low) / 2
+    sigma = middle / half
+    scaled_mass, scaled_rhs = inverse @ mass, inverse @ rhs
+    solution = step = scaled_rhs / middle
+    root = np.sqrt(high / low)
+    steps = int(np.ceil(np.log(2 / tolerance) / np.log((root + 1) / (root - 1))))
+    rho = 1 / sigma
+    for _ in range(steps):
+        residual = scaled_rhs - scaled_mass @ solution
+        rho, previous = 1 / (2 * sigma - rho), rho
+        step = rho * previous * step + 2 * rho / half * residual
+        solution = solution + step
+        if drop > 0:
+            step, solution = dropped(step, drop), dropped(solution, drop)
+    return solution

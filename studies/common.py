@@ -1,0 +1,181 @@
+"""What every study shares: problems, exact discrete solutions, work at equal true error, output.
+
+A study is a module with ``run(context) -> Section``. Computation goes through :class:`adaptmg.Study` into the store of the
+context; tables and figures are made from what is stored.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import numpy as np
+import pandas as pd
+
+import adaptmg as am
+
+DATA = Path(__file__).resolve().parent.parent / "data" / "paper"
+
+PROBLEMS: Mapping[str, Callable[[], am.ContactProblem]] = {
+    "frictionless bar": lambda: am.cases.greco_bar(law=am.Frictionless()),
+    "curved obstacle": lambda: am.cases.curved_obstacle(),
+    "Coulomb bar": lambda: am.cases.greco_bar(law=am.Coulomb(1.0)),
+}
+
+
+@dataclass
+class Table:
+    """A table of a study: what is printed, written as CSV and put into the report."""
+
+    name: str
+    frame: pd.DataFrame
+    caption: str
+    note: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    formats: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class Figure:
+    """A figure of a study."""
+
+    name: str
+    figure: Any
+    caption: str
+
+
+@dataclass
+class Section:
+    """What a study returns."""
+
+    title: str
+    text: str
+    items: list[Table | Figure] = field(default_factory=list)
+
+
+@dataclass
+class Context:
+    """How a study is to run.
+
+    Attributes
+    ----------
+    quick : bool
+        Smaller grids, seconds instead of minutes.
+    out : Path
+        Directory of CSV files, pictures and the store.
+    """
+
+    quick: bool
+    out: Path
+
+    def study(self, run: Callable[..., dict[str, Any]], parameters: Mapping[str, Sequence[Any]],
+              **fixed: Any) -> pd.DataFrame:
+        """Run a parameter study through the store of this context; rows that are stored are not computed again."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        study = am.Study(run, parameters, self.out / "studies.sqlite", fixed=fixed,
+                         name=f"{Path(run.__code__.co_filename).stem}.{run.__name__}")
+        return study.run(throw=True)
+
+
+@lru_cache(maxsize=32)
+def grids(problem: str, divisions: tuple[int, ...]) -> am.Hierarchy:
+    """Uniform nested grids of a problem by name."""
+    return am.Hierarchy.uniform(PROBLEMS[problem](), divisions=divisions)
+
+
+@lru_cache(maxsize=32)
+def exact(problem: str, divisions: int) -> am.Result:
+    """The exact discrete solution by an independent method: semismooth Newton with direct solves, residual 1e-12."""
+    hierarchy = grids(problem, _nested_below(divisions))
+    return am.solve(hierarchy, am.ActiveSet(rtol=1e-12, nested_start=True))
+
+
+def _nested_below(divisions: int) -> tuple[int, ...]:
+    chain = [divisions]
+    while chain[0] % 2 == 0 and chain[0] > 4:
+        chain.insert(0, chain[0] // 2)
+    return tuple(chain)
+
+
+def energy_error(result: am.Result, reference: am.Result, hierarchy: am.Hierarchy) -> float:
+    """||u - u_h||_A / ||u_h||_A."""
+    matrix = hierarchy.finest.discrete.matrix
+    error = (result.displacement - reference.displacement).reshape(-1)
+    u = reference.displacement.reshape(-1)
+    return float(np.sqrt(error @ (matrix @ error) / (u @ (matrix @ u))))
+
+
+def first_below(result: am.Result, tolerance: float) -> dict[str, float]:
+    """Cycles, work units and seconds when the true error first fell below a tolerance.
+
+    Between two checks of the error the logarithm of the error is interpolated; NaN where it was never reached.
+    """
+    error = result.history["true_error"]
+    below = np.flatnonzero(error <= tolerance)
+    names = ("cycle", "work_units", "seconds")
+    if not below.size:
+        return dict.fromkeys(names, float("nan"))
+    k = int(below[0])
+    share = 1.0
+    if k > 0 and error[k] > 0:
+        share = np.log(error[k - 1] / tolerance) / np.log(error[k - 1] / error[k])
+    return {name: float(result.history[name][k] if k == 0 else
+                        (1 - share) * result.history[name][k - 1] + share * result.history[name][k])
+            for name in names}
+
+
+def paper(name: str) -> pd.DataFrame:
+    """A table of the paper, from data/paper."""
+    return pd.read_csv(DATA / f"{name}.csv", comment="#")
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Let ``write`` make a file beside ``path``, then rename it, so that no half-written file is left."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def show(section: Section, out: Path) -> None:
+    """Print a section's tables; write them as CSV and the figures as PNG."""
+    from adaptmg.study.tables import as_text
+
+    print(f"\n{section.title}\n{'=' * len(section.title)}\n{section.text}")
+    for item in section.items:
+        if isinstance(item, Table):
+            print("\n" + as_text(item.frame, caption=item.caption, note=item.note, units=item.units,
+                                 formats=item.formats))
+            write_atomically(out / f"{item.name}.csv", lambda path, item=item: item.frame.to_csv(path, index=False))
+        else:
+            target = out / f"{item.name}.png"
+            write_atomically(target, lambda path, item=item: item.figure.savefig(path, dpi=130))
+            print(f"\n[figure {target}] {item.caption}")
+
+
+def main(run: Callable[[Context], Section], description: str) -> None:
+    """Command line of a study script."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--quick", action="store_true", help="smaller grids, seconds instead of minutes")
+    parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
+                        help="where CSV files, pictures and the store go (default: results)")
+    arguments = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    show(run(Context(arguments.quick, arguments.out)), arguments.out)

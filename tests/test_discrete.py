@@ -1,0 +1,145 @@
+"""DiscreteProblem and ContactNodes refuse what no solver could make sense of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from adaptmg.discrete import ContactNodes, DiscreteProblem, rigid_body_modes
+from adaptmg.problem import Coulomb, Frictionless, Tresca
+
+
+def contact(**changes: object) -> ContactNodes:
+    arguments = {"nodes": [0, 2], "normals": [[0.0, -1.0], [0.6, -0.8]], "gaps": [0.0, 0.1]}
+    return ContactNodes(**(arguments | changes))
+
+
+def discrete(**changes: object) -> DiscreteProblem:
+    arguments = {"matrix": sparse.eye_array(6).tocsr(), "load": np.zeros(6), "fixed": np.zeros(6, dtype=bool),
+                 "law": Frictionless(), "contact": contact()}
+    return DiscreteProblem(**(arguments | changes))
+
+
+class TestContactNodes:
+    def test_defaults(self):
+        nodes = contact()
+        assert len(nodes) == 2 and nodes.dim == 2
+        np.testing.assert_array_equal(nodes.weights, 1.0)
+        np.testing.assert_array_equal(nodes.slip_reference, 0.0)
+        np.testing.assert_array_equal(nodes.boundary, 0)
+
+    def test_arrays_are_read_only_copies(self):
+        gaps = np.array([0.0, 0.1])
+        nodes = contact(gaps=gaps)
+        gaps[0] = 5.0
+        assert nodes.gaps[0] == 0.0
+        with pytest.raises(ValueError, match="read-only"):
+            nodes.gaps[0] = 1.0
+        with pytest.raises(ValueError, match="read-only"):
+            nodes.normals[0] = 1.0
+
+    def test_normals_are_normalised(self):
+        nodes = contact(normals=[[0.0, -1.0 - 5e-7], [0.6, -0.8]])
+        np.testing.assert_allclose(np.linalg.norm(nodes.normals, axis=1), 1.0, rtol=1e-15)
+
+    @pytest.mark.parametrize(("changes", "error", "message"), [
+        ({"nodes": [0.0, 2.0]}, TypeError, "nodes must be integers"),
+        ({"nodes": [2, 2]}, ValueError, "distinct"),
+        ({"nodes": [-1, 2]}, ValueError, "distinct and >= 0"),
+        ({"nodes": np.zeros(0, dtype=int), "normals": np.zeros((0, 2)), "gaps": []}, ValueError, "nodes is empty"),
+        ({"normals": [[0.0, -1.0]]}, ValueError, "normals must have shape"),
+        ({"normals": np.ones((2, 4)) / 2}, ValueError, "normals must have shape"),
+        ({"normals": [[0.0, -1.0], [0.6, -0.9]]}, ValueError, "contact node 1 has length 1.08"),
+        ({"normals": [[0.0, np.nan], [0.6, -0.8]]}, ValueError, "normals must be finite; 1 entries are not"),
+        ({"gaps": [0.0]}, ValueError, "gaps must have shape"),
+        ({"gaps": [0.0, -1e-3]}, ValueError, "got -0.001 at contact node 1; for an interference fit"),
+        ({"gaps": [0.0, np.inf]}, ValueError, "gaps must be finite"),
+        ({"weights": [1.0, 0.0]}, ValueError, "weights must be > 0"),
+        ({"weights": [1.0]}, ValueError, "weights must have shape"),
+        ({"slip_reference": np.zeros(2)}, ValueError, "slip_reference must have shape"),
+        ({"boundary": [0, 1]}, ValueError, "boundary must index names"),
+        ({"boundary": [0, -1]}, ValueError, "boundary must index names"),
+    ])
+    def test_refuses(self, changes, error, message):
+        with pytest.raises(error, match=message):
+            contact(**changes)
+
+    def test_interference_on_request(self):
+        assert contact(gaps=[0.0, -1e-3], allow_interference=True).gaps[1] == -1e-3
+
+
+class TestDiscreteProblem:
+    def test_matrix_becomes_bsr(self):
+        problem = discrete()
+        assert problem.matrix.format == "bsr" and problem.matrix.blocksize == (2, 2)
+        assert (problem.n_nodes, problem.n_dofs, problem.dim) == (3, 6, 2)
+
+    def test_values_at_free_dofs_are_ignored(self):
+        fixed = np.array([False, False, True, False, False, False])
+        problem = discrete(fixed=fixed, fixed_values=np.arange(1.0, 7.0))
+        np.testing.assert_array_equal(problem.fixed_values, [0, 0, 3, 0, 0, 0])
+
+    def test_modes_from_coordinates_unless_given(self):
+        points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        assert discrete().near_nullspace is None
+        assert discrete(coordinates=points).near_nullspace.shape == (6, 3)
+        own = np.ones((6, 1))
+        np.testing.assert_array_equal(discrete(coordinates=points, near_nullspace=own).near_nullspace, own)
+
+    @pytest.mark.parametrize(("changes", "error", "message"), [
+        ({"matrix": np.eye(6)}, TypeError, "scipy sparse"),
+        ({"matrix": sparse.eye_array(6, 5).tocsr()}, ValueError, "must be square"),
+        ({"matrix": sparse.eye_array(7).tocsr()}, ValueError, "multiple of 2 rows"),
+        ({"matrix": sparse.csr_array((6, 6))}, ValueError, "matrix is zero"),
+        ({"matrix": sparse.diags_array([1, 1, np.nan, 1, 1, 1]).tocsr()}, ValueError, "matrix must be finite"),
+        ({"matrix": sparse.diags_array([1, 1, 1, -1, 1, 1.0]).tocsr()}, ValueError, r"entry 3 \(node 1\) is -1"),
+        ({"matrix": (sparse.eye_array(6) + sparse.eye_array(6, k=1) * 1e-3).tocsr()}, ValueError, "must be symmetric"),
+        ({"load": np.zeros(5)}, ValueError, r"load must have shape \(6\), got \(5,\)"),
+        ({"load": np.full(6, np.nan)}, ValueError, "load must be finite; 6 entries"),
+        ({"fixed": np.zeros(6)}, TypeError, "fixed must be a boolean mask over the 6 dofs"),
+        ({"fixed": np.zeros(4, dtype=bool)}, ValueError, "fixed must have shape"),
+        ({"fixed_values": np.zeros(4)}, ValueError, "fixed_values must have shape"),
+        ({"law": 0.3}, TypeError, "law must be"),
+        ({"law": Coulomb(np.ones(3))}, ValueError, "array over the 2 contact nodes"),
+        ({"law": Tresca(lambda x: x[:, 0])}, TypeError, "evaluated at the nodes first"),
+        ({"contact": None}, TypeError, "contact must be ContactNodes"),
+        ({"contact": contact(nodes=[0, 3])}, ValueError, "node 3 does not exist; there are 3 nodes"),
+        ({"coordinates": np.zeros((3, 3))}, ValueError, "coordinates must have shape"),
+        ({"near_nullspace": np.zeros((4, 3))}, ValueError, "near_nullspace must have shape"),
+        ({"fixed": np.array([False, True, False, False, False, False])}, ValueError, "normal part is fixed"),
+        ({"fixed": np.array([False, False, False, False, True, False])}, ValueError, "contact node 1"),
+    ])
+    def test_refuses(self, changes, error, message):
+        with pytest.raises(error, match=message):
+            discrete(**changes)
+
+    def test_bad_nodal_bounds_of_ones_own_law(self):
+        class Negative(Frictionless):
+            def bounds(self, n_contact):
+                return np.zeros(n_contact), np.full(n_contact, -1.0)
+
+        with pytest.raises(ValueError, match="nodal friction must be finite and >= 0"):
+            discrete(law=Negative())
+
+    def test_fixed_tangent_is_fine(self):
+        fixed = np.array([True, False, False, False, False, False])
+        assert discrete(fixed=fixed).fixed[0]
+
+    def test_rounding_asymmetry_is_fine(self):
+        matrix = (sparse.eye_array(6) + sparse.eye_array(6, k=1) * 1e-12).tocsr()
+        assert discrete(matrix=matrix).n_dofs == 6
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rigid_body_modes_are_orthonormal_and_strain_free(dim):
+    rng = np.random.default_rng(0)
+    points = 5.0 + rng.random((20, dim))
+    modes = rigid_body_modes(points)
+    k = 3 if dim == 2 else 6
+    np.testing.assert_allclose(modes.T @ modes, np.eye(k), atol=1e-13)
+    # a rigid motion leaves all distances alone to first order
+    i, j = rng.integers(0, 20, (2, 50))
+    for mode in modes.T:
+        u = mode.reshape(-1, dim)
+        np.testing.assert_allclose(np.sum((u[i] - u[j]) * (points[i] - points[j]), axis=1), 0.0, atol=1e-13)

@@ -1,0 +1,231 @@
+"""Contact nodes and the whole discretisation: normals, masses, gaps, ownership, and every refusal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptmg.discretisation import contact_nodes, discretise
+from adaptmg.discretisation.facets import area_vectors
+from adaptmg.mesh import MeshArrays, structured
+from adaptmg.problem import (
+    Box,
+    Contact,
+    ContactProblem,
+    Coulomb,
+    Frictionless,
+    GapFunction,
+    Plane,
+    PlaneStrain,
+    Pressure,
+    Rectangle,
+    Solid,
+    Support,
+    Tresca,
+)
+
+SQUARE, CUBE = Rectangle(width=2.0, height=1.0), Box(width=2.0, depth=1.0, height=1.0)
+PLATE, BLOCK = structured(SQUARE, 4), structured(CUBE, (4, 3, 2))
+FLOOR = Plane(point=(0.0, 0.0), normal=(0.0, 1.0))
+TOUCHING = GapFunction(lambda x: np.zeros(len(x)))
+
+
+def plane_problem(**changes: object) -> ContactProblem:
+    arguments = {"material": PlaneStrain(young=1e9, poisson=0.3), "contact": Contact("bottom", FLOOR),
+                 "law": Frictionless(), "loads": (Pressure("top", 1e5),), "supports": (Support("left", x=0.0),),
+                 "name": "plate"}
+    return ContactProblem(**(arguments | changes))
+
+
+def solid_problem(**changes: object) -> ContactProblem:
+    arguments = {"material": Solid(young=1e9, poisson=0.3), "law": Frictionless(),
+                 "contact": Contact("bottom", Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))}
+    return ContactProblem(**(arguments | changes))
+
+
+def disc(n: int = 24, rings: int = 4, half: bool = False) -> MeshArrays:
+    """A disc (or its right half) of radius 1 with one boundary 'rim' (and 'axis', x = 0)."""
+    points, elements, facets, labels = [np.zeros((1, 2))], [], [], []
+    angles = -np.pi / 2 + (np.pi if half else 2 * np.pi) * np.arange(n + 1 if half else n) / n
+    m = len(angles)
+    for r in range(1, rings + 1):
+        points.append(r / rings * np.column_stack([np.cos(angles), np.sin(angles)]))
+    points = np.concatenate(points)
+    if half:
+        points[np.abs(points[:, 0]) < 1e-14, 0] = 0.0
+    for r in range(rings):
+        for i in range(n):
+            a, b = 1 + r * m + i, 1 + r * m + (i + 1) % m
+            if r == 0:
+                elements.append((0, a, b))
+            else:
+                elements += [(a - m, a, b), (a - m, b, b - m)]
+            if r == rings - 1:
+                facets.append((a, b))
+                labels.append(0)
+        if half:
+            low, top = 1 + r * m, 1 + r * m + n
+            inner_low, inner_top = (0, 0) if r == 0 else (low - m, top - m)
+            facets += [(inner_low, low), (top, inner_top)]
+            labels += [1, 1]
+    return MeshArrays(points, elements, facets, labels, ("rim", "axis") if half else ("rim",))
+
+
+class TestContactNodes:
+    @pytest.mark.parametrize(("problem", "mesh", "measure"), [
+        (plane_problem(), PLATE, 2.0), (solid_problem(), BLOCK, 2.0)])
+    def test_flat_boundary(self, problem, mesh, measure):
+        nodes = contact_nodes(problem, mesh)
+        np.testing.assert_array_equal(nodes.nodes, mesh.boundary_nodes("bottom"))
+        np.testing.assert_allclose(nodes.normals, np.tile([0.0] * (mesh.dim - 1) + [-1.0], (len(nodes), 1)))
+        assert nodes.weights.sum() == pytest.approx(measure)
+        assert not nodes.gaps.any() and nodes.names == ("bottom",) and not nodes.boundary.any()
+
+    def test_weights_integrate_p1_fields(self):
+        nodes = contact_nodes(plane_problem(), PLATE)
+        assert nodes.weights @ PLATE.points[nodes.nodes, 0] == pytest.approx(2.0)
+
+    @pytest.mark.parametrize("n", [12, 48])
+    def test_curved_boundary(self, n):
+        mesh = disc(n)
+        nodes = contact_nodes(plane_problem(contact=Contact("rim", TOUCHING), loads=(), supports=()), mesh)
+        np.testing.assert_allclose(nodes.normals, mesh.points[nodes.nodes], atol=1e-12)
+        assert nodes.weights.sum() == pytest.approx(2 * n * np.sin(np.pi / n))
+
+    def test_normals_are_weighted_by_length(self):
+        # a corner between an edge of length 2 facing down and one of length 1 facing left
+        contact = (Contact("wall", TOUCHING),)
+        labels = np.where(np.isin(PLATE.facet_labels, [0, 3]), 0, 1)
+        mesh = MeshArrays(PLATE.points, PLATE.elements, PLATE.facets, labels, ("wall", "rest"))
+        nodes = contact_nodes(plane_problem(contact=contact, loads=(), supports=()), mesh)
+        np.testing.assert_allclose(nodes.normals[nodes.nodes == 0][0], np.array([-0.25, -0.5]) / np.hypot(0.25, 0.5))
+
+    def test_gap_of_a_tilted_plane(self):
+        # the plane through (0, -1) rising at 45 degrees is met along its own normal
+        plane = Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))
+        nodes = contact_nodes(plane_problem(contact=Contact("bottom", plane), supports=()), PLATE)
+        np.testing.assert_allclose(nodes.normals, np.tile([[1.0, -1.0]], (5, 1)) / np.sqrt(2))
+        np.testing.assert_allclose(nodes.gaps, (3.0 - PLATE.points[nodes.nodes, 0]) / np.sqrt(2))
+
+    def test_rounding_below_zero_is_snapped(self):
+        contact = Contact("bottom", GapFunction(lambda x: np.full(len(x), -1e-14)))
+        assert not contact_nodes(plane_problem(contact=contact), PLATE).gaps.any()
+
+    def test_interference(self):
+        obstacle = GapFunction(lambda x: 0.5 - x[:, 0])
+        with pytest.raises(ValueError, match=r"'bottom' lies up to 1\.5 m behind its obstacle, at \(2\.0, 0\.0\)"):
+            contact_nodes(plane_problem(contact=Contact("bottom", obstacle)), PLATE)
+        contact = Contact("bottom", obstacle, allow_interference=True)
+        assert contact_nodes(plane_problem(contact=contact), PLATE).gaps.min() == -1.5
+
+    def test_interference_on_one_of_two_boundaries(self):
+        deep = GapFunction(lambda x: np.full(len(x), -0.1))
+        pair = (Contact("bottom", deep, allow_interference=True), Contact("top", deep))
+        with pytest.raises(ValueError, match="'top' lies up to 0.1 m"):  # noqa: RUF043
+            contact_nodes(plane_problem(contact=pair, loads=(), supports=()), PLATE)
+
+    @pytest.mark.parametrize("order", [("bottom", "right"), ("right", "bottom")])
+    def test_common_node_belongs_to_the_boundary_named_first(self, order):
+        contact = tuple(Contact(name, TOUCHING) for name in order)
+        nodes = contact_nodes(plane_problem(contact=contact, loads=(), supports=()), PLATE)
+        assert nodes.names == order
+        corner = np.flatnonzero((PLATE.points[nodes.nodes] == [2.0, 0.0]).all(axis=1))[0]
+        assert nodes.boundary[corner] == 0
+        expected = {"bottom": [0.0, -1.0], "right": [1.0, 0.0]}[order[0]]
+        np.testing.assert_allclose(nodes.normals[corner], expected)
+        # the edge round the corner does not face the obstacle: half an edge of the first boundary is the mass
+        assert nodes.weights[corner] == pytest.approx(0.25 if order[0] == "bottom" else 0.125)
+
+    def test_a_boundary_in_two_pieces_has_the_masses_of_one(self):
+        centre = PLATE.points[PLATE.facets].mean(axis=1)
+        labels = PLATE.facet_labels.copy()
+        labels[(labels == 0) & (centre[:, 0] > 1)] = 4
+        mesh = replace(PLATE, facet_labels=labels, boundaries=(*PLATE.boundaries, "bottom 2"), source=None)
+        contact = (Contact("bottom 2", FLOOR), Contact("bottom", FLOOR))
+        nodes = contact_nodes(plane_problem(contact=contact), mesh)
+        np.testing.assert_allclose(nodes.weights, contact_nodes(plane_problem(), PLATE).weights)
+        np.testing.assert_array_equal(nodes.boundary, [1, 1, 0, 0, 0])
+
+    def test_symmetry_plane_takes_the_one_sided_tilt_out_of_the_normal(self):
+        mesh = disc(12, half=True)
+        problem = plane_problem(contact=Contact("rim", TOUCHING), loads=(), supports=(Support("axis", x=0.0),))
+        nodes = contact_nodes(problem, mesh)
+        np.testing.assert_allclose(nodes.normals, mesh.points[nodes.nodes], atol=1e-12)
+
+    def test_slip_reference(self):
+        displacement = np.arange(PLATE.points.size, dtype=float).reshape(-1, 2)
+        nodes = contact_nodes(plane_problem(), PLATE, slip_reference=displacement)
+        np.testing.assert_array_equal(nodes.slip_reference, displacement[nodes.nodes])
+        with pytest.raises(ValueError, match="slip_reference must be a displacement of all nodes"):
+            contact_nodes(plane_problem(), PLATE, slip_reference=displacement[:3])
+
+    def test_support_in_the_normal_direction(self):
+        with pytest.raises(ValueError, match="support on 'left' fixes y, which has a part normal to contact boundary"):
+            contact_nodes(plane_problem(supports=(Support("right", x=0.0), Support("left", y=0.0))), PLATE)
+        with pytest.raises(ValueError, match="support on 'bottom' fixes y"):
+            contact_nodes(plane_problem(supports=(Support("bottom", y=0.0),)), PLATE)
+        tilted = Contact("bottom", Plane(point=(0.0, -3.0), normal=(-1.0, 1.0)))
+        with pytest.raises(ValueError, match="support on 'left' fixes x"):
+            contact_nodes(plane_problem(contact=tilted), PLATE)
+
+    def test_normals_that_cancel(self):
+        # a crack: the same two nodes seen from both sides
+        facets = np.vstack([PLATE.facets, [[0, 1], [1, 0]]])
+        labels = np.r_[PLATE.facet_labels, 4, 4]
+        mesh = MeshArrays(PLATE.points, PLATE.elements, facets, labels, (*PLATE.boundaries, "crack"))
+        with pytest.raises(ValueError, match="'crack' has no normal at node 0"):
+            contact_nodes(plane_problem(contact=Contact("crack", TOUCHING), loads=()), mesh)
+
+    def test_obstacle_of_ones_own_with_wrong_shapes(self):
+        class Wrong:
+            def contact(self, points, normals):
+                return normals[:1], np.zeros(len(points))
+
+        with pytest.raises(ValueError, match="obstacle in front of 'bottom' must return normals"):
+            contact_nodes(plane_problem(contact=Contact("bottom", Wrong())), PLATE)
+
+
+class TestDiscretise:
+    def test_plane(self):
+        problem = discretise(plane_problem(), PLATE)
+        assert problem.name == "plate, 25 nodes" and problem.n_dofs == 50
+        np.testing.assert_array_equal(problem.coordinates, PLATE.points)
+        assert problem.near_nullspace.shape == (50, 3)
+        assert problem.load.reshape(-1, 2).sum(axis=0) == pytest.approx([0.0, -2e5])
+        assert problem.fixed.sum() == 5
+
+    def test_laws_become_nodal(self):
+        tresca = discretise(plane_problem(law=Tresca(lambda x: 1e3 * (1 + x[:, 0]))), PLATE)
+        limit, _ = tresca.law.bounds(5)
+        np.testing.assert_allclose(limit, 1e3 * tresca.contact.weights * [1.0, 1.5, 2.0, 2.5, 3.0])
+        coulomb = discretise(plane_problem(law=Coulomb(lambda x: x[:, 0] / 4)), PLATE)
+        np.testing.assert_allclose(coulomb.law.bounds(5)[1], [0.0, 0.125, 0.25, 0.375, 0.5])
+
+    def test_slip_reference_is_passed_on(self):
+        u = np.ones(PLATE.points.shape)
+        assert discretise(plane_problem(), PLATE, slip_reference=u).contact.slip_reference.all()
+
+    def test_solid(self):
+        problem = discretise(solid_problem(), BLOCK)
+        assert problem.near_nullspace.shape == (problem.n_dofs, 6) and len(problem.contact) == 20
+
+    def test_refuses(self):
+        with pytest.raises(ValueError, match="the mesh is 3D, the problem 'plate' 2D"):
+            discretise(plane_problem(), BLOCK)
+        with pytest.raises(TypeError, match="problem must be a ContactProblem"):
+            discretise(PLATE, PLATE)
+        with pytest.raises(TypeError, match="mesh must be MeshArrays"):
+            discretise(plane_problem(), PLATE.source)
+        with pytest.raises(ValueError, match="mesh too coarse: 2 contact nodes on bottom, at least 3"):
+            discretise(plane_problem(), structured(SQUARE, 1))
+        with pytest.raises(ValueError, match="'roof', used for a load, does not exist"):
+            discretise(plane_problem(loads=(Pressure("roof", 1.0),)), PLATE)
+
+
+def test_the_disc_of_these_tests_is_sound():
+    for half in (False, True):
+        mesh = disc(12, half=half)
+        assert (mesh.volumes > 0).all()
+        np.testing.assert_allclose(area_vectors(mesh.points, mesh.facets).sum(axis=0), 0.0, atol=1e-14)

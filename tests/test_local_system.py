@@ -1,0 +1,179 @@
+"""LocalSystem: the same problem in contact frames, fixed dofs eliminated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from adaptmg import cases
+from adaptmg.discrete import ContactNodes, DiscreteProblem
+from adaptmg.discretisation import discretise
+from adaptmg.mesh import structured
+from adaptmg.problem import Contact, Coulomb, GapFunction, Plane, Support, Tresca
+from adaptmg.smoother.system import frames_of, inverse_blocks, local_system, rotate
+
+RNG = np.random.default_rng(4)
+
+
+def plane() -> DiscreteProblem:
+    """GRECO on a plane at 45 degrees, with a support that lifts."""
+    problem = cases.greco_bar()
+    tilted = Plane(point=(0.0, -0.1), normal=(-1.0, 1.0))
+    problem = replace(problem, contact=Contact("bottom", tilted), supports=(Support("top", x=1e-5, y=-2e-5),))
+    return discretise(problem, structured(problem.domain, 4), slip_reference=RNG.normal(size=(25, 2)))
+
+
+def solid() -> DiscreteProblem:
+    """The block with varying normals in the x-z plane and u_y fixed at front and back."""
+    problem = cases.greco_block(law=Tresca(1e5))
+    discrete = discretise(problem, structured(problem.domain, 3))
+    angle = np.linspace(-1, 1, len(discrete.contact))
+    normals = np.column_stack([np.sin(angle), 0 * angle, -np.cos(angle)])
+    fixed = discrete.fixed.reshape(-1, 3).copy()
+    fixed[discrete.contact.nodes, 0] = False
+    contact = replace(discrete.contact, normals=normals, slip_reference=RNG.normal(size=normals.shape))
+    values = np.where(fixed, 1e-5 * RNG.normal(size=fixed.shape), 0.0)
+    return replace(discrete, contact=contact, fixed=fixed.reshape(-1), fixed_values=values.reshape(-1))
+
+
+PROBLEMS = [plane(), solid()]
+
+
+@pytest.mark.parametrize("problem", PROBLEMS)
+class TestLocalProblem:
+    def test_to_local_and_back(self, problem):
+        local = local_system(problem)
+        w = RNG.normal(size=problem.n_dofs)
+        w[local.system.fixed] = 0.0
+        u = local.to_cartesian(w)
+        np.testing.assert_allclose(local.to_local(u), w, atol=1e-14)
+        # prescribed values are met
+        np.testing.assert_allclose(u.reshape(-1)[problem.fixed], problem.fixed_values[problem.fixed], atol=1e-14)
+
+    def test_same_energy(self, problem):
+        local = local_system(problem)
+        w = 1e-5 * RNG.normal(size=problem.n_dofs)
+        w[local.system.fixed] = 0.0
+        u, lift = local.to_cartesian(w).reshape(-1), problem.fixed_values
+
+        def energy(x):
+            return 0.5 * x @ (problem.matrix @ x) - problem.load @ x
+
+        assert 0.5 * w @ (local.system.matrix @ w) - local.load @ w == pytest.approx(energy(u) - energy(lift), rel=1e-9)
+
+    def test_fixed_rows_are_decoupled(self, problem):
+        system = local_system(problem).system
+        matrix = system.matrix.toarray()
+        held = system.fixed
+        assert held.sum() == problem.fixed.sum()
+        assert not matrix[np.ix_(held, ~held)].any() and not matrix[np.ix_(~held, held)].any()
+        among = matrix[np.ix_(held, held)]
+        assert not (among - np.diag(np.diag(among))).any() and (np.diag(among) > 0).all()
+        assert not local_system(problem).load[held].any()
+        np.testing.assert_allclose(matrix, matrix.T, atol=1e-12 * np.abs(matrix).max())
+
+    def test_contact_conditions_are_the_same(self, problem):
+        local = local_system(problem)
+        u = local.to_cartesian(np.where(local.system.fixed, 0.0, RNG.normal(size=problem.n_dofs)))
+        contact = problem.contact
+        w = local.to_local(u).reshape(-1, problem.dim)[contact.nodes]
+        gap = contact.gaps - np.sum(u[contact.nodes] * contact.normals, axis=1)
+        np.testing.assert_allclose(local.contact.gap - w[:, 0], gap, atol=1e-13)
+        slip = u[contact.nodes] - contact.slip_reference
+        slip = np.einsum("nij,nj->ni", local.frames, slip)[:, 1:]
+        free = ~local.system.fixed.reshape(-1, problem.dim)[contact.nodes, 1:]
+        np.testing.assert_allclose((w[:, 1:] - local.contact.slip_reference)[free], slip[free], atol=1e-13)
+        limit, friction = problem.law.bounds(len(contact))
+        np.testing.assert_array_equal(local.contact.limit, limit)
+        np.testing.assert_array_equal(local.contact.friction, friction)
+
+    def test_frames_are_right_handed(self, problem):
+        frames = local_system(problem).frames
+        identity = np.broadcast_to(np.eye(problem.dim), frames.shape)
+        np.testing.assert_allclose(frames @ np.swapaxes(frames, 1, 2), identity, atol=1e-14)
+        np.testing.assert_allclose(np.linalg.det(frames), 1.0, atol=1e-14)
+        np.testing.assert_array_equal(frames[:, 0], problem.contact.normals)
+
+    def test_flat_arrays_describe_the_matrix(self, problem):
+        system = local_system(problem).system
+        dim, matrix = system.dim, system.matrix.toarray()
+        for node in range(system.n_nodes):
+            rows = slice(dim * node, dim * (node + 1))
+            block = slice(dim * dim * node, dim * dim * (node + 1))
+            np.testing.assert_array_equal(system.diagonal[block].reshape(dim, dim), matrix[rows, rows])
+            np.testing.assert_allclose(system.inverse[block].reshape(dim, dim) @ matrix[rows, rows], np.eye(dim),
+                                       atol=1e-12)
+        assert system.nonzeros == len(system.indices) * dim * dim == problem.matrix.nnz
+        np.testing.assert_array_equal(system.contact_of[system.nodes], np.arange(len(problem.contact)))
+        assert np.count_nonzero(system.contact_of >= 0) == len(problem.contact)
+
+    def test_problem_is_left_alone(self, problem):
+        before = problem.matrix.data.copy()
+        local_system(problem)
+        np.testing.assert_array_equal(problem.matrix.data, before)
+
+
+def test_plane_at_45_degrees():
+    local = local_system(PROBLEMS[0])
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(local.frames, np.broadcast_to([[half, -half], [half, half]], local.frames.shape))
+
+
+def test_normals_that_turn_from_node_to_node():
+    bar = cases.greco_bar()
+    problem = replace(bar, contact=Contact("rim", GapFunction(lambda x: np.zeros(len(x)))), domain=None, loads=(),
+                      supports=())
+    mesh = structured(bar.domain, 4)
+    mesh = replace(mesh, facet_labels=0 * mesh.facet_labels, boundaries=("rim",), source=None)
+    discrete = discretise(problem, mesh)
+    local = local_system(discrete)
+    np.testing.assert_allclose(local.frames[:, 0], discrete.contact.normals)
+    values = np.linalg.eigvalsh(local.system.matrix.toarray())
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(discrete.matrix.toarray()), atol=1e-12 * values[-1])
+
+
+def test_tangents_lie_along_fixed_axes():
+    problem = PROBLEMS[1]
+    fixed = problem.fixed.reshape(-1, 3)
+    frames = frames_of(problem.contact, fixed)
+    held = fixed[problem.contact.nodes]
+    assert held[:, 1].any() and not held[:, [0, 2]].any()
+    np.testing.assert_allclose(np.abs(frames[held[:, 1], 1]), np.tile([0.0, 1.0, 0.0], (held[:, 1].sum(), 1)))
+
+
+@pytest.mark.parametrize("axes", [[0], [1], [0, 1]])
+def test_fixed_tangents_of_a_horizontal_plane(axes):
+    fixed = np.zeros((1, 3), dtype=bool)
+    fixed[0, axes] = True
+    contact = ContactNodes(nodes=[0], normals=[[0.0, 0.0, -1.0]], gaps=[0.0])
+    problem = DiscreteProblem(matrix=sparse.eye_array(3).tocsr(), load=np.zeros(3), fixed=fixed.reshape(-1),
+                              law=Coulomb(0.3), contact=contact)
+    local = local_system(problem)
+    lost = local.frames[0, 1:][local.system.fixed[1:]]
+    np.testing.assert_allclose(np.abs(lost).sum(axis=0), np.abs(np.eye(3)[axes]).sum(axis=0))
+    assert not local.system.fixed[0]
+
+
+def test_frozen_turns_coulomb_into_tresca():
+    nodal = local_system(PROBLEMS[0]).contact
+    force = np.arange(5.0)
+    frozen = nodal.frozen(force)
+    np.testing.assert_array_equal(frozen.limit, force)
+    assert not frozen.friction.any() and nodal.friction.all()
+
+
+def test_rotate_copies():
+    vector = np.ones(4)
+    frames = np.array([[[0.0, -1.0], [1.0, 0.0]]])
+    np.testing.assert_array_equal(rotate(vector, frames, np.array([1])), [1, 1, -1, 1])
+    np.testing.assert_array_equal(vector, 1.0)
+
+
+def test_singular_block_is_named():
+    blocks = np.tile(np.eye(2), (3, 1, 1))
+    blocks[1] = [[1.0, 1.0], [1.0, 1.0]]
+    with pytest.raises(ValueError, match="diagonal block of node 1 is singular"):
+        inverse_blocks(blocks)

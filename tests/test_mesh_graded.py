@@ -1,0 +1,172 @@
+"""Graded meshes: the sizes asked for are achieved, domains are met exactly, the same arguments give the same arrays."""
+
+import numpy as np
+import pytest
+
+from adaptmg.mesh import check_mesh, graded, quality, sized
+from adaptmg.mesh.geometry import distance_to_boundaries, require_simple
+from adaptmg.problem import Box, Polygon, Rectangle
+
+SQUARE = Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))
+ANGLE = Polygon(vertices=((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)), boundaries=("b", "r", "c", "c", "t", "l"))
+WEDGE = Polygon(vertices=((0, -16e3), (12e3, 0), (12e3, 24e3), (0, 24e3)), boundaries=("flank", "neck", "top", "sym"))
+BOX = Box(width=40e-3, depth=20e-3, height=30e-3, origin=(0.01, 0.02, 0.03))
+
+
+def edge_lengths(mesh, boundary):
+    """Lengths of the edges on a boundary."""
+    corners = mesh.points[mesh.boundary_facets(boundary)]
+    pairs = [(0, 1)] if mesh.dim == 2 else [(0, 1), (1, 2), (2, 0)]
+    return np.concatenate([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs])
+
+
+@pytest.mark.parametrize("ratio", [1, 3, 16, 100, 500])
+@pytest.mark.parametrize(("domain", "contact", "size"), [(SQUARE, "bottom", 10e-3), (ANGLE, "c", 0.5),
+                                                         (WEDGE, "flank", 6e3)], ids=["square", "angle", "wedge"])
+def test_plane_sizes_are_achieved(domain, contact, size, ratio):
+    mesh = check_mesh(graded(domain, size, contact, ratio), domain.boundaries)
+    at_contact = edge_lengths(mesh, contact) * ratio / size
+    assert at_contact.min() > 0.6 and at_contact.max() < 1.5
+    centroids = mesh.points[mesh.elements].mean(axis=1)
+    wanted = np.minimum(size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], centroids))
+    relative = mesh.element_sizes / wanted
+    assert relative.max() < 2.5 and 0.8 < np.median(relative) < 1.4
+    assert quality(mesh).min_angle > 15
+
+
+def test_area_and_sides_are_exact():
+    mesh = graded(SQUARE, 10e-3, ["bottom", "left"], 8)
+    assert mesh.volumes.sum() == pytest.approx(1.6e-3, rel=1e-13)
+    for name, axis, where in (("bottom", 1, SQUARE.lower[1]), ("top", 1, SQUARE.upper[1]), ("left", 0, SQUARE.lower[0]),
+                              ("right", 0, SQUARE.upper[0])):
+        assert (mesh.points[mesh.boundary_nodes(name), axis] == where).all()
+    assert mesh.boundaries == SQUARE.boundaries
+    assert graded(ANGLE, 0.5, "c", 40).volumes.sum() == pytest.approx(3, rel=1e-13)
+    assert graded(WEDGE, 6e3).volumes.sum() == pytest.approx(12e3 * 24e3 + 0.5 * 12e3 * 16e3, rel=1e-12)
+
+
+@pytest.mark.parametrize(("domain", "ratio"), [(SQUARE, 40), (ANGLE, 5), (BOX, 4)])
+def test_the_same_arguments_give_the_same_mesh(domain, ratio):
+    contact = domain.boundaries[2]
+    first, second = (graded(domain, 0.3 * (domain.upper - domain.lower).max() if domain is not ANGLE else 0.5, contact,
+                            ratio) for _ in range(2))
+    for name in ("points", "elements", "facets", "facet_labels"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+def test_finer_meshes_are_independent():
+    coarse, fine = graded(SQUARE, 10e-3, "bottom", 4), graded(SQUARE, 5e-3, "bottom", 4)
+    shared = {tuple(x) for x in coarse.points.round(9)} & {tuple(x) for x in fine.points.round(9)}
+    assert len(shared) < 0.5 * coarse.n_nodes
+    assert quality(fine).h_max < 0.75 * quality(coarse).h_max
+
+
+@pytest.mark.parametrize("ratio", [1, 4, 16])
+def test_box_sizes_are_achieved(ratio):
+    mesh = check_mesh(graded(BOX, 20e-3, "bottom", ratio), BOX.boundaries)
+    assert mesh.volumes.sum() == pytest.approx(24e-6, rel=1e-12)
+    at_contact = edge_lengths(mesh, "bottom") * ratio / 20e-3
+    assert at_contact.min() > 0.4 and at_contact.max() < 2.2 and 0.8 < np.median(at_contact) < 1.3
+    assert quality(mesh).min_angle > 8
+    for name, axis, where in (("bottom", 2, BOX.lower[2]), ("top", 2, BOX.upper[2]), ("left", 0, BOX.lower[0]),
+                              ("right", 0, BOX.upper[0]), ("front", 1, BOX.lower[1]), ("back", 1, BOX.upper[1])):
+        assert (mesh.points[mesh.boundary_nodes(name), axis] == where).all()
+    # far from contact the size is the bulk size, near it the contact size
+    height = mesh.points[mesh.elements].mean(axis=1)[:, 2] - BOX.lower[2]
+    if ratio == 16:
+        assert np.median(mesh.element_sizes[height > 20e-3]) > 4 * np.median(mesh.element_sizes[height < 1e-3])
+
+
+def test_box_beyond_what_netgen_takes():
+    mesh = graded(BOX, 40e-3, "top", 24)
+    at_contact = edge_lengths(mesh, "top") * 24 / 40e-3
+    assert at_contact.max() < 2.2 and 0.8 < np.median(at_contact) < 1.3
+
+
+def test_sized_follows_a_field():
+    corner = np.array(SQUARE.upper)
+
+    def field(x):
+        return 0.2e-3 + 0.2 * np.linalg.norm(x - corner, axis=1)
+
+    mesh = sized(SQUARE, field, 8e-3)
+    wanted = np.minimum(8e-3, field(mesh.points[mesh.elements].mean(axis=1)))
+    relative = mesh.element_sizes / wanted
+    assert relative.max() < 2.5 and 0.8 < np.median(relative) < 1.4
+    uniform = sized(SQUARE, 5e-3, 10e-3)
+    assert 3e-3 < np.median(uniform.element_sizes) < 7e-3
+
+
+def test_sized_catches_a_strong_field_at_a_corner():
+    # 4000 times finer than the bulk at one point: Netgen alone misses it
+    mesh = sized(SQUARE, lambda x: 2e-6 + 0.3 * np.linalg.norm(x - SQUARE.lower, axis=1), 8e-3)
+    near = np.linalg.norm(mesh.points - SQUARE.lower, axis=1)
+    assert np.sort(near)[1] < 4e-6
+    assert mesh.n_nodes < 2000
+
+
+def test_sized_in_3d():
+    mesh = sized(BOX, lambda x: 3e-3 + 0.5 * (x[:, 0] - BOX.lower[0]), 20e-3, rounds=1)
+    left, right = (np.median(edge_lengths(mesh, name)) for name in ("left", "right"))
+    assert 2e-3 < left < 4.5e-3 and right > 2.5 * left
+    assert mesh.volumes.sum() == pytest.approx(24e-6, rel=1e-12)
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), [
+    ((SQUARE, 0), ValueError, "size must be > 0"),
+    ((SQUARE, float("nan")), ValueError, "size must be finite"),
+    ((SQUARE, 1e-3, "bottm", 2), ValueError, "'bottm' does not exist; the boundaries are bottom, right, top, left"),
+    ((SQUARE, 1e-3, "bottom", 0.5), ValueError, "contact_ratio must be >= 1"),
+    ((SQUARE, 1e-3, (), 2), ValueError, "contact_boundaries is empty"),
+    ((SQUARE, 1e-3, "bottom", 2, 0), ValueError, "grading must be > 0"),
+    ((SQUARE, 1e-3, "bottom", 2, 3), ValueError, "grading must be at most 1"),
+    ((SQUARE, 1e-6), ValueError, "nodes .at most 5e"),
+    ((SQUARE, 1e-3, "bottom", 1e7), ValueError, "nodes .at most 5e"),
+    ((BOX, 1e-3, "bottom", 30), ValueError, "nodes .at most 5e"),
+    (("square", 1), TypeError, "must be a Rectangle, a Polygon or a Box"),
+])
+def test_bad_input(arguments, error, message):
+    with pytest.raises(error, match=message):
+        graded(*arguments)
+
+
+def test_bad_size_functions():
+    with pytest.raises(ValueError, match="size_function must be > 0, got 0"):
+        sized(SQUARE, lambda x: np.zeros(len(x)), 1e-2)
+    with pytest.raises(ValueError, match="size_function must be finite"):
+        sized(SQUARE, lambda x: np.full(len(x), np.nan), 1e-2)
+    with pytest.raises(ValueError, match="the function must return shape"):
+        sized(SQUARE, lambda x: x, 1e-2)
+    with pytest.raises(ValueError, match="rounds must be >= 1"):
+        sized(SQUARE, 1e-2, 1e-2, rounds=0)
+    with pytest.raises(ValueError, match="tend to zero at a point"):
+        sized(SQUARE, lambda x: np.maximum(np.linalg.norm(x - SQUARE.lower, axis=1), 1e-300), 1e-2)
+
+
+@pytest.mark.parametrize("vertices", [((0, 0), (4, 0), (4, 4), (1, -1)), ((0, 0), (4, 0), (4, 4), (2, 0), (0, 4)),
+                                      ((0, 0), (4, 0), (4, 0), (0, 4))], ids=["crossing", "touching", "no length"])
+def test_polygons_that_meet_themselves_are_refused(vertices):
+    polygon = Polygon(vertices=vertices, boundaries=tuple("abcde"[:len(vertices)]))
+    with pytest.raises(ValueError, match=r"of the polygon (meet|has no length)"):
+        require_simple(polygon)
+    with pytest.raises(ValueError, match="vertices: edge"):
+        graded(polygon, 1.0)
+
+
+def test_polygon_that_folds_back_on_itself_is_refused():
+    spike = Polygon(vertices=((0, 0), (4, 0), (4, 4), (4, 2), (0, 2)), boundaries=tuple("abcde"))
+    with pytest.raises(ValueError, match="folds back"):
+        graded(spike, 1.0)
+
+
+def test_simple_polygons_pass():
+    for polygon in (ANGLE, WEDGE, SQUARE.polygon,
+                    Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("a", "b", "c"))):
+        require_simple(polygon)
+
+
+def test_distance():
+    points = np.array([[1.5, 0.5], [0.5, 1.5], [2.0, 1.0], [0.0, 0.0]])
+    np.testing.assert_allclose(distance_to_boundaries(ANGLE, ["c"], points), [0.5, 0.5, 0, np.sqrt(2)])
+    np.testing.assert_allclose(distance_to_boundaries(BOX, ["left", "top"], BOX.lower + np.array([[5e-3, 0, 28e-3]])),
+                               [2e-3])

@@ -1,0 +1,155 @@
+"""The node solve meets its optimality conditions, by every law, and agrees with independent minimisation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+from smoother_problems import spd
+
+from adaptmg.smoother.node_solve import slip_3d, solve_2d, solve_3d
+
+EXAMPLES = settings(max_examples=150, deadline=None)
+BOUNDS = {"frictionless": (0.0, 0.0), "tresca": (1.0, 0.0), "coulomb": (0.0, 1.0), "both": (1.0, 1.0)}
+laws = st.sampled_from(sorted(BOUNDS))
+seeds = st.integers(0, 2**32 - 1)
+dims = st.sampled_from([2, 3])
+exponents = st.floats(-2, 2)
+
+
+def solve(block, force, gap, reference, limit, friction):
+    if len(force) == 2:
+        return np.array(solve_2d(block[0, 0], block[0, 1], block[1, 1], *force, gap, *reference, limit, friction))
+    upper = block[np.triu_indices(3)]
+    return np.array(solve_3d(*upper, *force, gap, *reference, limit, friction))
+
+
+def problem(dim, seed, law, exponent):
+    """A random node problem; friction up to 5, so that the solution is not always unique."""
+    rng = np.random.default_rng(seed)
+    block = spd(rng, dim) * 10.0**exponent
+    limit, friction = BOUNDS[law]
+    return (block, 3 * rng.normal(size=dim), rng.normal() / 10.0**exponent, rng.normal(size=dim - 1) / 10.0**exponent,
+            limit * rng.uniform(), friction * 5.0**rng.uniform(-2, 1))
+
+
+def assert_conditions(w, block, force, gap, reference, limit, friction, relative=2e-14):
+    q = force - block @ w
+    slip = w[1:] - reference
+    rounding = relative * (1 + friction) * (np.abs(force).sum() + np.abs(block @ np.diag(w)).sum()
+                                            + np.abs(block[:, 1:] @ np.diag(reference)).sum()
+                                            + np.abs(block[:, 0] * gap).sum())
+    assert w[0] <= gap
+    assert q[0] >= -rounding
+    assert w[0] == gap or abs(q[0]) <= rounding
+    bound = limit + friction * max(q[0], 0.0)
+    size = np.linalg.norm(slip)
+    if size > 0:
+        np.testing.assert_allclose(q[1:], bound * slip / size, atol=rounding * (1 + np.abs(reference).max() / size))
+    else:
+        assert np.linalg.norm(q[1:]) <= bound + rounding
+
+
+@EXAMPLES
+@given(dims, seeds, laws, exponents, st.floats(0.05, 1.95))
+def test_optimality_conditions(dim, seed, law, exponent, omega):
+    block, *rest = problem(dim, seed, law, exponent)
+    assert_conditions(solve(block / omega, *rest), block / omega, *rest)
+
+
+@EXAMPLES
+@given(seeds)
+def test_large_friction_against_strong_coupling(seed):
+    """mu |a| >> b: several solutions or a wedged node; whatever is returned meets the conditions."""
+    rng = np.random.default_rng(seed)
+    block = spd(rng, 3, 1e4)
+    arguments = (block, rng.normal(size=3), 0.0, np.zeros(2), 0.0, 20.0)
+    assert_conditions(solve(*arguments), *arguments)
+    plane = (block[:2, :2], arguments[1][:2], 0.0, np.zeros(1), 0.0, 20.0)
+    assert_conditions(solve(*plane), *plane)
+
+
+@EXAMPLES
+@given(seeds, st.sampled_from(["frictionless", "tresca"]))
+def test_tresca_2d_is_the_minimum(seed, law):
+    block, force, gap, reference, limit, _ = problem(2, seed, law, 0.0)
+
+    def value(tangential):
+        normal = min(gap, (force[0] - block[0, 1] * tangential) / block[0, 0])
+        w = np.array([normal, tangential])
+        return 0.5 * w @ block @ w - force @ w + limit * abs(tangential - reference[0])
+
+    w = solve(block, force, gap, reference, limit, 0.0)
+    best = minimize_scalar(value, bounds=(-50, 50), method="bounded", options={"xatol": 1e-12})
+    assert value(w[1]) <= min(best.fun, value(reference[0])) + 1e-12 * (1 + abs(best.fun))
+    assert w[1] == pytest.approx(best.x, abs=1e-5)
+
+
+@EXAMPLES
+@given(seeds)
+def test_coulomb_2d_is_the_only_root(seed):
+    """A scan of the tangential displacement finds no second solution when mu |a| < b and the node touches."""
+    block, force, gap, reference, _, friction = problem(2, seed, "coulomb", 0.0)
+    friction = min(friction, 0.9 * block[1, 1] / abs(block[0, 1]))
+    w = solve(block, force, gap, reference, 0.0, friction)
+    if w[0] < gap:
+        return
+    slip = np.linspace(-30, 30, 20001)
+    p = force[0] - block[0, 0] * gap - block[0, 1] * (reference[0] + slip)
+    q_t = force[1] - block[0, 1] * gap - block[1, 1] * (reference[0] + slip)
+    excess = q_t - np.sign(slip) * friction * np.maximum(p, 0)  # zero at a slip, of changing sign at a stick
+    changes = np.flatnonzero(np.diff(np.sign(excess)) < 0)
+    assert len(changes) == 1
+    assert slip[changes[0]] - 0.01 <= w[1] - reference[0] <= slip[changes[0] + 1] + 0.01
+
+
+@EXAMPLES
+@given(seeds, laws, st.floats(0, 2 * np.pi))
+def test_isotropy(seed, law, angle):
+    """Turning the tangents turns the answer."""
+    block, force, gap, reference, limit, friction = problem(3, seed, law, 0.0)
+    friction = min(friction, 0.5 / np.linalg.norm(block[0, 1:]))  # B >= 1: unique
+    turn = np.eye(3)
+    turn[1:, 1:] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    w = solve(block, force, gap, reference, limit, friction)
+    turned = solve(turn @ block @ turn.T, turn @ force, gap, turn[1:, 1:] @ reference, limit, friction)
+    np.testing.assert_allclose(turned, turn @ w, atol=1e-12 * (1 + np.abs(w).max()))
+
+
+@EXAMPLES
+@given(seeds, laws, st.booleans())
+def test_decoupled_tangent_stays_and_reduces_to_2d(seed, law, second):
+    """A fixed tangent (decoupled, no load) stays at exactly zero and leaves the plane problem."""
+    block, force, gap, reference, limit, friction = problem(2, seed, law, 0.0)
+    w = solve(block, force, gap, reference, limit, friction)
+    kept = [0, 1] if second else [0, 2]
+    large = 7.0 * np.eye(3)
+    large[np.ix_(kept, kept)] = block
+    force_3d, reference_3d = np.zeros(3), np.zeros(2)
+    force_3d[kept], reference_3d[kept[1] - 1] = force, reference[0]
+    w_3d = solve(large, force_3d, gap, reference_3d, limit, friction)
+    assert w_3d[3 - kept[1]] == 0.0
+    if friction * abs(block[0, 1]) < 0.99 * block[1, 1]:
+        np.testing.assert_allclose(w_3d[kept], w, atol=1e-10 * (1 + np.abs(w).max()))
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-6, 1e-1, 1.0, 10.0])
+def test_slip_just_beyond_the_bound(size):
+    """The slip is accurate relative to itself, however little the force exceeds the bound."""
+    limit = 2.0
+    slip = np.array(slip_3d(4.0, 0.0, 4.0, (limit + size) * 0.6, (limit + size) * 0.8, 0.0, 0.0, 0.0, limit, 0.0))
+    np.testing.assert_allclose(slip, [0.15 * size, 0.2 * size], rtol=1e-15 * limit / size + 1e-14)
+
+
+def test_stick_and_touch_are_exact():
+    w = solve_2d(2.0, 0.1, 3.0, 5.0, 0.7, 0.3, 0.21, 0.0, 0.5)
+    assert w == (0.3, 0.21)
+
+
+def test_no_obstacle():
+    """An infinite gap never closes; the Tresca limit acts all the same."""
+    assert solve_2d(2.0, 0.0, 4.0, 6.0, 3.0, np.inf, 0.0, 1.0, 0.7) == (3.0, 0.5)
+    assert solve_3d(2.0, 0.0, 0.0, 4.0, 0.0, 4.0, 6.0, 3.0, 0.0, np.inf, 0.0, 0.0, 1.0, 0.7) == (3.0, 0.5, 0.0)
+    assert solve_3d(2.0, 0.0, 0.0, 4.0, 0.0, 4.0, 6.0, 0.6, 0.8, np.inf, 0.1, 0.2, 1.0, 0.0) == (3.0, 0.1, 0.2)

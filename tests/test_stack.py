@@ -1,0 +1,66 @@
+"""Coarse spaces below a fine problem."""
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.multigrid.stack import build_stack
+from adaptmg.smoother.system import local_system
+
+
+def stack_of(grids, matrices="galerkin"):
+    problems = [local_system(level.discrete) for level in grids.levels]
+    return build_stack(grids, problems, len(grids) - 1, matrices)
+
+
+@pytest.mark.parametrize("diagonal", ["right", "left"])
+def test_galerkin_matrices_are_the_discretised_ones_on_nested_meshes(diagonal):
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4, 8), diagonal=diagonal)
+    for a, b in zip(stack_of(grids).levels, stack_of(grids, "discretised").levels, strict=True):
+        free = ~a.system.fixed
+        difference = (a.system.matrix - b.system.matrix).toarray()[np.ix_(free, free)]
+        assert np.abs(difference).max() < 1e-12 * np.abs(b.system.data).max()
+
+
+def test_contact_rows_allow_the_proof_nested_and_not():
+    problem = am.cases.greco_bar()
+    for grids in (am.Hierarchy.uniform(problem, divisions=(4, 8)),
+                  am.Hierarchy.graded(problem, sizes=(10e-3, 5e-3), contact_ratio=2)):
+        for level in stack_of(grids).levels:
+            assert level.proven
+    weights = stack_of(am.Hierarchy.uniform(problem, divisions=(4, 8))).levels[1].contact_prolongation
+    weights.data[0] *= 0.5
+    assert not am.multigrid.stack.StackLevel(None, contact_prolongation=weights).proven
+
+
+def inclined(angle):
+    """The bar on a plane turned by ``angle``: the same problem in other coordinates."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    a = 40e-3
+    corners = np.array([(0, 0), (a, 0), (a, a), (0, a)]) @ turn.T
+    domain = am.Polygon(vertices=corners, boundaries=("bottom", "right", "top", "left"))
+    return am.ContactProblem(
+        material=am.PlaneStrain(young=1.3e11, poisson=0.2), domain=domain, law=am.Coulomb(1.0),
+        contact=am.Contact("bottom", am.Plane((0, 0), turn @ (0, 1))),
+        loads=(am.Pressure("top", 5e7), am.Pressure("left", 15e7), am.Pressure("right", 15e7)))
+
+
+def test_local_prolongation_is_the_cartesian_one_in_other_components():
+    grids = am.Hierarchy.graded(inclined(0.7), sizes=(20e-3, 10e-3), contact_ratio=1)
+    coarse, fine = (local_system(level.discrete) for level in grids.levels)
+    w = np.random.default_rng(0).normal(size=coarse.system.n_dofs)
+    u = coarse.to_cartesian(w)
+    expected = fine.to_local(grids[1].prolongation @ u)
+    found = stack_of(grids).levels[1].prolongation @ w
+    assert np.abs(found - expected).max() < 1e-12
+
+
+def test_a_rotated_problem_has_the_rotated_solution():
+    solver = am.FullMultigrid(rtol=1e-10)
+    straight, turned = (am.solve(am.Hierarchy.graded(inclined(angle), sizes=(10e-3, 5e-3), contact_ratio=2), solver)
+                        for angle in (0.0, np.pi / 2))
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    probes = np.array([(0.0, 0.0), (0.005, 0.0), (0.02, 0.02)])
+    # independent meshes of a turned square need not be the turned meshes: compare to discretisation accuracy
+    assert turned.probe(probes @ turn.T) == pytest.approx(straight.probe(probes) @ turn.T, rel=2e-2, abs=2e-7)

@@ -1,0 +1,261 @@
+"""Rigid-body statics: what contact can hold passes, what it cannot is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+
+from adaptmg import cases
+from adaptmg.discrete import ContactNodes, DiscreteProblem
+from adaptmg.discretisation import discretise
+from adaptmg.mesh import structured
+from adaptmg.problem import (
+    BodyForce,
+    Box,
+    Contact,
+    ContactProblem,
+    Coulomb,
+    Frictionless,
+    GapFunction,
+    Law,
+    Plane,
+    PlaneStrain,
+    Pressure,
+    Rectangle,
+    Solid,
+    Support,
+    Traction,
+    Tresca,
+)
+from adaptmg.solver.statics import check_statics
+
+FLOOR = Contact("bottom", Plane(point=(0.0, 0.0), normal=(0.0, 1.0)))
+GROUND = Contact("bottom", Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0)))
+TOUCHING = GapFunction(lambda x: np.zeros(len(x)))
+FLAT = Rectangle(width=4.0, height=1.0)
+SLAB = Box(width=4.0, depth=4.0, height=1.0)
+PLATE, BLOCK = structured(FLAT, (8, 2)), structured(SLAB, (6, 6, 1))
+
+
+def plate(*, law: Law = Frictionless(), loads: tuple = (Pressure("top", 1.0),), supports: tuple = (),  # noqa: B008
+          contact: Contact | tuple[Contact, ...] = FLOOR) -> DiscreteProblem:
+    return discretise(ContactProblem(material=PlaneStrain(young=1e3, poisson=0.3), contact=contact, law=law,
+                                     loads=loads, supports=supports), PLATE)
+
+
+def block(*, law: Law = Frictionless(), loads: tuple = (Pressure("top", 1.0),), supports: tuple = (),  # noqa: B008
+          contact: Contact | tuple[Contact, ...] = GROUND) -> DiscreteProblem:
+    return discretise(ContactProblem(material=Solid(young=1e3, poisson=0.3), contact=contact, law=law, loads=loads,
+                                     supports=supports), BLOCK)
+
+
+def weight(*direction: float) -> tuple[BodyForce]:
+    return (BodyForce(direction),)
+
+
+@pytest.mark.parametrize("name", cases.names())
+def test_every_case_stands(name):
+    problem = cases.get(name).function()
+    check_statics(discretise(problem, structured(problem.domain, 4)))
+
+
+def test_held_by_supports_alone():
+    check_statics(plate(loads=weight(3.0, 5.0), supports=(Support("left", x=0.0), Support("right", x=0.0),
+                                                           Support("top", y=0.0))))
+
+
+class TestPlane:
+    TIPPING = (Pressure("top", 0.3), Traction("left", (0.0, 1.0)))
+
+    def test_standing_between_support_and_floor(self):
+        check_statics(plate(supports=(Support("left", x=0.0),)))
+
+    def test_lifted(self):
+        with pytest.raises(ValueError, match="nothing holds a translation along y: the supports leave it free"):
+            check_statics(plate(loads=weight(0.0, 1.0), supports=(Support("left", x=0.0),)))
+
+    def test_pushed_sideways_without_friction(self):
+        with pytest.raises(ValueError, match="nothing holds a translation along -x"):
+            check_statics(plate(loads=weight(-0.01, -1.0)))
+
+    def test_free_to_slide(self):
+        with pytest.raises(ValueError, match="the solution is not unique: a translation along x is left free"):
+            check_statics(plate())
+
+    def test_friction_holds_the_free_slide(self):
+        check_statics(plate(law=Coulomb(0.01)))
+        check_statics(plate(law=Tresca(1e-3)))
+
+    def test_friction_at_a_single_node_holds_it_too(self):
+        check_statics(plate(law=Coulomb(lambda x: np.where(x[:, 0] == 2.0, 0.1, 0.0))))
+
+    def test_tresca_limit_is_the_whole_traction(self):
+        # 4 m of contact under a limit of .25 bear a side load of 1 on 4 m2
+        for factor, stands in ((0.999, True), (1.001, False)):
+            problem = plate(law=Tresca(0.25), loads=weight(0.25 * factor, -1.0))
+            if stands:
+                check_statics(problem)
+            else:
+                with pytest.raises(ValueError, match="nothing holds a translation along x"):
+                    check_statics(problem)
+
+    @settings(max_examples=25, deadline=None)
+    @given(angle=st.floats(0.02, 1.2), friction=st.floats(0.02, 1.0))
+    def test_block_on_an_incline(self, angle, friction):
+        """Stands iff tan(angle) <= friction, and it does not tip (4 wide, 1 high: it slides first)."""
+        if abs(np.tan(angle) - friction) < 1e-4:
+            return
+        problem = plate(law=Coulomb(friction), loads=weight(np.sin(angle), -np.cos(angle)))
+        if np.tan(angle) <= friction:
+            check_statics(problem)
+        else:
+            with pytest.raises(ValueError, match="nothing holds a"):
+                check_statics(problem)
+
+    @pytest.mark.parametrize(("push", "stands"), [(3.99, True), (4.01, False)])
+    def test_tipping(self, push, stands):
+        # weight 1 on 4 m2 at lever 2 m against a push at lever 1/2 m: tips about the right foot beyond slope 4
+        problem = plate(law=Coulomb(5.0), loads=weight(push, -1.0))
+        if stands:
+            check_statics(problem)
+        else:
+            with pytest.raises(ValueError, match=r"nothing holds a rotation about \(4, 0\)"):
+                check_statics(problem)
+
+    def test_rotation_is_named(self):
+        # 1.2 down at x = 2 and 1 up at x = 0: .2 down at x = 12, beyond the right foot
+        with pytest.raises(ValueError, match="nothing holds a rotation about"):
+            check_statics(plate(law=Coulomb(1.0), loads=self.TIPPING))
+
+    def test_no_load(self):
+        with pytest.raises(ValueError, match="nothing presses the body against its obstacle: a translation along y"):
+            check_statics(plate(loads=(), supports=(Support("left", x=0.0),)))
+
+    def test_load_in_equilibrium_with_itself(self):
+        squeezed = (Pressure("left", 1.0), Pressure("right", 1.0))
+        with pytest.raises(ValueError, match="nothing presses the body"):
+            check_statics(plate(law=Coulomb(0.5), loads=squeezed))
+
+    def test_enclosed_body_needs_no_load(self):
+        everywhere = tuple(Contact(name, TOUCHING) for name in FLAT.boundaries)
+        check_statics(plate(loads=(), contact=everywhere))
+
+    def test_gaps_do_not_matter(self):
+        high = Contact("bottom", Plane(point=(0.0, -1.0), normal=(0.0, 1.0)))
+        check_statics(plate(contact=high, supports=(Support("left", x=0.0),)))
+
+    def test_prescribed_displacement_is_no_free_motion(self):
+        check_statics(plate(loads=(), supports=(Support("left", x=0.0), Support("top", y=-1e-3))))
+
+    @pytest.mark.parametrize("scale", [1e-9, 1e9])
+    def test_units_do_not_matter(self, scale):
+        check_statics(plate(law=Coulomb(0.5), loads=weight(0.4 * scale, -scale)))
+        with pytest.raises(ValueError, match="nothing holds"):
+            check_statics(plate(law=Coulomb(0.5), loads=weight(0.6 * scale, -scale)))
+
+
+class TestSolid:
+    SUPPORTS = (Support("left", x=0.0), Support("front", y=0.0))
+
+    def test_stands(self):
+        check_statics(block(supports=self.SUPPORTS))
+        check_statics(block(law=Coulomb(0.1)))
+        check_statics(block(law=Tresca(0.1)))
+
+    def test_free_to_slide(self):
+        with pytest.raises(ValueError, match="not unique: a translation along y"):
+            check_statics(block(supports=self.SUPPORTS[:1]))
+
+    def test_lifted(self):
+        with pytest.raises(ValueError, match="nothing holds a translation along z"):
+            check_statics(block(law=Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)))
+
+    @pytest.mark.parametrize("direction", np.linspace(0, np.pi / 2, 7))
+    @pytest.mark.parametrize("law", [Coulomb(0.5), Tresca(0.5)])
+    def test_sliding_in_any_direction(self, direction, law):
+        # the polygon with 16 sides is at most 1 / cos(pi / 16) = 1.02 too wide; weight 16 on 16 m2
+        side = np.array([np.cos(direction), np.sin(direction)])
+        check_statics(block(law=law, loads=weight(*(0.4999 * side), -1.0)))
+        with pytest.raises(ValueError, match="nothing holds"):
+            check_statics(block(law=law, loads=weight(*(0.511 * side), -1.0)))
+
+    def test_spinning(self):
+        spin = (Pressure("top", 1.0), Traction("top", (lambda x: -(x[:, 1] - 2), lambda x: x[:, 0] - 2, 0.0)))
+        with pytest.raises(ValueError, match="rotation about the axis along z through"):
+            check_statics(block(law=Coulomb(0.1), loads=spin))
+        check_statics(block(law=Coulomb(2.0), loads=spin))
+
+    def test_tipping_over_an_edge(self):
+        with pytest.raises(ValueError, match="rotation about the axis along y through"):
+            check_statics(block(law=Coulomb(9.0), loads=weight(4.1, 0.0, -1.0)))
+        check_statics(block(law=Coulomb(9.0), loads=weight(3.9, 0.0, -1.0)))
+
+
+class TestBareProblems:
+    def test_without_modes_nothing_is_checked(self):
+        problem = plate(loads=weight(0.0, 1.0))
+        check_statics(replace(problem, coordinates=None, near_nullspace=None))
+
+    def test_modes_without_coordinates(self):
+        problem = replace(plate(loads=weight(0.0, 1.0)), coordinates=None)
+        with pytest.raises(ValueError, match="nothing holds a translation along y"):
+            check_statics(problem)
+        turning = plate(law=Coulomb(1.0), loads=TestPlane.TIPPING)
+        with pytest.raises(ValueError, match=r"nothing holds a rigid motion \(a combination of near_nullspace\)"):
+            check_statics(replace(turning, coordinates=None))
+
+    def test_modes_need_not_be_orthonormal(self):
+        problem = plate(law=Coulomb(0.5), loads=weight(0.4, -1.0))
+        mixed = problem.near_nullspace @ np.array([[1.0, 2, 3, 4], [0, 5.0, 6, 1], [0, 0, 1e3, 1]])
+        check_statics(replace(problem, near_nullspace=mixed))
+        with pytest.raises(ValueError, match="nothing holds"):
+            check_statics(replace(problem, near_nullspace=mixed, load=-problem.load))
+
+    def test_modes_that_are_no_rigid_motions(self):
+        # in skew coordinates of the user's: nothing is known about the shape of the motion, but it is found
+        problem = plate(law=Coulomb(1.0), loads=TestPlane.TIPPING)
+        shaken = problem.coordinates + np.random.default_rng(0).random(problem.coordinates.shape)
+        with pytest.raises(ValueError, match="nothing holds a motion that is not rigid"):
+            check_statics(replace(problem, coordinates=shaken))
+
+    def test_springs_hold(self):
+        # the same lifted body on springs: its matrix has no kernel
+        problem = plate(loads=weight(0.0, 1.0))
+        springs = np.zeros(problem.n_dofs)
+        springs[:4] = springs[-4:] = 1.0
+        matrix = sparse.csr_array(problem.matrix) + sparse.diags_array(springs)
+        check_statics(replace(problem, matrix=matrix))
+        one_way = np.where(np.arange(problem.n_dofs) % 2 == 0, springs, 0.0)
+        matrix = sparse.csr_array(problem.matrix) + sparse.diags_array(one_way)
+        with pytest.raises(ValueError, match="nothing holds a translation along y"):
+            check_statics(replace(problem, matrix=matrix))
+
+    def test_two_bodies_are_checked_one_by_one(self):
+        """A pressed plate, and a second one that no support and no contact holds."""
+        one = plate(supports=(Support("left", x=0.0),))
+        n, points = one.n_dofs, one.coordinates
+        contact = ContactNodes(nodes=one.contact.nodes, normals=one.contact.normals, gaps=one.contact.gaps)
+        pair = DiscreteProblem(matrix=sparse.block_diag([one.matrix, one.matrix], format="csr"),
+                               load=np.r_[one.load, np.zeros(n)], fixed=np.r_[one.fixed, np.zeros(n, dtype=bool)],
+                               law=Frictionless(), contact=contact, coordinates=np.vstack([points, points + 10.0]))
+        with pytest.raises(ValueError, match=f"not unique: .* of the body of node {n // 2} "):
+            check_statics(pair)
+        held = pair.fixed.copy()
+        held[n:] = True
+        check_statics(replace(pair, fixed=held))
+        with pytest.raises(ValueError, match="nothing holds a translation along -x of the body of node"):
+            check_statics(replace(pair, load=np.r_[one.load, np.tile([-1.0, 0.0], n // 2)]))
+
+    def test_lone_nodes_are_no_bodies(self):
+        # nodes decoupled from all others (eliminated by the user, say) are held by their own diagonal
+        one = plate(supports=(Support("left", x=0.0),))
+        lonely = DiscreteProblem(matrix=sparse.block_diag([one.matrix, sparse.eye_array(6)], format="csr"),
+                                 load=np.r_[one.load, np.ones(6)], fixed=np.r_[one.fixed, np.zeros(6, dtype=bool)],
+                                 law=Frictionless(), contact=one.contact,
+                                 coordinates=np.vstack([one.coordinates, np.zeros((3, 2))]))
+        check_statics(lonely)
