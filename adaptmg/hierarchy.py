@@ -106,7 +106,7 @@ class Hierarchy:
         diagonal : {"right", "left", "alternating"}
             How squares are cut (2D).
         """
-        from adaptmg.mesh.structured import structured
+        from adaptmg.mesh import structured
 
         _need_domain(problem)
         begin = time.perf_counter()
@@ -132,7 +132,7 @@ class Hierarchy:
         contact_rows : bool
             See :meth:`from_meshes`.
         """
-        from adaptmg.mesh.graded import graded
+        from adaptmg.mesh import graded
 
         _need_domain(problem)
         begin = time.perf_counter()
@@ -152,8 +152,7 @@ class Hierarchy:
         levels : int
             Number of refinements, >= 1.
         """
-        from adaptmg.mesh.bisected import refine_near
-        from adaptmg.mesh.user import as_mesh
+        from adaptmg.mesh import as_mesh, refine_near
 
         begin = time.perf_counter()
         first = as_mesh(coarsest)
@@ -178,7 +177,7 @@ class Hierarchy:
             Replace the rows of fine contact nodes by linear interpolation along the coarse contact boundary, whatever
             the transfer does elsewhere: the monotone correction is proven only so (or where the transfer does it).
         """
-        from adaptmg.mesh.user import as_mesh
+        from adaptmg.mesh import as_mesh
 
         begin = time.perf_counter()
         arrays = [as_mesh(mesh) for mesh in meshes]

@@ -79,7 +79,10 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     for k, (level, ax) in enumerate(zip(hierarchy.levels, axes, strict=True)):
         _draw(level.mesh, canvas(ax, (1, 1), dim), level.discrete.contact.names)
         ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes, {len(level.discrete.contact)} contact", fontsize=9.5)
-        if dim == 2 and k % 4:
+        if dim == 3:
+            # many small axes would cover each other's labels
+            ax.set_axis_off()
+        elif k % 4:
             ax.set_ylabel("")
     return axes[0].figure
 

@@ -47,7 +47,7 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
         raise ValueError("this result has recorded no way through the levels (result.path is empty)")
     shown = stops[:steps]
     levels = max(len(result.levels), max(stop.level for stop in shown) + 1)
-    ax = canvas(ax, (min(11.0, 3.2 + 0.2 * len(shown)), 1.4 + 0.55 * max(levels, 2)))
+    ax = canvas(ax, (min(11.0, 3.4 + 0.18 * len(shown)), 1.1 + 0.62 * max(levels, 2)))
     _draw_ways(ax, shown)
     _draw_stops(ax, shown)
     ax.set_yticks(range(levels), [_level_name(result, k) for k in range(levels)])

@@ -14,7 +14,7 @@ unbalanced force are a motion that nothing holds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -60,11 +60,10 @@ def check_statics(problem: DiscreteProblem) -> None:
     graph = sparse.csr_array((np.ones(len(problem.matrix.indices), dtype=np.int8), problem.matrix.indices,
                               problem.matrix.indptr), shape=(problem.n_nodes, problem.n_nodes))
     n_bodies, body_of = connected_components(graph, directed=True, connection="weak")
-    sizes = np.bincount(body_of)
     stiff = problem.matrix @ problem.near_nullspace
+    bodies = np.split(np.argsort(body_of, kind="stable"), np.cumsum(np.bincount(body_of))[:-1])
     # a single node is no elastic body: only its own diagonal block can hold it
-    for body in np.flatnonzero(sizes > 1):
-        nodes = np.flatnonzero(body_of == body)
+    for nodes in (nodes for nodes in bodies if len(nodes) > 1):
         motions = _free_motions(problem, stiff, nodes)
         if motions.shape[1]:
             _check_body(_Body(problem, nodes, motions, several=n_bodies > 1))
@@ -99,6 +98,8 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     # the modes of all bodies, restricted to one, are dependent: an orthonormal basis by their Gram matrix
     values, vectors = np.linalg.eigh(modes.T @ modes)
     kept = values > 1e-12 * values[-1]
+    if not kept.any():
+        return modes[:, :0]
     basis = vectors[:, kept] * np.sqrt(len(nodes) / values[kept])
     modes, forces = modes @ basis, forces @ basis
     strained = np.abs(forces).max(axis=1) > 1e-9
@@ -116,46 +117,72 @@ def _check_body(body: _Body) -> None:
     problem = body.problem
     dofs = (problem.dim * body.nodes[:, None] + np.arange(problem.dim)).reshape(-1)
     load = problem.load[dofs]
-    scale = np.abs(load).sum()
-    work = load @ body.motions / (scale if scale > 0 else 1.0)
-    pressures, segments, limits = _contact_work(body)
-    if scale > 0:
-        limits = np.minimum(limits / scale, _LIMIT)
-    unbalanced, motion = _least_unbalanced(pressures, segments, limits, work)
+    scale = float(np.abs(load).sum()) or 1.0
+    work = load @ body.motions / scale
+    limit, friction = problem.law.bounds(len(problem.contact))
+    forces = _contact_forces(body, limit / scale, friction)
+    unbalanced, motion = forces.least_unbalanced(work)
     if unbalanced > _UNBALANCED:
-        motion = _plainest(body, motion, pressures, segments, limits, work)
+        motion = _culprit(body, forces, work, motion)
         raise ValueError(f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact forces "
                          "cannot balance the load on it. Add a support that fixes this motion, or change load, "
                          "obstacle or friction so that contact resists it")
-    forces = np.hstack([pressures, segments])
-    neutral = _null_combinations(forces.T)
+    neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
     if len(neutral):
-        plain = [c for c in _plain_motions(body) if np.abs(c @ forces).max(initial=0.0) <= _STILL]
+        plain = [c for c in _plain_motions(body) if np.linalg.norm(c - neutral.T @ (neutral @ c)) <= _STILL]
         raise ValueError(f"the solution is not unique: a {body.describe((plain or neutral)[0])} is left free by the "
                          "supports, moves no contact node towards or away from the obstacle, meets no friction and no "
                          "work of the load. Add a support that fixes it")
     if np.abs(work).max() <= _UNBALANCED:
         # no load on the free motions: only bodies that contact encloses are held, whose pressures balance each other
-        away, limits = pressures.mean(axis=1), np.zeros_like(limits)
-        unbalanced, motion = _least_unbalanced(pressures, segments, limits, away)
+        away, forces = forces.edges.mean(axis=1), replace(forces, limits=np.zeros_like(forces.limits))
+        unbalanced, motion = forces.least_unbalanced(away)
         if unbalanced > _UNBALANCED:
-            motion = _plainest(body, motion, pressures, segments, limits, away)
+            motion = _plainest(body, forces, away, motion)
             raise ValueError(f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
                              "by the supports, and the load does no work on it. Add a load, or a support that fixes "
                              "this motion")
 
 
-def _contact_work(body: _Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Work of unit contact forces on the free motions.
+@dataclass(frozen=True, eq=False)
+class _Forces:
+    """Admissible contact forces, by their work on the k free motions; forces in units of the load.
 
-    Returns
-    -------
-    pressures : (k, n_pressures) array
-        Of the edges of the Coulomb cones: factors >= 0.
+    Attributes
+    ----------
+    edges : (k, n_edges) array
+        Of the Coulomb cones (without friction: unit pressures), times factors >= 0.
     segments : (k, n_segments) array
+        Of the Tresca part, times factors within +-limits.
     limits : (n_segments,) array
-        Of the Tresca part: factors within +-limits, N.
     """
+
+    edges: np.ndarray
+    segments: np.ndarray
+    limits: np.ndarray
+
+    def least_unbalanced(self, work: np.ndarray) -> tuple[float, np.ndarray]:
+        """Smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it is done."""
+        k, n_edges = self.edges.shape
+        columns = np.hstack([self.edges, self.segments, np.eye(k), -np.eye(k)])
+        bounds = np.zeros((columns.shape[1], 2))
+        bounds[:, 1] = np.inf
+        bounds[n_edges:n_edges + len(self.limits)] = np.column_stack([-self.limits, self.limits])
+        cost = np.zeros(columns.shape[1])
+        cost[-2 * k:] = 1.0
+        result = linprog(cost, A_eq=columns, b_eq=-work, bounds=bounds, method="highs-ds")
+        if not result.success:
+            raise RuntimeError(f"the linear programme of the rigid-body statics failed: {result.message}")
+        return float(result.fun), -result.eqlin.marginals
+
+    def let_go(self, motion: np.ndarray, work: np.ndarray) -> bool:
+        """Whether no admissible force balances ``work`` on this very motion."""
+        resisted = (motion @ self.edges < -_STILL).any()
+        return not resisted and motion @ work - np.abs(motion @ self.segments) @ self.limits > _UNBALANCED
+
+
+def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Forces:
+    """The forces that nodal Tresca limits (units of the load) and friction coefficients (n_contact,) admit."""
     problem = body.problem
     dim, contact = problem.dim, problem.contact
     position = np.searchsorted(body.nodes, contact.nodes)
@@ -163,16 +190,33 @@ def _contact_work(body: _Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     mine[mine] = body.nodes[position[mine]] == contact.nodes[mine]
     frames = frames_of(contact, problem.fixed.reshape(-1, dim))[mine]
     at_contact = body.motions.reshape(len(body.nodes), dim, -1)[position[mine]]
-    normal, *tangential = np.moveaxis(np.einsum("nij,njk->nik", frames, at_contact), 1, 0)
-    limit, friction = (bound[mine] for bound in problem.law.bounds(len(contact)))
+    local = np.einsum("nij,njk->nik", frames, at_contact)
+    normal, tangential = local[:, 0], local[:, 1:]
+    limit, friction = np.minimum(limit[mine], _LIMIT), friction[mine]
     rubbing, limited = friction > 0, limit > 0
     corners, directions, half_length = _friction_polygon(dim)
-    tangential = np.stack(tangential, axis=1)
     edges = friction[rubbing, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubbing])
     k = body.motions.shape[1]
-    pressures = np.concatenate([-normal[~rubbing], (edges - normal[rubbing, None]).reshape(-1, k)])
-    return (pressures.T, np.einsum("st,ntk->nsk", directions, tangential[limited]).reshape(-1, k).T,
-            np.repeat(limit[limited] * half_length, len(directions)))
+    edges = np.concatenate([-normal[~rubbing], (edges - normal[rubbing, None]).reshape(-1, k)])
+    segments = np.einsum("st,ntk->nsk", directions, tangential[limited]).reshape(-1, k)
+    return _Forces(edges.T, segments.T, np.repeat(limit[limited] * half_length, len(directions)))
+
+
+def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """The plainest free motion (k,) to blame for unbalanced work: of opening or tipping, else of sliding."""
+    plain = _plainest(body, forces, work, motion)
+    if plain is not motion:
+        return plain
+    n = len(body.problem.contact)
+    stuck = _contact_forces(body, np.full(n, np.inf), np.zeros(n))
+    unbalanced, opening = stuck.least_unbalanced(work)
+    if unbalanced > _UNBALANCED:
+        return _plainest(body, stuck, work, opening)
+    # unlimited friction would hold it, so it slides. The multipliers of a friction cone open while they slide (they
+    # move along its edge): only the part that stays in contact is the motion to blame
+    sliding = _null_combinations(stuck.edges.T)
+    slide = sliding.T @ (sliding @ motion)
+    return slide if slide @ work > _UNBALANCED else motion
 
 
 def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -183,23 +227,6 @@ def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
     half = 0.5 * np.pi / _SEGMENTS
     corners = np.column_stack([np.cos(angle + half), np.sin(angle + half)]) / np.cos(half)
     return corners, np.column_stack([np.cos(angle), np.sin(angle)])[:_SEGMENTS], float(np.tan(half))
-
-
-def _least_unbalanced(pressures: np.ndarray, segments: np.ndarray, limits: np.ndarray, work: np.ndarray
-                      ) -> tuple[float, np.ndarray]:
-    """Smallest sum of |unbalanced work| over contact forces, and the motion (k,) on which it is done."""
-    k = len(work)
-    forces = np.hstack([pressures, segments, np.eye(k), -np.eye(k)])
-    n_pressures, n_slack = pressures.shape[1], 2 * k
-    bounds = np.zeros((forces.shape[1], 2))
-    bounds[:, 1] = np.inf
-    bounds[n_pressures:n_pressures + len(limits)] = np.column_stack([-limits, limits])
-    cost = np.zeros(forces.shape[1])
-    cost[-n_slack:] = 1.0
-    result = linprog(cost, A_eq=forces, b_eq=-work, bounds=bounds, method="highs-ds")
-    if not result.success:
-        raise RuntimeError(f"the linear programme of the rigid-body statics failed: {result.message}")
-    return float(result.fun), -result.eqlin.marginals
 
 
 def _plain_motions(body: _Body) -> np.ndarray:
@@ -219,14 +246,9 @@ def _plain_motions(body: _Body) -> np.ndarray:
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
 
 
-def _plainest(body: _Body, motion: np.ndarray, pressures: np.ndarray, segments: np.ndarray, limits: np.ndarray,
-              work: np.ndarray) -> np.ndarray:
-    """A plain motion that nothing holds, if there is one; else ``motion`` (k,)."""
-    for c in _plain_motions(body):
-        resisted = (c @ pressures < -_STILL).any()
-        if not resisted and c @ work - np.abs(c @ segments) @ limits > _UNBALANCED:
-            return c
-    return motion
+def _plainest(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """A plain motion that the forces let go, if there is one; else ``motion`` (k,)."""
+    return next((c for c in _plain_motions(body) if forces.let_go(c, work)), motion)
 
 
 def _describe_turn(points: np.ndarray, field: np.ndarray) -> str:
