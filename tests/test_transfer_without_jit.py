@@ -25,13 +25,13 @@ np.savez(sys.argv[2], **results())
 def results():
     """Every kernel on small input, by way of the public functions."""
     from scipy import sparse
-    from test_transfer_meshes import disk, random_box
+    from test_transfer_meshes import disk, structured
 
     from adaptmg import transfer as t
 
     found = {}
     for dim in (2, 3):
-        coarse, fine = random_box(2, dim, 1), random_box(4, dim, 2)
+        coarse, fine = structured(1, dim), structured(2, dim, 1.3)
         for kind in (t.Interpolation(), t.L2(), t.PseudoL2(), t.LumpedL2(), t.QuasiInterpolation()):
             found[f"{type(kind).__name__}{dim}"] = kind.build(coarse, fine).toarray()
         outside = t.PointLocator(coarse).locate(np.full((1, dim), 1.7))

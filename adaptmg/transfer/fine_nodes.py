@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
@@ -27,7 +25,7 @@ def nodes_of_bodies(mesh: MeshArrays, name: str = "fine") -> np.ndarray:
 
 
 def body_locators(coarse: MeshArrays, fine: MeshArrays, names: tuple[str, str] = ("coarse", "fine")
-                  ) -> Iterator[tuple[int | None, PointLocator]]:
+                  ) -> list[tuple[int | None, PointLocator]]:
     """Pairs of a body of ``fine`` (None: all of it) and the locator in the coarse mesh of the same body.
 
     Parameters
@@ -48,14 +46,15 @@ def body_locators(coarse: MeshArrays, fine: MeshArrays, names: tuple[str, str] =
     if coarse.dim != fine.dim:
         raise ValueError(f"{names[0]} and {names[1]} must have the same dimension, got {coarse.dim} and {fine.dim}")
     if len(fine.bodies) == len(coarse.bodies) == 1:
-        yield None, PointLocator(coarse)
-        return
+        return [(None, PointLocator(coarse))]
+    pairs = []
     for index in np.unique(fine.element_body):
         body = fine.bodies[index]
         if body not in coarse.bodies:
             raise ValueError(f"{names[0]}: no body {body!r}, which {names[1]} has; its bodies are "
                              f"{', '.join(coarse.bodies)}")
-        yield int(index), PointLocator(coarse, coarse.bodies.index(body))
+        pairs.append((int(index), PointLocator(coarse, coarse.bodies.index(body))))
+    return pairs
 
 
 def locate_nodes(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float,
@@ -76,15 +75,12 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float,
     ValueError
         A node lies further outside; names the node, its position and distance.
     """
+    locators = body_locators(coarse, fine, names)
     element = np.empty(fine.n_nodes, dtype=np.int32)
     weights, distance = np.empty((fine.n_nodes, fine.dim + 1)), np.empty(fine.n_nodes)
-    body_of = None
-    for body, locator in body_locators(coarse, fine, names):
-        if body is None:
-            nodes = slice(None)
-        else:
-            body_of = nodes_of_bodies(fine, names[1]) if body_of is None else body_of
-            nodes = np.flatnonzero(body_of == body)
+    body_of = None if locators[0][0] is None else nodes_of_bodies(fine, names[1])
+    for body, locator in locators:
+        nodes = slice(None) if body is None else np.flatnonzero(body_of == body)
         found = locator.locate(fine.points[nodes])
         element[nodes], weights[nodes], distance[nodes] = found.element, found.weights, found.distance
     outside = np.flatnonzero(distance > 0)

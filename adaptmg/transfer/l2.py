@@ -19,7 +19,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.transfer.coupling import coupling
 from adaptmg.transfer.fine_nodes import OUTSIDE_TOLERANCE
-from adaptmg.transfer.rows import CLIP, dropped, with_moments
+from adaptmg.transfer.rows import CLIP, clipped_rows, dropped
 
 __all__ = ["L2"]
 
@@ -63,9 +63,9 @@ class L2:
         moments[:, 1:] -= (fine.points - centre) * moments[:, :1]
         moments /= moments[:, :1]
         inner = 0.01 * self.drop_tolerance
-        rows = dropped(_chebyshev(mass, rhs, fine.dim, inner, inner), self.drop_tolerance)
+        rows = _chebyshev(mass, rhs, fine.dim, inner, inner)
         rows.sort_indices()
-        return with_moments(rows, coarse.points, fine.points, moments)
+        return clipped_rows(rows, coarse.points, fine.points, tolerance=self.drop_tolerance, moments=moments)
 
 
 def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:

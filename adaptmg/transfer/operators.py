@@ -127,8 +127,9 @@ def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -
     """
     if not 0 <= checks.number("quantile", quantile) <= 1:
         raise ValueError(f"quantile must lie in [0, 1], got {quantile!r}")
+    locators = body_locators(coarse, fine)
     ratio = np.empty(len(fine.elements))
-    for body, locator in body_locators(coarse, fine):
+    for body, locator in locators:
         elements = slice(None) if body is None else np.flatnonzero(fine.element_body == body)
         found = locator.locate(fine.points[fine.elements[elements]].mean(axis=1))
         ratio[elements] = coarse.element_sizes[found.element] / fine.element_sizes[elements]

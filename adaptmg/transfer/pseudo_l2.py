@@ -18,7 +18,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.transfer.coupling import coupling
 from adaptmg.transfer.fine_nodes import OUTSIDE_TOLERANCE
-from adaptmg.transfer.rows import CLIP, clipped_rows
+from adaptmg.transfer.rows import clipped_rows
 
 __all__ = ["PseudoL2"]
 
@@ -48,4 +48,4 @@ class PseudoL2:
         integrals = coupling(coarse, fine, self.outside_tolerance)
         coefficients = (fine.dim + 2) * integrals.shape_coefficients() - 1.0
         coefficients /= integrals.lumped_mass[integrals.patches.nodes][:, None]
-        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points, CLIP)
+        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)

@@ -21,7 +21,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.transfer.coupling import Patches, coupling
 from adaptmg.transfer.fine_nodes import OUTSIDE_TOLERANCE
-from adaptmg.transfer.rows import CLIP, clipped_rows
+from adaptmg.transfer.rows import clipped_rows
 
 __all__ = ["QuasiInterpolation"]
 
@@ -49,7 +49,7 @@ class QuasiInterpolation:
         """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
         integrals = coupling(coarse, fine, self.outside_tolerance)
         coefficients = _patch_coefficients(fine, integrals.patches)
-        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points, CLIP)
+        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)
 
 
 def _patch_coefficients(fine: MeshArrays, patches: Patches) -> np.ndarray:

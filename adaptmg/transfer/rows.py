@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-__all__ = ["CLIP", "clipped_rows", "csr_from_weights", "dropped", "normalised", "with_moments"]
+__all__ = ["CLIP", "clipped_rows", "csr_from_weights", "dropped", "normalised"]
 
 CLIP = 1e-8
 """Weights smaller than this are removed: they would put spurious nodes into minima over the support of P."""
@@ -131,7 +131,7 @@ def _add_corrections(indptr, indices, data, points, centres, multiplier, scale):
                 data[at] += multiplier[i, c + 1] * (points[indices[at], c] - centres[i, c]) / scale[i]
 
 
-def with_moments(matrix: sparse.csr_array, coarse_points: np.ndarray, fine_points: np.ndarray,
+def _with_moments(matrix: sparse.csr_array, coarse_points: np.ndarray, fine_points: np.ndarray,
                  moments: np.ndarray) -> sparse.csr_array:
     """Change the entries of every row as little as possible so that it has given moments.
 
@@ -160,9 +160,9 @@ def with_moments(matrix: sparse.csr_array, coarse_points: np.ndarray, fine_point
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
-def clipped_rows(matrix: sparse.csr_array, coarse_points: np.ndarray, fine_points: np.ndarray,
-                 tolerance: float) -> sparse.csr_array:
-    """Drop entries below ``tolerance``; restore the first moments the rows had, over their old sums, and row sums 1.
+def clipped_rows(matrix: sparse.csr_array, coarse_points: np.ndarray, fine_points: np.ndarray, *,
+                 tolerance: float = CLIP, moments: np.ndarray | None = None) -> sparse.csr_array:
+    """Drop small entries, and restore row sums 1 and first moments.
 
     Parameters
     ----------
@@ -170,11 +170,23 @@ def clipped_rows(matrix: sparse.csr_array, coarse_points: np.ndarray, fine_point
     coarse_points, fine_points : (n, dim) arrays
         m.
     tolerance : float
-        Of the entries' magnitude.
+        Entries of smaller magnitude are dropped; at least ``CLIP``.
+    moments : (n_fine, dim + 1) array, optional
+        Wanted row sums and first moments about the fine nodes, m. Default: sums 1, and the moments the rows have, over
+        their sums.
+
+    Returns
+    -------
+    csr_array
+        No entry is smaller than ``CLIP`` in magnitude.
     """
-    centre = coarse_points.mean(axis=0)
-    affine = np.column_stack([np.ones(len(coarse_points)), coarse_points - centre])
-    moments = matrix @ affine
-    moments /= moments[:, :1]
-    moments[:, 1:] -= fine_points - centre
-    return with_moments(dropped(matrix, tolerance), coarse_points, fine_points, moments)
+    if moments is None:
+        centre = coarse_points.mean(axis=0)             # far from the origin the differences would lose digits
+        moments = matrix @ np.column_stack([np.ones(len(coarse_points)), coarse_points - centre])
+        moments /= moments[:, :1]
+        moments[:, 1:] -= fine_points - centre
+    rows = _with_moments(dropped(matrix, tolerance), coarse_points, fine_points, moments)
+    # a correction may make an entry small; each round removes at least one
+    while np.abs(rows.data).min() < CLIP:
+        rows = _with_moments(dropped(rows, CLIP), coarse_points, fine_points, moments)
+    return rows
