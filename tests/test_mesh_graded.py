@@ -122,7 +122,7 @@ def test_sized_in_3d():
     ((SQUARE, 1e-3, "bottom", 2, 3), ValueError, "grading must be at most 1"),
     ((SQUARE, 1e-6), ValueError, "nodes .at most 5e"),
     ((SQUARE, 1e-3, "bottom", 1e7), ValueError, "nodes .at most 5e"),
-    ((BOX, 1e-3, "bottom", 30), ValueError, "nodes .at most 5e"),
+    ((BOX, 1e-3, "bottom", 100), ValueError, "nodes .at most 2e"),
     (("square", 1), TypeError, "must be a Rectangle, a Polygon or a Box"),
 ])
 def test_bad_input(arguments, error, message):

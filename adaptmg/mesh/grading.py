@@ -61,7 +61,7 @@ def graded(domain: Rectangle | Polygon | Box, size: float, contact_boundaries: s
     ------
     TypeError, ValueError
         On an unknown domain or boundary, sizes <= 0, a ratio < 1, a polygon that crosses itself, sizes that ask for
-        more than 5 million nodes, or where Netgen fails.
+        more than 5 million nodes (3D: 2 million), or where Netgen fails.
     """
     _check_domain(domain)
     size = checks.positive("size", size)
@@ -118,8 +118,8 @@ def sized(domain: Rectangle | Polygon | Box, size_function: float | Callable[[np
     Raises
     ------
     TypeError, ValueError
-        On an unknown domain, sizes <= 0 or not finite, sizes that ask for more than 5 million nodes, or where Netgen
-        fails.
+        On an unknown domain, sizes <= 0 or not finite, sizes that ask for more than 5 million nodes (3D: 2
+        million), or where Netgen fails.
     """
     _check_domain(domain)
     max_size = checks.positive("max_size", max_size)

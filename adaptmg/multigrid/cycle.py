@@ -88,7 +88,7 @@ class CycleRunner:
         """Add the correction from the next coarser level, in place; ``defect`` is the residual at ``unknowns``."""
         fine, coarse = self.stack.levels[level], self.stack.levels[level - 1]
         initial = self.initial[level - 1] if self.correction.needs_initial else None
-        data = correction_contact(self.correction, fine.contact_prolongation, fine.system, coarse.system, contact,
+        data = correction_contact(self.correction, fine.supports, fine.system, coarse.system, contact,
                                   unknowns, defect, initial)
         self.recorder.visit(level, "restrict")
         load = fine.restriction @ defect

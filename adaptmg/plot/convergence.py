@@ -34,8 +34,9 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
         Seconds are those since the solver began.
     ax : matplotlib Axes, optional
     quantity : {"error_estimate", "true_error", "residual", "relative_change", "change"}, optional
-        Default: for one result all it recorded, for several the first of these that all recorded. The change, which
-        is recorded in the absolute energy norm, is drawn over its first value.
+        Default: for one result all it recorded, for several the true error if all recorded it, else the residual
+        (an estimate made from changes cannot see that a method stalled). The change, which is recorded in the
+        absolute energy norm, is drawn over its first value.
 
     Returns
     -------
@@ -71,7 +72,7 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
     if several or len(quantities) == 1:
         ax.set_ylabel(_QUANTITIES[quantities[0]])
     else:
-        ax.set_ylabel("relative to the solution")
+        ax.set_ylabel("relative measure")
         ax.set_title(f"{next(iter(runs.values())).problem_name}")
     ax.grid(True)
     if several or len(quantities) > 1:
@@ -89,7 +90,9 @@ def _chosen(runs: Mapping[str, Result], quantity: str | None, several: bool) -> 
 
     if quantity is not None:
         checks.choice("quantity", quantity, _QUANTITIES)
-    wanted = list(_QUANTITIES) if quantity is None else [quantity]
+    wanted = list(_QUANTITIES if quantity is None else (quantity,))
+    if several and quantity is None:
+        wanted.sort(key=("true_error", "residual", *_QUANTITIES).index)
     found = [name for name in wanted if all(recorded(result, name) for result in runs.values())]
     if not found:
         known = {label or result.solver_name: [n for n in _QUANTITIES if recorded(result, n)]

@@ -52,6 +52,7 @@ class Convergence:
     _unknowns: np.ndarray | None = None
     _defect: np.ndarray | None = None
     _scale: float = 0.0
+    _norm: float = 0.0
 
     #: the natural residual must fall below this multiple of rtol
     RESIDUAL_FACTOR = 10.0
@@ -73,10 +74,10 @@ class Convergence:
         scale = max(self._scale, float(np.linalg.norm(reactions)))
         size = float(np.linalg.norm(vector))
         self.residual = size / scale if scale > 0 else (0.0 if size == 0 else np.inf)
-        norm = float(np.hypot(energy_norm(unknowns, self.local.load - defect), np.sqrt(self.hidden_energy)))
+        self._norm = float(np.hypot(energy_norm(unknowns, self.local.load - defect), np.sqrt(self.hidden_energy)))
         if self._unknowns is not None:
             self.changes.append(energy_norm(unknowns - self._unknowns, self._defect - defect))
-            self.error_estimate = self._estimate(norm)
+            self.error_estimate = self._estimate()
         self._unknowns, self._defect = unknowns.copy(), defect.copy()
         if size <= self.ROUNDING * float(np.linalg.norm(self._diagonal * unknowns)):
             # an exact start has no rate to measure, and needs none
@@ -85,8 +86,9 @@ class Convergence:
         return self.error_estimate <= self.rtol and self.residual <= self.RESIDUAL_FACTOR * self.rtol
 
     def measures(self) -> dict[str, float]:
-        """Residual, change, estimate and (with a reference) true error at the last iterate, for the history."""
-        values = {"residual": self.residual, "change": self.change, "error_estimate": self.error_estimate}
+        """Relative residual, change, estimate and (with a reference) true error at the last iterate."""
+        change = self.change / self._norm if self._norm > 0 else self.change
+        values = {"residual": self.residual, "change": change, "error_estimate": self.error_estimate}
         if self.reference is not None and self._unknowns is not None:
             with self.run.untimed():
                 matrix = self.local.system.matrix
@@ -96,11 +98,11 @@ class Convergence:
                 values["true_error"] = energy_norm(error, matrix @ error) / size if size > 0 else np.nan
         return values
 
-    def _estimate(self, norm: float) -> float:
+    def _estimate(self) -> float:
         rate = self.safe_rate
         if not rate < 1:
             return np.inf
-        return self.changes[-1] * rate / (1 - rate) / norm if norm > 0 else np.inf
+        return self.changes[-1] * rate / (1 - rate) / self._norm if self._norm > 0 else np.inf
 
     @property
     def change(self) -> float:

@@ -113,7 +113,8 @@ class Result:
     rtol : float
         What was asked for.
     history : dict of str to (n,) array
-        By name: cycle, work_units, seconds, and what the solver recorded (change, residual, error_estimate).
+        By name: cycle, work_units, seconds, and what the solver recorded: residual (natural, relative), change (since
+        the check before, relative, A-norm), error_estimate, true_error (with a reference; relative, A-norm).
     timings : dict of str to float
         Seconds by phase.
     path : list of (level, action, times)

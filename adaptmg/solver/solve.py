@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -94,10 +95,15 @@ def label(option: object) -> str:
     return f"{type(option).__name__}({', '.join(shown)})"
 
 
-def versions() -> dict[str, str]:
-    """Versions of adaptmg and of what its numbers depend on."""
+@lru_cache(maxsize=1)
+def _versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name)
             for name in ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")}
+
+
+def versions() -> dict[str, str]:
+    """Versions of adaptmg and of what its numbers depend on."""
+    return dict(_versions())
 
 
 def _problem_name(grids: Hierarchy) -> str:
