@@ -24,7 +24,7 @@ from adaptmg.mesh.build import from_ngsolve, with_source
 from adaptmg.mesh.geometry import BOX_SIDES
 from adaptmg.problem.domains import Box, Polygon, Rectangle
 
-__all__ = ["SizeField", "expected_nodes", "netgen_mesh", "refuse_too_many"]
+__all__ = ["SizeField", "expected_nodes", "guessed_nodes", "netgen_mesh", "refuse_too_many"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 
@@ -63,7 +63,7 @@ def netgen_mesh(domain: Rectangle | Polygon | Box, sizes: SizeField, max_size: f
         If Netgen fails, or the mesh would have more than 5 million nodes (3D: 2 million).
     """
     lower, scale = _extent(domain)
-    refuse_too_many(_first_guess(domain, max_size, side_sizes, grading), domain)
+    refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
     mesh = None
     for _ in range(rounds + 1):
         options = netgen.meshing.MeshingParameters(maxh=max_size / scale, grading=grading)
@@ -116,7 +116,7 @@ def _measures(domain: Rectangle | Polygon | Box) -> tuple[float, dict[str, float
     return 0.5 * float(np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1])), perimeter
 
 
-def _first_guess(domain: Rectangle | Polygon | Box, max_size: float, side_sizes: dict[str, float],
+def guessed_nodes(domain: Rectangle | Polygon | Box, max_size: float, side_sizes: dict[str, float],
                  grading: float) -> float:
     """Expected nodes from the sizes along the sides alone: the integral of (h + grading x)^-dim over x > 0."""
     volume, areas = _measures(domain)

@@ -17,7 +17,7 @@ __all__ = ["history"]
 _QUANTITIES = {"error_estimate": "estimated error (relative, energy norm)",
                "true_error": "true error (relative, energy norm)", "residual": "natural residual (relative)",
                "relative_change": "change in one cycle (relative, Euclidean)",
-               "change": "change between checks (energy norm, over the first)"}
+               "change": "change between checks (relative, energy norm)"}
 _AGAINST = {"work_units": "work units", "cycle": "cycle", "seconds": "time [s]"}
 _DASHES = ("-", "--", ":", "-.")
 
@@ -35,8 +35,7 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
     ax : matplotlib Axes, optional
     quantity : {"error_estimate", "true_error", "residual", "relative_change", "change"}, optional
         Default: for one result all it recorded, for several the true error if all recorded it, else the residual
-        (an estimate made from changes cannot see that a method stalled). The change, which is recorded in the
-        absolute energy norm, is drawn over its first value.
+        (an estimate made from changes cannot see that a method stalled).
 
     Returns
     -------
@@ -58,8 +57,6 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
         for j, name in enumerate(quantities):
             x, y = np.asarray(result.history[against], dtype=float), np.asarray(result.history[name], dtype=float)
             shown = np.isfinite(x) & np.isfinite(y) & (y > 0)
-            if name == "change":
-                y = y / y[shown][0]
             ax.semilogy(x[shown], y[shown], marker="o" if shown.sum() <= 60 else "",
                         linestyle="-" if several else _DASHES[j], color=CYCLE[(k if several else j) % len(CYCLE)],
                         label=label if several else _QUANTITIES[name])
@@ -76,7 +73,7 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
         ax.set_title(f"{next(iter(runs.values())).problem_name}")
     ax.grid(True)
     if several or len(quantities) > 1:
-        ax.legend()
+        ax.legend(loc="upper right")
     if against == "cycle":
         ax.xaxis.get_major_locator().set_params(integer=True)
     return ax.figure
