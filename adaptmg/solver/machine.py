@@ -13,6 +13,7 @@ from adaptmg.multigrid.cycle import CycleRunner
 from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prolonged_start
 from adaptmg.multigrid.stack import build_stack
 from adaptmg.smoother.system import LocalProblem, local_system
+from adaptmg.solver.condensation import condense
 from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.status import Status
@@ -44,7 +45,12 @@ class Machine:
         o = self.options
         with self.run.phase("setup"):
             stack = build_stack(self.hierarchy, self.problems, finest, o.coarse_matrices)
-        return CycleRunner(stack, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial)
+        condensed = None
+        if o.coarse.condensed:
+            with self.run.phase("factorise"):
+                coarsest = stack.levels[0].system
+                condensed = condense(replace(self.problems[0], system=coarsest, load=np.zeros(coarsest.n_dofs)))
+        return CycleRunner(stack, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial, condensed)
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest (steps a and b of the paper).
