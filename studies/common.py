@@ -7,9 +7,9 @@ the context; tables and figures are made from what is stored.
 from __future__ import annotations
 
 import argparse
+import io
 import logging
 import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -26,8 +26,10 @@ matplotlib.use("Agg")
 import numpy as np
 import pandas as pd
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from PIL import Image
 
 import adaptmg as am
+from adaptmg.atomic import write_bytes
 from adaptmg.mesh import refine_near, structured
 
 DATA = Path(__file__).resolve().parent.parent / "data" / "paper"
@@ -186,18 +188,14 @@ def paper(name: str) -> pd.DataFrame:
     return pd.read_csv(DATA / f"{name}.csv", comment="#")
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Let ``write`` make a file beside ``path``, then rename it, so that no half-written file is left."""
+def write_picture(figure: Any, path: Path, dpi: int = 130) -> None:
+    """Write a figure as PNG with few colours, whole or not at all."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=dpi, bbox_inches="tight")
+    small = io.BytesIO()
+    Image.open(buffer).convert("RGB").quantize(128).save(small, format="png", optimize=True)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    write_bytes(path, small.getvalue())
 
 
 def show(section: Section, out: Path) -> None:
@@ -209,10 +207,11 @@ def show(section: Section, out: Path) -> None:
         if isinstance(item, Table):
             print("\n" + as_text(item.frame, caption=item.caption, note=item.note, units=item.units,
                                  formats=item.formats))
-            write_atomically(out / f"{item.name}.csv", lambda path, item=item: item.frame.to_csv(path, index=False))
+            out.mkdir(parents=True, exist_ok=True)
+            write_bytes(out / f"{item.name}.csv", item.frame.to_csv(index=False).encode())
         else:
             target = out / f"{item.name}.png"
-            write_atomically(target, lambda path, item=item: item.figure.savefig(path, dpi=130, bbox_inches="tight"))
+            write_picture(item.figure, target)
             print(f"\n[figure {target}] {item.caption}")
 
 
