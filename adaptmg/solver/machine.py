@@ -14,7 +14,7 @@ from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prol
 from adaptmg.multigrid.stack import build_stack
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.condensation import condense
-from adaptmg.solver.convergence import Convergence
+from adaptmg.solver.convergence import Convergence, euclidean_norm
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.status import Status
 
@@ -141,10 +141,10 @@ class Machine:
             runner.correct(level, local.contact, unknowns, defect)
             runner.smooth(level, local.contact, local.load, unknowns, o.cycle.post)
             cycles += 1
-            size = float(np.linalg.norm(unknowns))
+            size = euclidean_norm(unknowns)
             if not np.isfinite(size):
                 return Status.DIVERGED, cycles, watch
-            change = float(np.linalg.norm(unknowns - before)) / size if size > 0 else 0.0
+            change = euclidean_norm(unknowns - before) / size if size > 0 else 0.0
             self.run.record(cycle=cycles, relative_change=change, **watch.measures())
         watch.check(unknowns, runner.residual(level, local.load, unknowns))
         self.run.record(cycle=cycles, relative_change=change, **watch.measures())
