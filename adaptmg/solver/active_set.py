@@ -105,6 +105,8 @@ class _Iteration:
     SPRING = 1e-2
     #: repeated states after which the iteration counts as cycling
     PATIENCE = 12
+    #: every so many steps the iteration is taken to repeat itself
+    LONG = 15
     #: the factor of the augmentation is not reduced below this, lest rounding decide
     SMALLEST_FACTOR = 1e-4
 
@@ -136,11 +138,12 @@ class _Iteration:
                 return Status.DIVERGED
             if self.steps >= options.max_steps:
                 return Status.LIMIT
-            repeated = equations.key in seen and equations.key != last
+            # in 3D the direction of a slip may go round while no status comes back
+            repeated = (equations.key in seen and equations.key != last) or self.steps % self.LONG == self.LONG - 1
             if repeated:
                 repeats += 1
                 factor = min(factor, max(0.1 * factor, self.SMALLEST_FACTOR))
-                _LOG.info("step %d: a contact status came back (%d times); halving the step", self.steps, repeats)
+                _LOG.info("step %d: the contact status comes back (%d times); halving the step", self.steps, repeats)
                 if repeats > self.PATIENCE:
                     return Status.CYCLING
             last = equations.key
