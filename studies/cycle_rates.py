@@ -65,7 +65,7 @@ def note(frame: pd.DataFrame) -> str:
         for kind, rows in part.groupby(["cycle", "sweeps"], sort=False):
             low, high = rows["rate"].min(), rows["rate"].max()
             spans.append(f"{kind[0]} {kind[1]} {low:.2f}" + (f" to {high:.2f}" if len(rows) > 1 else ""))
-        sentences.append(f"{family.capitalize()} meshes, rates: {'; '.join(spans)}.")
+        sentences.append(f"{family.capitalize()}, rates: {'; '.join(spans)}.")
     nested = frame[frame["family"] == "nested"]
     largest = nested[nested["nodes"] == nested["nodes"].max()]
     slow = largest[largest["cycle"] == "V(2,0)"]["rate"].max()
