@@ -25,6 +25,7 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg.plot.style import CYCLE, styled
+from adaptmg.solver.glued import glued_system
 from adaptmg.solver.linear import LinearSolution, Prepared
 
 RTOL = 1e-8
@@ -82,18 +83,10 @@ class CountedPrepared:
 
 def glued(discrete: am.DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray, np.ndarray]:
     """Matrix, load, rigid-body modes and constant vectors of the problem with all contact dofs fixed at zero."""
-    dim, matrix = discrete.dim, discrete.matrix
-    fixed = discrete.fixed.reshape(-1, dim).copy()
-    fixed[discrete.contact.nodes] = True
-    free = (~fixed).astype(float)
-    rows = np.repeat(np.arange(discrete.n_nodes), np.diff(matrix.indptr))
-    data = matrix.data * free[rows][:, :, None] * free[matrix.indices][:, None, :]
-    own = np.flatnonzero(rows == matrix.indices)
-    data[own] += matrix.data[own] * (np.eye(dim) * fixed[rows[own]][:, :, None])
-    free = free.reshape(-1)
-    constants = np.tile(np.eye(dim), (discrete.n_nodes, 1))
-    return (sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape), discrete.load * free,
-            discrete.near_nullspace * free[:, None], constants * free[:, None])
+    matrix, load, modes = glued_system(discrete)
+    free = np.abs(modes).sum(axis=1) > 0
+    constants = np.tile(np.eye(discrete.dim), (len(load) // discrete.dim, 1))
+    return matrix, load, modes, constants * free[:, None]
 
 
 def medians(calls: Mapping[str, Callable[[], dict[str, Any]]], repetitions: int) -> dict[str, Any]:

@@ -90,7 +90,7 @@ class TestGridCount:
     def test_the_cycles_converge_on_nested_and_independent_meshes(self, grid_items):
         frame = grid_items["cycle_rates"].frame
         assert (frame["status"] == "CONVERGED").all() and (frame["rate"] < 0.85).all()
-        assert set(frame["meshes"]) == {"nested", "independent"}
+        assert set(frame["meshes"]) == {"nested", "independent, by 2", "independent, by 1.7"}
         assert (rows(frame, meshes="nested")["mesh ratio"].round(6) == 2).all()
 
     def test_the_ways_are_drawn(self, grid_items):

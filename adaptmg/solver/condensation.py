@@ -20,7 +20,7 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from adaptmg.smoother.system import LocalProblem, LocalSystem
-from adaptmg.solver.newton_ordering import nested_dissection, node_graph
+from adaptmg.solver.dissection import nested_dissection, node_graph
 
 __all__ = ["Condensed", "condense"]
 
