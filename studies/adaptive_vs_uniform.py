@@ -199,7 +199,7 @@ def bar_figures(bars: pd.DataFrame, quick: bool) -> list[common.Figure]:
     axes[0].set_ylabel("largest error of $u_x$ at A-E [%]")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     hierarchy = grids_of(am.cases.greco_bar(law=am.Coulomb(1.0)), "Netgen, contact 4x finer", 2 if quick else 3)
-    result = am.solve(hierarchy, am.FullMultigrid(rtol=RTOL))
+    result = am.solve(hierarchy, am.FullMultigrid(correction=am.Monotone(), rtol=RTOL))
     count = hierarchy.finest.discrete.n_nodes
     return [
         common.Figure("adaptive_bar_error", figure, "GRECO bar: error at the points A-E against nodes and seconds"),

@@ -123,7 +123,8 @@ def linear(grid: str, size: int, rtol: float, max_cycles: int, repetitions: int)
                 "residual": solution.residual, "outcome": "CONVERGED" if solution.converged else "LIMIT"}
 
     def by_multigrid() -> dict[str, Any]:
-        result = am.solve(hierarchy, am.FullMultigrid(rtol=rtol, max_cycles=max_cycles), throw=False)
+        result = am.solve(hierarchy, am.FullMultigrid(correction=am.Monotone(), rtol=rtol, max_cycles=max_cycles),
+                          throw=False)
         phases = common.seconds_by_phase(hierarchy, result)
         return {"setup_s": phases["setup_s"], "solve_s": phases["solve_s"], "total_s": result.seconds,
                 "iterations": result.cycles, "work": result.work_units, "complexity": hierarchy.operator_complexity,
@@ -156,8 +157,10 @@ def contact(grid: str, size: int, rtol: float, max_cycles: int, repetitions: int
         "ActiveSet, AMG, cold": lambda: by(lambda counted: am.ActiveSet(linear=counted, rtol=rtol)),
         "ActiveSet, AMG, nested": lambda: by(lambda counted: am.ActiveSet(linear=counted, rtol=rtol,
                                                                          nested_start=True)),
-        "FullMultigrid, V": lambda: by(lambda _: am.FullMultigrid(rtol=rtol, max_cycles=max_cycles)),
-        "FullMultigrid, W": lambda: by(lambda _: am.FullMultigrid(cycle=am.Cycle(shape="W"), rtol=rtol,
+        "FullMultigrid, V": lambda: by(lambda _: am.FullMultigrid(correction=am.Monotone(), rtol=rtol,
+                                                                  max_cycles=max_cycles)),
+        "FullMultigrid, W": lambda: by(lambda _: am.FullMultigrid(correction=am.Monotone(),
+                                                                  cycle=am.Cycle(shape="W"), rtol=rtol,
                                                                   max_cycles=max_cycles))}
     return {"nodes": hierarchy.finest.discrete.n_nodes, **medians(calls, repetitions)}
 

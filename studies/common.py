@@ -150,7 +150,7 @@ def warm_up(dim: int = 2) -> None:
         hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), (20e-3, 10e-3), contact_ratio=2)
     else:
         hierarchy = am.Hierarchy.graded(am.cases.greco_block(), (40e-3, 20e-3))
-    for solver in (am.FullMultigrid(), am.ActiveSet(), am.ActiveSet(linear=am.AMG())):
+    for solver in (am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(), am.ActiveSet(linear=am.AMG())):
         am.solve(hierarchy, solver, throw=False)
 
 

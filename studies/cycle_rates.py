@@ -27,8 +27,8 @@ def rate(family: str, levels: int, cycle: str, order: str, deepest: int, factor:
     warm_up()
     hierarchy = (grids(PROBLEM, chain(4 * 2**(levels - 1), levels)) if family == "nested"
                  else graded(deepest, factor).truncated(finest=levels - 1))
-    solver = am.FullMultigrid(cycle=am.Cycle(shape=cycle, pre=2, post=0), rtol=rtol, max_cycles=150,
-                              smoother=am.ProjectedGaussSeidel(order=order))
+    solver = am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape=cycle, pre=2, post=0), rtol=rtol,
+                              max_cycles=150, smoother=am.ProjectedGaussSeidel(order=order))
     result = am.solve(hierarchy, solver, throw=False)
     return {"nodes": hierarchy.finest.discrete.n_nodes, "contact_nodes": len(result.contact), "rate": result.rate,
             "cycles": result.cycles, "work": result.work_units, "run_seconds": result.seconds,

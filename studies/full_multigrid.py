@@ -55,7 +55,8 @@ def method(problem: str, name: str, correction: str, stop: str, coarse_condensed
 def deeper(problem: str, divisions: int, levels: int, start: str, cycle: str, rtol: float, target: float,
            times: int) -> dict[str, Any]:
     """Monotone mode on a deeper hierarchy from zero, or from a start with one or two cycles a level."""
-    options = {"cycle": am.Cycle(shape=cycle), "coarse": am.CoarseSolve(condensed=False), "rtol": rtol}
+    options = {"correction": am.Monotone(), "cycle": am.Cycle(shape=cycle),
+               "coarse": am.CoarseSolve(condensed=False), "rtol": rtol}
     solver = (am.Multigrid(**options) if start == "zero"
               else am.FullMultigrid(start=am.NestedStart(cycles=int(start.split()[1])), **options))
     return measured(grids(problem, chain(divisions, levels)), solver, exact(problem, divisions), target, times)

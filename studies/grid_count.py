@@ -50,7 +50,8 @@ def single_grid(problem: str, divisions: int, condensed: bool, omega: float, hel
 def several_grids(problem: str, divisions: int, levels: int, cycle: str, coarse_condensed: bool, coarse_rtol: float,
                   order: str, rtol: float, target: float, times: int) -> dict[str, Any]:
     """Monotone mode, full multigrid start (one cycle a level), two smoothings before the correction."""
-    solver = am.FullMultigrid(cycle=am.Cycle(shape=cycle), smoother=am.ProjectedGaussSeidel(order=order), rtol=rtol,
+    solver = am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape=cycle), rtol=rtol,
+                              smoother=am.ProjectedGaussSeidel(order=order),
                               coarse=am.CoarseSolve(condensed=coarse_condensed, rtol=coarse_rtol))
     return measured(grids(problem, chain(divisions, levels)), solver, exact(problem, divisions), target, times)
 

@@ -57,7 +57,7 @@ def path_figure() -> Figure:
     """The ways through the levels, as Fig. 1 of the paper."""
     canvas, axes = plt.subplots(2, 2, figsize=(11, 6.2))
     for ax, shape in zip(axes.ravel(), ("V", "F", "W", "complete"), strict=True):
-        solver = am.FullMultigrid(cycle=am.Cycle(shape=shape), max_cycles=1)
+        solver = am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape=shape), max_cycles=1)
         am.plot.path(am.solve(grids(BAR, chain(32, 4)), solver, throw=False), ax=ax, steps=40)
         ax.set_title(f"{shape}-cycle" if len(shape) == 1 else "complete coarse solutions")
         handles, labels = ax.get_legend_handles_labels()

@@ -23,9 +23,10 @@ def draw() -> Figure:
     grids = am.Hierarchy.graded(problem, sizes=SIZES, contact_ratio=4)
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     smoother = am.ProjectedGaussSeidel(order="backward")
-    full = am.FullMultigrid(smoother=smoother)
+    full = am.FullMultigrid(correction=am.Monotone(), smoother=smoother)
     runs = {"one grid": am.solve(grids, am.SingleGrid(rtol=1e-7), reference=exact, throw=False),
-            "multigrid, zero start": am.solve(grids, am.Multigrid(smoother=smoother), reference=exact),
+            "multigrid, zero start": am.solve(grids, am.Multigrid(correction=am.Monotone(), smoother=smoother),
+                                              reference=exact),
             "full multigrid": am.solve(grids, full, reference=exact)}
     figure = plt.figure(figsize=(13, 7.2), layout="constrained")
     above, below = figure.subfigures(2, 1)

@@ -53,7 +53,8 @@ def smoothing(problem: str, correction: str, start: str, coarse: str, smoothings
 def relaxed(problem: str, omega: float, smoothings: int, rtol: float, max_cycles: int, target: float,
             times: int) -> dict[str, Any]:
     """The monotone two-grid method with an over-relaxed smoother; coarse problems to 1e-2."""
-    solver = am.FullMultigrid(cycle=am.Cycle(pre=smoothings), smoother=am.ProjectedGaussSeidel(omega=omega), rtol=rtol,
+    solver = am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(pre=smoothings), rtol=rtol,
+                              smoother=am.ProjectedGaussSeidel(omega=omega),
                               coarse=am.CoarseSolve(condensed=False), max_cycles=max_cycles)
     return measured(grids(problem, DIVISIONS), solver, exact(problem, DIVISIONS[-1]), target, times)
 

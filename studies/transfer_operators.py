@@ -157,8 +157,8 @@ def two_grids(where: str, ratio: int, rtol: float, max_cycles: int) -> dict[str,
     coarse = (graded(problem.domain, 2.5e-3 * ratio, "bottom", 8) if where == "everywhere" else
               graded(problem.domain, 5e-3, "bottom", 16 / ratio))
     hierarchy = am.Hierarchy.from_meshes(problem, [coarse, fine])
-    result = am.solve(hierarchy, am.Multigrid(cycle=am.Cycle(shape="V", pre=2, post=0), rtol=rtol,
-                                              max_cycles=max_cycles), throw=False)
+    result = am.solve(hierarchy, am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="V", pre=2, post=0),
+                                              rtol=rtol, max_cycles=max_cycles), throw=False)
     return {"coarse_nodes": coarse.n_nodes, "nodes": fine.n_nodes, "largest_ratio": mesh_ratio(coarse, fine),
             "median_ratio": mesh_ratio(coarse, fine, quantile=0.5), "cycles": result.cycles, "rate": result.rate,
             "work_units": result.work_units, "residual": result.residual, "outcome": result.status.name}

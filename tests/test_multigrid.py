@@ -32,7 +32,7 @@ def hierarchies():
 
 
 def runner_of(grids, **options):
-    solver = am.Multigrid(**options)
+    solver = am.Multigrid(**{"correction": am.Monotone()} | options)
     problems = [local_system(level.discrete) for level in grids.levels]
     run = Run(unit=grids.finest.discrete.matrix.nnz)
     stack = build_stack(grids, problems, len(grids) - 1, solver.coarse_matrices)

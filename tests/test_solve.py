@@ -44,12 +44,12 @@ def energy_error(grids, result, reference):
 
 
 METHODS = {
-    "V": am.Multigrid(rtol=1e-10),
-    "W post": am.Multigrid(cycle=am.Cycle(shape="W", pre=1, post=1), rtol=1e-10),
-    "complete": am.FullMultigrid(cycle=am.Cycle(shape="complete"), rtol=1e-10),
-    "full F": am.FullMultigrid(cycle=am.Cycle(shape="F"), rtol=1e-10),
+    "V": am.Multigrid(correction=am.Monotone(), rtol=1e-10),
+    "W post": am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="W", pre=1, post=1), rtol=1e-10),
+    "complete": am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="complete"), rtol=1e-10),
+    "full F": am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="F"), rtol=1e-10),
     "minmod": am.FullMultigrid(correction=am.PaperCorrection(slip="minmod", limit="summed"), rtol=1e-10),
-    "discretised": am.Multigrid(coarse_matrices="discretised", rtol=1e-10),
+    "discretised": am.Multigrid(correction=am.Monotone(), coarse_matrices="discretised", rtol=1e-10),
     "single": am.SingleGrid(rtol=1e-10, omega=1.5),
     "condensed": am.SingleGrid(rtol=1e-10, condensed=True),
 }
@@ -78,7 +78,7 @@ def test_fixed_point_over_tresca_reaches_the_same_solution(solved):
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_contact_conditions(solved, name):
     grids, _ = solved[name]
-    result = am.solve(grids, am.FullMultigrid(rtol=1e-11))
+    result = am.solve(grids, am.FullMultigrid(correction=am.Monotone(), rtol=1e-11))
     c = result.contact
     force, length = np.abs(c.force_n).max(), np.abs(result.displacement).max()
     assert (c.gap >= -1e-15).all()
@@ -209,7 +209,7 @@ def test_start(solved):
 def test_history_is_reported_as_it_goes(solved):
     grids, _ = solved["coulomb 1"]
     rows = []
-    result = am.solve(grids, am.FullMultigrid(), callback=rows.append)
+    result = am.solve(grids, am.FullMultigrid(correction=am.Monotone()), callback=rows.append)
     assert len(rows) == len(result.history["cycle"]) == result.cycles + 1
     assert (np.diff(result.history["work_units"]) > 0).all()
     assert result.history["work_units"][-1] == result.work_units
@@ -220,7 +220,7 @@ def test_history_is_reported_as_it_goes(solved):
 def test_frictionless_bar_is_exact_after_zero_cycles():
     """The patch test of VALIDATION 1: a nested start is exact, whatever the grid."""
     grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Frictionless()), divisions=(4, 8, 16))
-    result = am.solve(grids, am.FullMultigrid(start=am.multigrid.NestedStart(rtol=1e-14)))
+    result = am.solve(grids, am.FullMultigrid(correction=am.Monotone(), start=am.NestedStart(rtol=1e-14)))
     assert result.cycles <= 1
     assert result.probe([(0.0, 0.0)])[0, 0] == pytest.approx(4.0615384615e-5, rel=1e-9)
 
@@ -264,7 +264,7 @@ def test_ones_own_transfer_and_smoother_plug_in():
     grids = am.Hierarchy.from_meshes(problem, meshes)
     assert abs(own[2].prolongation - grids[2].prolongation).max() < 1e-12
     reference = am.solve(grids, am.ActiveSet(rtol=1e-12))
-    result = am.solve(own, am.Multigrid(smoother=Jacobi(), max_cycles=300, rtol=1e-9), reference=reference)
+    result = am.solve(own, am.Multigrid(correction=am.Monotone(), smoother=Jacobi(), max_cycles=300, rtol=1e-9), reference=reference)
     assert energy_error(grids, result, reference) < 1e-8
 
 
