@@ -264,7 +264,8 @@ def test_ones_own_transfer_and_smoother_plug_in():
     grids = am.Hierarchy.from_meshes(problem, meshes)
     assert abs(own[2].prolongation - grids[2].prolongation).max() < 1e-12
     reference = am.solve(grids, am.ActiveSet(rtol=1e-12))
-    result = am.solve(own, am.Multigrid(correction=am.Monotone(), smoother=Jacobi(), max_cycles=300, rtol=1e-9), reference=reference)
+    solver = am.Multigrid(correction=am.Monotone(), smoother=Jacobi(), max_cycles=300, rtol=1e-9)
+    result = am.solve(own, solver, reference=reference)
     assert energy_error(grids, result, reference) < 1e-8
 
 
