@@ -14,8 +14,8 @@ from scipy import sparse
 
 from adaptmg.discrete import ContactNodes, DiscreteProblem
 
-__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_lift", "frames_of", "inverse_blocks", "local_system",
-           "rotate"]
+__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_lift", "frames_of", "inverse_blocks", "local_contact",
+           "local_system", "rotate"]
 
 
 def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
@@ -213,13 +213,23 @@ def local_system(problem: DiscreteProblem) -> LocalProblem:
     load = rotate(problem.load - problem.matrix @ problem.fixed_values, frames, contact.nodes)
     load[fixed] = 0.0
     system = LocalSystem.from_matrix(_eliminated(matrix, fixed), fixed, contact.nodes)
-    lifted = contact_lift(problem, frames)
-    limit, friction = problem.law.bounds(len(contact))
-    reference = np.einsum("nij,nj->ni", frames, contact.slip_reference)[:, 1:] - lifted[:, 1:]
-    reference[fixed.reshape(-1, dim)[contact.nodes][:, 1:]] = 0.0
-    nodal = NodalContact(gap=contact.gaps - lifted[:, 0], slip_reference=np.ascontiguousarray(reference),
-                         limit=np.array(limit, dtype=np.float64), friction=np.array(friction, dtype=np.float64))
+    nodal = _nodal_contact(problem, frames, fixed)
     return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
+
+
+def local_contact(problem: DiscreteProblem) -> tuple[NodalContact, np.ndarray]:
+    """The contact data of a problem in local components, and the frames (n_contact, dim, dim): no matrix is touched."""
+    frames = frames_of(problem.contact, problem.fixed.reshape(-1, problem.dim))
+    return _nodal_contact(problem, frames, _local_fixed(problem, frames)), frames
+
+
+def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarray) -> NodalContact:
+    lifted = contact_lift(problem, frames)
+    limit, friction = problem.law.bounds(len(problem.contact))
+    reference = np.einsum("nij,nj->ni", frames, problem.contact.slip_reference)[:, 1:] - lifted[:, 1:]
+    reference[fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]] = 0.0
+    return NodalContact(gap=problem.contact.gaps - lifted[:, 0], slip_reference=np.ascontiguousarray(reference),
+                        limit=np.array(limit, dtype=np.float64), friction=np.array(friction, dtype=np.float64))
 
 
 def contact_lift(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:

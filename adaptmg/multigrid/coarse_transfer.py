@@ -1,0 +1,128 @@
+r"""Numba kernels of nodal transfers in the cycle: restriction by scatter, prolongation fused with what follows it.
+
+A nodal prolongation P acts on every component; its transpose is applied from the same arrays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["add_prolonged", "combine", "restrict", "zero_at"]
+
+
+@njit(cache=True)
+def zero_at(vector, positions):
+    """Set entries to zero."""
+    for k in range(len(positions)):
+        vector[positions[k]] = 0.0
+
+
+@njit(cache=True)
+def restrict_2d(indptr, indices, weights, r, coarse):
+    """coarse = P' r; returns r'r."""
+    coarse[:] = 0.0
+    squares = 0.0
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        at = np.uint64(2) * i
+        r_0, r_1 = r[at], r[at + np.uint64(1)]
+        squares += r_0 * r_0 + r_1 * r_1
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
+            j = np.uint64(2) * np.uint64(indices[k])
+            coarse[j] += weights[k] * r_0
+            coarse[j + np.uint64(1)] += weights[k] * r_1
+    return squares
+
+
+@njit(cache=True)
+def restrict_3d(indptr, indices, weights, r, coarse):
+    """coarse = P' r; returns r'r."""
+    coarse[:] = 0.0
+    squares = 0.0
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        at = np.uint64(3) * i
+        r_0, r_1, r_2 = r[at], r[at + np.uint64(1)], r[at + np.uint64(2)]
+        squares += r_0 * r_0 + r_1 * r_1 + r_2 * r_2
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
+            j = np.uint64(3) * np.uint64(indices[k])
+            coarse[j] += weights[k] * r_0
+            coarse[j + np.uint64(1)] += weights[k] * r_1
+            coarse[j + np.uint64(2)] += weights[k] * r_2
+    return squares
+
+
+@njit(cache=True)
+def add_prolonged_2d(indptr, indices, weights, coarse, u):
+    """u += P coarse."""
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        e_0 = 0.0
+        e_1 = 0.0
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
+            j = np.uint64(2) * np.uint64(indices[k])
+            e_0 += weights[k] * coarse[j]
+            e_1 += weights[k] * coarse[j + np.uint64(1)]
+        u[np.uint64(2) * i] += e_0
+        u[np.uint64(2) * i + np.uint64(1)] += e_1
+
+
+@njit(cache=True)
+def add_prolonged_3d(indptr, indices, weights, coarse, u):
+    """u += P coarse."""
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        e_0 = 0.0
+        e_1 = 0.0
+        e_2 = 0.0
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
+            j = np.uint64(3) * np.uint64(indices[k])
+            e_0 += weights[k] * coarse[j]
+            e_1 += weights[k] * coarse[j + np.uint64(1)]
+            e_2 += weights[k] * coarse[j + np.uint64(2)]
+        at = np.uint64(3) * i
+        u[at] += e_0
+        u[at + np.uint64(1)] += e_1
+        u[at + np.uint64(2)] += e_2
+
+
+@njit(cache=True)
+def combine_2d(indptr, indices, weights, coarse, u, first, second, alpha_1, alpha_2):
+    """second = u + alpha_1 (first - u) + alpha_2 (second - u) + P coarse."""
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        at = np.uint64(2) * i
+        to = at + np.uint64(1)
+        e_0, e_1 = u[at], u[to]
+        e_0 += alpha_1 * (first[at] - e_0) + alpha_2 * (second[at] - e_0)
+        e_1 += alpha_1 * (first[to] - e_1) + alpha_2 * (second[to] - e_1)
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
+            j = np.uint64(2) * np.uint64(indices[k])
+            e_0 += weights[k] * coarse[j]
+            e_1 += weights[k] * coarse[j + np.uint64(1)]
+        second[at], second[to] = e_0, e_1
+
+
+@njit(cache=True)
+def combine_3d(indptr, indices, weights, coarse, u, first, second, alpha_1, alpha_2):
+    """second = u + alpha_1 (first - u) + alpha_2 (second - u) + P coarse."""
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        at = np.uint64(3) * i
+        m, to = at + np.uint64(1), at + np.uint64(2)
+        e_0, e_1, e_2 = u[at], u[m], u[to]
+        e_0 += alpha_1 * (first[at] - e_0) + alpha_2 * (second[at] - e_0)
+        e_1 += alpha_1 * (first[m] - e_1) + alpha_2 * (second[m] - e_1)
+        e_2 += alpha_1 * (first[to] - e_2) + alpha_2 * (second[to] - e_2)
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
+            j = np.uint64(3) * np.uint64(indices[k])
+            e_0 += weights[k] * coarse[j]
+            e_1 += weights[k] * coarse[j + np.uint64(1)]
+            e_2 += weights[k] * coarse[j + np.uint64(2)]
+        second[at], second[m], second[to] = e_0, e_1, e_2
+
+
+restrict = {2: restrict_2d, 3: restrict_3d}
+add_prolonged = {2: add_prolonged_2d, 3: add_prolonged_3d}
+combine = {2: combine_2d, 3: combine_3d}

@@ -1,0 +1,114 @@
+"""LinearCycle: a V-cycle on the (truncated) linear coarse problems, two symmetric sweeps and a residual a level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import linalg, sparse
+
+from adaptmg.multigrid import half_sweeps_2d, half_sweeps_3d
+from adaptmg.multigrid.coarse_transfer import add_prolonged, restrict, zero_at
+from adaptmg.multigrid.correction import Recorder
+from adaptmg.multigrid.halves import Halves
+
+__all__ = ["CoarseFactors", "LinearCycle"]
+
+_SWEEPS = {2: half_sweeps_2d, 3: half_sweeps_3d}
+
+
+class CoarseFactors:
+    """Dense LU factors of the coarsest matrix; a singular one is shifted by a small part of its diagonal.
+
+    Parameters
+    ----------
+    level : Halves
+    """
+
+    #: a pivot below this times the largest means singular, and the shift that mends it, over the diagonal
+    SINGULAR, SHIFT = 1e-13, 1e-6
+
+    def __init__(self, level: Halves) -> None:
+        self.level = level
+        self._scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
+        self._factors: tuple[np.ndarray, np.ndarray] | None = None
+
+    def renew(self) -> None:
+        """Factorise the matrix as it is now."""
+        matrix = self.level.matrix().toarray()
+        empty = ~matrix.any(axis=1)
+        matrix[empty, empty] = self._scale[empty]
+        self._factors = linalg.lu_factor(matrix, check_finite=False)
+        pivots = np.abs(self._factors[0].diagonal())
+        if not pivots.min() > self.SINGULAR * pivots.max():
+            matrix[np.diag_indices_from(matrix)] += self.SHIFT * self._scale
+            self._factors = linalg.lu_factor(matrix, check_finite=False)
+
+    def solve(self, load: np.ndarray, result: np.ndarray) -> None:
+        """Solve into ``result`` (n_dofs,)."""
+        result[:] = linalg.lu_solve(self._factors, load, check_finite=False)
+
+
+@dataclass(eq=False)
+class _Vectors:
+    """What the cycle keeps on a level (n_dofs,) each."""
+
+    load: np.ndarray
+    solution: np.ndarray
+    kept: np.ndarray
+
+    @classmethod
+    def zeros(cls, n: int) -> _Vectors:
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n))
+
+
+@dataclass(eq=False)
+class LinearCycle:
+    """V-cycles for the linear problem on any of the levels.
+
+    Parameters
+    ----------
+    levels : list of Halves
+        Coarsest first.
+    prolongations : list of csr_array
+        Between neighbours, nodal.
+    recorder : Recorder
+        Counts passes: 3 a level, and notes the way.
+    """
+
+    levels: list[Halves]
+    prolongations: list[sparse.csr_array]
+    recorder: Recorder
+    factors: CoarseFactors = field(init=False)
+    vectors: list[_Vectors] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.factors = CoarseFactors(self.levels[0])
+        self.vectors = [_Vectors.zeros(level.n_dofs) for level in self.levels]
+
+    def solve(self, number: int) -> np.ndarray:
+        """One cycle from zero for ``vectors[number].load``; returns ``vectors[number].solution``."""
+        v = self.vectors[number]
+        if number == 0:
+            self.factors.solve(v.load, v.solution)
+            self.recorder.visit(0, "solve")
+            return v.solution
+        level, nodal = self.levels[number], self.prolongations[number - 1]
+        sweeps, dim = _SWEEPS[level.dim], level.dim
+        sweeps.forward_from_zero(*level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
+        sweeps.backward_change(*level.upper_arrays, level.inverse, v.solution, v.kept)
+        self.recorder.visit(number, "smooth", 2)
+        sweeps.residual(*level.lower_arrays, v.kept)
+        below = self.vectors[number - 1]
+        restrict[dim](nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
+        zero_at(below.load, self.levels[number - 1].fixed)
+        self.recorder.visit(number, "restrict")
+        correction = self.solve(number - 1)
+        add_prolonged[dim](nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
+        zero_at(v.solution, level.fixed)
+        self.recorder.visit(number, "prolong")
+        sweeps.forward_full(*level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution, v.kept)
+        sweeps.backward_kept(*level.upper_arrays, level.inverse, v.solution, v.kept)
+        self.recorder.visit(number, "smooth", 2)
+        self.recorder.count(3, level.nonzeros)
+        return v.solution
