@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["add_prolonged", "combine", "restrict", "zero_at"]
+__all__ = ["add_prolonged", "combine", "product_of_change", "restrict", "shorten", "zero_at"]
 
 
 @njit(cache=True)
@@ -16,6 +16,22 @@ def zero_at(vector, positions):
     """Set entries to zero."""
     for k in range(len(positions)):
         vector[positions[k]] = 0.0
+
+
+@njit(cache=True)
+def product_of_change(r, new, old):
+    """r'(new - old)."""
+    total = 0.0
+    for at in range(len(r)):
+        total += r[at] * (new[at] - old[at])
+    return total
+
+
+@njit(cache=True)
+def shorten(alpha, old, new):
+    """new = old + alpha (new - old)."""
+    for at in range(len(old)):
+        new[at] = old[at] + alpha * (new[at] - old[at])
 
 
 @njit(cache=True)

@@ -17,7 +17,8 @@ import math
 import numpy as np
 from numba import njit
 
-__all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "SLIPS", "admissible", "directions", "project", "truncate"]
+__all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "SLIPS", "TANGENTIAL", "admissible", "directions", "friction_slope",
+           "project", "truncate"]
 
 CLOSED, FREE, HELD, SLIPS, BACKWARDS = 1, 0, 2, 4, 6
 TANGENTIAL = 6
@@ -158,3 +159,28 @@ def admissible(dim, codes, nodes, frames, gap, reference, values, first, second,
         if tangential >= SLIPS and product <= 0.0:
             return False
     return True
+
+
+@njit(cache=True)
+def friction_slope(dim, codes, limit, friction, pressure, reference, old, new, alpha):
+    """Derivative of the sum of g |slip| along old + alpha (new - old), minus that at alpha = 0; slipping nodes only."""
+    m = dim - 1
+    total = 0.0
+    for k in range(len(codes)):
+        if codes[k] & TANGENTIAL < SLIPS:
+            continue
+        bound = limit[k]
+        if codes[k] & CLOSED:
+            bound += friction[k] * pressure[k]
+        size, before, product, initial = 0.0, 0.0, 0.0, 0.0
+        for a in range(m):
+            slip = old[dim * k + 1 + a] - reference[m * k + a]
+            change = new[dim * k + 1 + a] - old[dim * k + 1 + a]
+            moved = slip + alpha * change
+            size += moved * moved
+            before += slip * slip
+            product += moved * change
+            initial += slip * change
+        if size > 0.0 and before > 0.0:
+            total += bound * (product / math.sqrt(size) - initial / math.sqrt(before))
+    return total

@@ -131,3 +131,8 @@ class Obstacle:
         """Whether the recombination closes no open node and reverses no slip."""
         return contact_loops.admissible(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
                                         self.values, first, second, alpha[0], alpha[1], unknowns)
+
+    def friction_slope(self, before: np.ndarray, alpha: float) -> float:
+        """How much the slope of sum g |slip| at alpha exceeds that at 0 on the way from local unknowns ``before``."""
+        return contact_loops.friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure,
+                                            self.reference, before, self.values, alpha)

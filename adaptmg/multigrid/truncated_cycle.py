@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg.multigrid import projected_sweeps_2d, projected_sweeps_3d
-from adaptmg.multigrid.coarse_transfer import combine, restrict, zero_at
+from adaptmg.multigrid.coarse_transfer import combine, product_of_change, restrict, shorten, zero_at
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.recombination import Recombination
@@ -65,7 +65,6 @@ class TruncatedCycle:
         self._past = [np.zeros_like(unknowns), np.zeros_like(unknowns)]
         self.defect = np.zeros_like(unknowns)
         self.cuts = 0
-        self.frozen = False
         self._symmetric = False
 
     def smooth(self) -> None:
@@ -100,7 +99,10 @@ class TruncatedCycle:
         return Look(status.changed, float(residual), float(np.sqrt(status.reactions)))
 
     def correct(self) -> float:
-        """Coarse correction with recombination; returns the energy of the coarse correction, N m."""
+        """Coarse correction with recombination, in safe cycles with a line search; returns its energy, N m.
+
+        The energy is that of the correction proposed by the next coarser level, an estimate of the error it removes.
+        """
         o, below, nodal = self.obstacle, self.cycle.vectors[self.number - 1], self.cycle.prolongations[self.number - 1]
         first, second = self._past
         alpha = self.recombination.fit(self.below.inverse)
@@ -112,8 +114,42 @@ class TruncatedCycle:
         combine[self.level.dim](nodal.indptr, nodal.indices, nodal.data, correction, self.unknowns, first, second,
                                 *alpha)
         zero_at(second, self.level.fixed)
+        before = o.values.copy()
         self.cuts = o.project(second)
+        if self._symmetric:
+            self._search(second, before)
         self.unknowns, self._past = second, [self.unknowns, first]
         self.recombination.advance()
         self.cycle.recorder.visit(self.number, "prolong")
         return energy
+
+    def _search(self, proposed: np.ndarray, before: np.ndarray) -> None:
+        """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
+        level, o = self.level, self.obstacle
+        curvature = _SWEEPS[level.dim].energy_product(*level.lower_arrays, level.inverse, proposed, self.unknowns)
+        self.cycle.recorder.count(0.5, level.nonzeros)
+        gain = product_of_change(self.defect, proposed, self.unknowns)
+
+        def slope(alpha: float) -> float:
+            return alpha * curvature - gain + o.friction_slope(before, alpha)
+
+        if slope(1.0) <= 0.0:
+            return
+        low, high = 0.0, 1.0
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
+        shorten(low, self.unknowns, proposed)
+        o.values[:] = before
+        o.project(proposed)
+
+    def energy(self) -> float:
+        """u'Au - u'r = u'f at the present unknowns and residual f - A u (before :meth:`look`), N m."""
+        return float(self.unknowns @ self.load - self.unknowns @ self.defect)
+
+    def distance(self, other: np.ndarray) -> float:
+        """A-norm of the difference to other unknowns; half a pass."""
+        level = self.level
+        self.cycle.recorder.count(0.5, level.nonzeros)
+        return float(np.sqrt(max(_SWEEPS[level.dim].energy_product(*level.lower_arrays, level.inverse, self.unknowns,
+                                                                   other), 0.0)))

@@ -1,0 +1,56 @@
+"""The matrices of all levels in halves, for the truncated method."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.galerkin import galerkin_product, is_galerkin
+from adaptmg.multigrid.halves import Halves, split
+
+__all__ = ["coarse_levels", "nodal_prolongations"]
+
+
+def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
+    """Prolongations between neighbours, coarsest first, columns sorted."""
+    result = []
+    for level in hierarchy.levels[1:]:
+        nodal = sparse.csr_array(level.prolongation)
+        nodal.sort_indices()
+        result.append(nodal)
+    return result
+
+
+def coarse_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[Halves]:
+    """Galerkin matrices of all levels, coarsest first.
+
+    Where the discretised matrix is the Galerkin one (nested meshes) it is taken as it is.
+    """
+    matrix = hierarchy.finest.discrete.matrix
+    fine = hierarchy.finest.discrete
+    result = [split(matrix, fine.fixed)]
+    for level, nodal in zip(reversed(hierarchy.levels[:-1]), reversed(prolongations), strict=True):
+        discretised = level.discrete.matrix
+        if is_galerkin(matrix, nodal, discretised):
+            matrix = discretised
+        else:
+            matrix = galerkin_product(_supported(matrix, fine, nodal, level.discrete), nodal)
+        fine = level.discrete
+        result.insert(0, split(matrix, level.discrete.fixed))
+    return result
+
+
+def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.csr_array,
+               coarse: DiscreteProblem) -> sparse.bsr_array:
+    """The matrix, without the rows and columns of fixed dofs if free coarse dofs reach them."""
+    dim = fine.dim
+    fixed, free = fine.fixed.reshape(-1, dim), ~coarse.fixed.reshape(-1, dim)
+    reached = any((nodal[np.flatnonzero(fixed[:, c])] @ free[:, c].astype(float)).any() for c in range(dim))
+    if not reached:
+        return matrix
+    kept = (~fixed).astype(float)
+    rows = np.repeat(np.arange(len(fixed)), np.diff(matrix.indptr))
+    data = matrix.data * kept[rows][:, :, None] * kept[matrix.indices][:, None, :]
+    return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)

@@ -1,0 +1,135 @@
+r"""Galerkin coarse matrices :math:`P^T A P` of a block matrix and a nodal prolongation, row by row (Gustavson).
+
+Blocks are never expanded: a weight multiplies a block as a whole. On nested meshes the discretised coarse matrix is the
+same, and :func:`is_galerkin` finds that out with one product.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from scipy import sparse
+
+__all__ = ["galerkin_product", "is_galerkin"]
+
+
+@njit(cache=True)
+def _pattern(a_indptr, a_indices, b_indptr, b_indices, marker, indptr):
+    """Row pointers of the product of two patterns."""
+    marker[:] = -1
+    indptr[0] = 0
+    for i in range(len(a_indptr) - 1):
+        count = 0
+        for p in range(a_indptr[i], a_indptr[i + 1]):
+            k = a_indices[p]
+            for q in range(b_indptr[k], b_indptr[k + 1]):
+                if marker[b_indices[q]] != i:
+                    marker[b_indices[q]] = i
+                    count += 1
+        indptr[i + 1] = indptr[i] + count
+
+
+@njit(cache=True)
+def _block_times_weights(size, a_indptr, a_indices, a, p_indptr, p_indices, weights, place, indptr, indices, data):
+    """C = A P for blocks A; ``place`` (columns,) comes as -1."""
+    for i in range(len(a_indptr) - 1):
+        begin = indptr[i]
+        end = begin
+        for s in range(a_indptr[i], a_indptr[i + 1]):
+            k = a_indices[s]
+            for q in range(p_indptr[k], p_indptr[k + 1]):
+                j, weight = p_indices[q], weights[q]
+                at = place[j]
+                if at < begin:
+                    at = end
+                    place[j] = at
+                    indices[at] = j
+                    end += 1
+                    for c in range(size):
+                        data[size * at + c] = weight * a[size * s + c]
+                else:
+                    for c in range(size):
+                        data[size * at + c] += weight * a[size * s + c]
+
+
+@njit(cache=True)
+def _weights_times_block(size, r_indptr, r_indices, weights, b_indptr, b_indices, b, place, indptr, indices, data):
+    """C = R B for blocks B; ``place`` (columns,) comes as -1."""
+    for i in range(len(r_indptr) - 1):
+        begin = indptr[i]
+        end = begin
+        for s in range(r_indptr[i], r_indptr[i + 1]):
+            k, weight = r_indices[s], weights[s]
+            for q in range(b_indptr[k], b_indptr[k + 1]):
+                j = b_indices[q]
+                at = place[j]
+                if at < begin:
+                    at = end
+                    place[j] = at
+                    indices[at] = j
+                    end += 1
+                    for c in range(size):
+                        data[size * at + c] = weight * b[size * q + c]
+                else:
+                    for c in range(size):
+                        data[size * at + c] += weight * b[size * q + c]
+
+
+def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
+    """P'AP with P = nodal on every component.
+
+    Parameters
+    ----------
+    matrix : bsr_array (n_dofs, n_dofs)
+        Square blocks.
+    nodal : csr_array (n_nodes, n_nodes coarse)
+
+    Returns
+    -------
+    bsr_array (n_dofs coarse, n_dofs coarse)
+        Sorted columns; every coarse node has a diagonal block, that of a node which nothing reaches is the mean of the
+        others' diagonals.
+    """
+    dim = matrix.blocksize[0]
+    size, coarse = dim * dim, nodal.shape[1]
+    half_indptr, half_indices, half = _product(size, matrix.indptr, matrix.indices, matrix.data.reshape(-1), nodal, False)
+    transposed = sparse.csr_array(nodal.T)
+    indptr, indices, data = _product(size, half_indptr, half_indices, half, transposed, True, coarse)
+    shape = (coarse * dim, coarse * dim)
+    result = sparse.bsr_array((data.reshape(-1, dim, dim), indices, indptr), shape=shape).sorted_indices()
+    diagonal = result.diagonal()
+    empty = ~(diagonal > 0)
+    if empty.any():
+        fill = sparse.diags_array(np.where(empty, diagonal[~empty].mean(), 0.0))
+        result = sparse.bsr_array(result + fill, blocksize=(dim, dim)).sorted_indices()
+    return result
+
+
+def _product(size: int, indptr: np.ndarray, indices: np.ndarray, data: np.ndarray, weights: sparse.csr_array, left: bool,
+             columns: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks times weights, or (``left``) weights times blocks with so many columns."""
+    columns = weights.shape[1] if columns is None else columns
+    place = np.full(columns, -1, dtype=np.int64)
+    arguments = ((weights.indptr, weights.indices, indptr, indices) if left
+                 else (indptr, indices, weights.indptr, weights.indices))
+    result = np.empty(len(arguments[0]), dtype=np.int64)
+    _pattern(*arguments, place, result)
+    place[:] = -1
+    found, blocks = np.empty(result[-1], dtype=np.int32), np.empty(result[-1] * size)
+    if left:
+        _weights_times_block(size, weights.indptr, weights.indices, weights.data, indptr, indices, data, place, result,
+                             found, blocks)
+    else:
+        _block_times_weights(size, indptr, indices, data, weights.indptr, weights.indices, weights.data, place, result,
+                             found, blocks)
+    return result.astype(np.int32), found, blocks
+
+
+def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array,
+                tolerance: float = 1e-9) -> bool:
+    """Whether ``coarse`` is P'AP, seen on one pseudo-random vector, relative to the size of what is compared."""
+    dim = matrix.blocksize[0]
+    probe = np.random.default_rng(0).standard_normal((nodal.shape[1], dim))
+    product = nodal.T @ (matrix @ (nodal @ probe).reshape(-1)).reshape(-1, dim)
+    difference = product.reshape(-1) - coarse @ probe.reshape(-1)
+    return bool(np.abs(difference).max() <= tolerance * np.abs(product).max())

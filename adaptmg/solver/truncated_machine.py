@@ -1,0 +1,161 @@
+r"""TruncatedMachine: one run of the truncated multigrid: nested start, cycles, safe cycles, stopping.
+
+The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the next coarser level proposes estimates the
+error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last
+three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with the natural residual, which every
+smoothing leaves behind, it decides when to stop, at no further pass over a matrix.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.coarse_levels import coarse_levels, nodal_prolongations
+from adaptmg.multigrid.coarsest_start import solve_coarsest
+from adaptmg.multigrid.linear_cycle import LinearCycle
+from adaptmg.multigrid.nested import NestedStart
+from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.status import Status
+from adaptmg.solver.truncated_watch import TruncatedWatch
+
+if TYPE_CHECKING:
+    from adaptmg.solver.multigrid import Multigrid
+
+__all__ = ["TruncatedMachine"]
+
+
+class TruncatedMachine:
+    """One run of the truncated multigrid.
+
+    Parameters
+    ----------
+    options : Multigrid
+        With :class:`~adaptmg.multigrid.Truncated` as correction.
+    hierarchy : Hierarchy
+    run : Run
+    """
+
+    #: complete nested starts stop after so many cycles on a level
+    COMPLETE_LIMIT = 60
+
+    def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
+        self.options, self.hierarchy, self.run = options, hierarchy, run
+        with run.phase("setup"):
+            prolongations = nodal_prolongations(hierarchy)
+            self.cycle = LinearCycle(coarse_levels(hierarchy, prolongations), prolongations, run)
+        self.problems: list[DiscreteProblem] = [level.discrete for level in hierarchy.levels]
+
+    def nested_start(self, start: NestedStart) -> np.ndarray:
+        """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,), Cartesian."""
+        unknowns = np.empty(0)
+        for number in range(len(self.hierarchy) - 1):
+            if number == 0:
+                unknowns = self._solve_coarsest(start)
+            else:
+                runner = self._runner(number, unknowns)
+                with self.run.phase("start"):
+                    self._start_cycles(runner, number, start)
+                    unknowns = runner.unknowns
+                    runner.truncation.restore()
+            with self.run.phase("start"):
+                unknowns = self._prolonged(number, unknowns)
+            self.run.visit(number + 1, "start")
+        self.run.start_work_units = self.run.work_units
+        return unknowns
+
+    def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
+        """Cycles on the finest level.
+
+        Parameters
+        ----------
+        unknowns : (n_dofs,) array
+            Start, Cartesian, from the prescribed values.
+        cold : bool
+            Whether the contact status of the start means nothing.
+        """
+        number = len(self.hierarchy) - 1
+        start = unknowns.copy() if self.options.rtol == "discretisation" else None
+        runner = self._runner(number, unknowns)
+        with self.run.phase("cycles"):
+            watch = TruncatedWatch(self.problems[-1], self.options.rtol, self.run)
+            status, cycles = self._cycles(runner, watch, cold, self.options.max_cycles, start)
+        displacement = (runner.unknowns + self.problems[-1].fixed_values).reshape(-1, self.problems[-1].dim)
+        return Outcome(displacement, status, cycles, watch.rtol, watch.error_estimate, watch.rate)
+
+    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
+        with self.run.phase("setup"):
+            problem, levels = self.problems[number], self.cycle.levels
+            obstacle = Obstacle.of(problem, levels[number])
+            obstacle.place(unknowns)
+            return TruncatedCycle(self.cycle, number, obstacle, _load(problem), unknowns,
+                                  self.options.correction.recombine)
+
+    def _start_cycles(self, runner: TruncatedCycle, number: int, start: NestedStart) -> None:
+        """The cycles of a nested start on one level."""
+        if start.cycles == "complete":
+            watch = TruncatedWatch(self.problems[number], start.rtol)
+            self._cycles(runner, watch, False, self.COMPLETE_LIMIT, None)
+            return
+        for _ in range(start.cycles):
+            runner.smooth()
+            runner.look(safe=False)
+            runner.correct()
+
+    def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
+        problem, level = self.problems[0], self.cycle.levels[0]
+        unknowns = np.zeros(problem.n_dofs)
+        with self.run.phase("start"):
+            obstacle = Obstacle.of(problem, level)
+            obstacle.place(unknowns)
+            solve_coarsest(level, obstacle, _load(problem), unknowns, start.rtol, self.run)
+        return unknowns
+
+    def _prolonged(self, number: int, unknowns: np.ndarray) -> np.ndarray:
+        """Interpolated to the next finer level, prescribed values respected."""
+        coarse, fine = self.problems[number], self.problems[number + 1]
+        displacement = (unknowns + coarse.fixed_values).reshape(-1, coarse.dim)
+        result = (self.cycle.prolongations[number] @ displacement).reshape(-1) - fine.fixed_values
+        result[fine.fixed] = 0.0
+        return result
+
+    def _cycles(self, runner: TruncatedCycle, watch: TruncatedWatch, cold: bool, limit: int,
+                start: np.ndarray | None) -> tuple[Status, int]:
+        """Cycle until the watch is content; safe cycles while the status of a cold start changes, or after trouble."""
+        cycles, left = 0, self.options.correction.safe_cycles
+        changed, trouble = cold, 0
+        while True:
+            runner.smooth()
+            if cycles % 4 == 0:
+                watch.size = max(runner.energy(), 0.0) ** 0.5
+            safe = left > 0 and (trouble > 0 or (cold and changed))
+            look = runner.look(safe)
+            changed = look.changed > 0
+            met = watch.check(look.residual, look.reactions)
+            watch.record(runner, cycles, look.changed)
+            if met:
+                return Status.CONVERGED, cycles
+            if watch.diverged:
+                return Status.DIVERGED, cycles
+            if watch.stalled:
+                return Status.STALLED, cycles
+            if cycles >= limit:
+                return Status.LIMIT, cycles
+            left -= safe
+            watch.corrected(runner.correct())
+            cycles += 1
+            trouble = watch.trouble(trouble)
+            if cycles == 1 and start is not None:
+                watch.take_discretisation_error(runner.distance(start))
+
+
+def _load(problem: DiscreteProblem) -> np.ndarray:
+    """b - A u_fixed, zero at fixed dofs (n_dofs,), Cartesian."""
+    load = problem.load - problem.matrix @ problem.fixed_values if problem.fixed_values.any() else problem.load.copy()
+    load[problem.fixed] = 0.0
+    return load
