@@ -13,7 +13,8 @@ from numba import njit
 
 from adaptmg.smoother.prefetch import AHEAD, prefetch
 
-__all__ = ["backward_change", "backward_kept", "forward_from_zero", "forward_full", "minus_row", "residual"]
+__all__ = ["backward_change", "backward_full", "backward_kept", "forward_from_zero", "forward_full", "forward_residual",
+           "minus_row", "residual"]
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 
@@ -89,5 +90,26 @@ def backward_kept(u_indptr, u_indices, upper, inverse, u, kept):
         i = np.uint64(node)
         at, block = TWO * i, FOUR * i
         r_0, r_1 = minus_row(i, -1, u_indptr, u_indices, upper, u, kept[at], kept[at + ONE])
+        u[at] = inverse[block] * r_0 + inverse[block + ONE] * r_1
+        u[at + ONE] = inverse[block + TWO] * r_0 + inverse[block + THREE] * r_1
+
+
+@njit(cache=True)
+def forward_residual(u_indptr, u_indices, upper, u, result):
+    """The residual after :func:`forward_from_zero`: minus U times u."""
+    for node in range(len(u_indptr) - 1):
+        i = np.uint64(node)
+        at = TWO * i
+        result[at], result[at + ONE] = minus_row(i, 1, u_indptr, u_indices, upper, u, 0.0, 0.0)
+
+
+@njit(cache=True)
+def backward_full(l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u):
+    """Backward sweep from any u."""
+    for node in range(len(l_indptr) - 2, -1, -1):
+        i = np.uint64(node)
+        at, block = TWO * i, FOUR * i
+        r_0, r_1 = minus_row(i, -1, u_indptr, u_indices, upper, u, load[at], load[at + ONE])
+        r_0, r_1 = minus_row(i, -1, l_indptr, l_indices, lower, u, r_0, r_1)
         u[at] = inverse[block] * r_0 + inverse[block + ONE] * r_1
         u[at + ONE] = inverse[block + TWO] * r_0 + inverse[block + THREE] * r_1

@@ -7,7 +7,8 @@ from numba import njit
 
 from adaptmg.smoother.prefetch import AHEAD, prefetch
 
-__all__ = ["backward_change", "backward_kept", "forward_from_zero", "forward_full", "minus_row", "residual"]
+__all__ = ["backward_change", "backward_full", "backward_kept", "forward_from_zero", "forward_full", "forward_residual",
+           "minus_row", "residual", "times_block"]
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 FIVE, SIX, SEVEN, EIGHT, NINE = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8), np.uint64(9)
@@ -89,4 +90,24 @@ def backward_kept(u_indptr, u_indices, upper, inverse, u, kept):
         i = np.uint64(node)
         at = THREE * i
         r_0, r_1, r_2 = minus_row(i, -1, u_indptr, u_indices, upper, u, kept[at], kept[at + ONE], kept[at + TWO])
+        u[at], u[at + ONE], u[at + TWO] = times_block(i, inverse, r_0, r_1, r_2)
+
+
+@njit(cache=True)
+def forward_residual(u_indptr, u_indices, upper, u, result):
+    """The residual after :func:`forward_from_zero`: minus U times u."""
+    for node in range(len(u_indptr) - 1):
+        i = np.uint64(node)
+        at = THREE * i
+        result[at], result[at + ONE], result[at + TWO] = minus_row(i, 1, u_indptr, u_indices, upper, u, 0.0, 0.0, 0.0)
+
+
+@njit(cache=True)
+def backward_full(l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u):
+    """Backward sweep from any u."""
+    for node in range(len(l_indptr) - 2, -1, -1):
+        i = np.uint64(node)
+        at = THREE * i
+        r_0, r_1, r_2 = minus_row(i, -1, u_indptr, u_indices, upper, u, load[at], load[at + ONE], load[at + TWO])
+        r_0, r_1, r_2 = minus_row(i, -1, l_indptr, l_indices, lower, u, r_0, r_1, r_2)
         u[at], u[at + ONE], u[at + TWO] = times_block(i, inverse, r_0, r_1, r_2)

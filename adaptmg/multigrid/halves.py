@@ -7,7 +7,7 @@ half is streamed for itself and counts as half a pass. Rows and columns of fixed
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -73,6 +73,11 @@ class Halves:
         """Memory of the arrays, bytes."""
         arrays = (*self.lower_arrays, *self.upper_arrays, self.diagonal, self.inverse, self.fixed)
         return sum(array.nbytes for array in arrays if array is not None)
+
+    def copy(self) -> Halves:
+        """With arrays of its own where the contact status changes them."""
+        return replace(self, lower=self.lower.copy(), upper=self.upper.copy(), diagonal=self.diagonal.copy(),
+                       inverse=self.inverse.copy())
 
     def matrix(self) -> sparse.bsr_array:
         """The whole matrix, for coarsest solves and tests (n_dofs, n_dofs); needs ``diagonal``."""

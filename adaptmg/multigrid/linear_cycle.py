@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,12 +74,16 @@ class LinearCycle:
     prolongations : list of csr_array
         Between neighbours, nodal.
     recorder : Recorder
-        Counts passes: 3 a level, and notes the way.
+        Counts passes, and notes the way.
+    sweeps : sequence of int
+        By level, smoothing before and after the coarse correction: 1 (forward, then backward; 2 passes a level) or 2
+        (symmetric both times; 3 passes).
     """
 
     levels: list[Halves]
     prolongations: list[sparse.csr_array]
     recorder: Recorder
+    sweeps: Sequence[int]
     factors: CoarseFactors = field(init=False)
     vectors: list[_Vectors] = field(init=False)
 
@@ -94,21 +99,36 @@ class LinearCycle:
             self.recorder.visit(0, "solve")
             return v.solution
         level, nodal = self.levels[number], self.prolongations[number - 1]
-        sweeps, dim = _SWEEPS[level.dim], level.dim
-        sweeps.forward_from_zero(*level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
-        sweeps.backward_change(*level.upper_arrays, level.inverse, v.solution, v.kept)
-        self.recorder.visit(number, "smooth", 2)
-        sweeps.residual(*level.lower_arrays, v.kept)
+        self._before(level, v, self.sweeps[number])
+        self.recorder.visit(number, "smooth", self.sweeps[number])
         below = self.vectors[number - 1]
-        restrict[dim](nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
+        restrict[level.dim](nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
         zero_at(below.load, self.levels[number - 1].fixed)
         self.recorder.visit(number, "restrict")
         correction = self.solve(number - 1)
-        add_prolonged[dim](nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
+        add_prolonged[level.dim](nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
         zero_at(v.solution, level.fixed)
         self.recorder.visit(number, "prolong")
-        sweeps.forward_full(*level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution, v.kept)
-        sweeps.backward_kept(*level.upper_arrays, level.inverse, v.solution, v.kept)
-        self.recorder.visit(number, "smooth", 2)
-        self.recorder.count(3, level.nonzeros)
+        self._after(level, v, self.sweeps[number])
+        self.recorder.visit(number, "smooth", self.sweeps[number])
+        self.recorder.count(1 + self.sweeps[number], level.nonzeros)
         return v.solution
+
+    def _before(self, level: Halves, v: _Vectors, sweeps: int) -> None:
+        """Smooth from zero; the residual is left in ``kept``."""
+        kernels = _SWEEPS[level.dim]
+        kernels.forward_from_zero(*level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
+        if sweeps == 1:
+            kernels.forward_residual(*level.upper_arrays, v.solution, v.kept)
+        else:
+            kernels.backward_change(*level.upper_arrays, level.inverse, v.solution, v.kept)
+            kernels.residual(*level.lower_arrays, v.kept)
+
+    def _after(self, level: Halves, v: _Vectors, sweeps: int) -> None:
+        """Smooth the corrected solution."""
+        kernels = _SWEEPS[level.dim]
+        if sweeps == 1:
+            kernels.backward_full(*level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
+        else:
+            kernels.forward_full(*level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution, v.kept)
+            kernels.backward_kept(*level.upper_arrays, level.inverse, v.solution, v.kept)

@@ -11,11 +11,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.coarse_levels import coarse_levels, nodal_prolongations
-from adaptmg.multigrid.coarsest_start import solve_coarsest
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.obstacle import Obstacle
@@ -48,7 +48,8 @@ class TruncatedMachine:
         self.options, self.hierarchy, self.run = options, hierarchy, run
         with run.phase("setup"):
             prolongations = nodal_prolongations(hierarchy)
-            self.cycle = LinearCycle(coarse_levels(hierarchy, prolongations), prolongations, run)
+            levels = coarse_levels(hierarchy, prolongations)
+            self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels))
         self.problems: list[DiscreteProblem] = [level.discrete for level in hierarchy.levels]
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
@@ -108,13 +109,18 @@ class TruncatedMachine:
             runner.correct()
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
+        """The coarsest level as its own coarse level: truncated Newton steps with direct solves between sweeps."""
         problem, level = self.problems[0], self.cycle.levels[0]
+        n = level.n_nodes
+        identity = sparse.csr_array((np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)))
+        cycle = LinearCycle([level.copy(), level], [identity], self.run, (1, 1))
         unknowns = np.zeros(problem.n_dofs)
         with self.run.phase("start"):
             obstacle = Obstacle.of(problem, level)
             obstacle.place(unknowns)
-            solve_coarsest(level, obstacle, _load(problem), unknowns, start.rtol, self.run)
-        return unknowns
+            runner = TruncatedCycle(cycle, 1, obstacle, _load(problem), unknowns, self.options.correction.recombine)
+            self._cycles(runner, TruncatedWatch(problem, start.rtol), True, self.COMPLETE_LIMIT, None)
+        return runner.unknowns
 
     def _prolonged(self, number: int, unknowns: np.ndarray) -> np.ndarray:
         """Interpolated to the next finer level, prescribed values respected."""
