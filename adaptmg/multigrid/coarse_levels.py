@@ -7,7 +7,8 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.galerkin import galerkin_product, is_galerkin
+from adaptmg.transfer.aggregation import without_fixed
+from adaptmg.transfer.galerkin import galerkin_product, is_galerkin
 from adaptmg.multigrid.halves import Halves, split
 
 __all__ = ["coarse_levels", "nodal_prolongations"]
@@ -28,17 +29,18 @@ def coarse_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -
 
     Where the discretised matrix is the Galerkin one (nested meshes) it is taken as it is.
     """
-    matrix = hierarchy.finest.discrete.matrix
-    fine = hierarchy.finest.discrete
+    matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
     result = [split(matrix, fine.fixed)]
     for level, nodal in zip(reversed(hierarchy.levels[:-1]), reversed(prolongations), strict=True):
-        discretised = level.discrete.matrix
-        if is_galerkin(matrix, nodal, discretised):
-            matrix = discretised
+        if level.discrete is None:
+            matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
+        elif is_galerkin(matrix, nodal, level.discrete.matrix):
+            matrix, fixed = level.discrete.matrix, level.discrete.fixed
         else:
             matrix = galerkin_product(_supported(matrix, fine, nodal, level.discrete), nodal)
+            fixed = level.discrete.fixed
         fine = level.discrete
-        result.insert(0, split(matrix, level.discrete.fixed))
+        result.insert(0, split(matrix, fixed))
     return result
 
 
@@ -50,7 +52,4 @@ def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.cs
     reached = any((nodal[np.flatnonzero(fixed[:, c])] @ free[:, c].astype(float)).any() for c in range(dim))
     if not reached:
         return matrix
-    kept = (~fixed).astype(float)
-    rows = np.repeat(np.arange(len(fixed)), np.diff(matrix.indptr))
-    data = matrix.data * kept[rows][:, :, None] * kept[matrix.indices][:, None, :]
-    return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    return without_fixed(matrix, fine.fixed)

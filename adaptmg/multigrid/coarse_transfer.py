@@ -1,6 +1,7 @@
-r"""Numba kernels of nodal transfers in the cycle: restriction by scatter, prolongation fused with what follows it.
+r"""Numba kernels of transfers in the cycle: restriction by scatter, prolongation fused with what follows it.
 
-A nodal prolongation P acts on every component; its transpose is applied from the same arrays.
+A nodal prolongation P acts on every component, one of dofs is taken as of nodes with one component; the transpose is
+applied from the same arrays.
 """
 
 from __future__ import annotations
@@ -32,6 +33,41 @@ def shorten(alpha, old, new):
     """new = old + alpha (new - old)."""
     for at in range(len(old)):
         new[at] = old[at] + alpha * (new[at] - old[at])
+
+
+@njit(cache=True)
+def restrict_1d(indptr, indices, weights, r, coarse):
+    """coarse = P' r; returns r'r."""
+    coarse[:] = 0.0
+    squares = 0.0
+    for row in range(len(indptr) - 1):
+        i = np.uint64(row)
+        squares += r[i] * r[i]
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
+            coarse[np.uint64(indices[k])] += weights[k] * r[i]
+    return squares
+
+
+@njit(cache=True)
+def add_prolonged_1d(indptr, indices, weights, coarse, u):
+    """u += P coarse."""
+    for row in range(len(indptr) - 1):
+        i = np.uint64(row)
+        e = 0.0
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
+            e += weights[k] * coarse[np.uint64(indices[k])]
+        u[i] += e
+
+
+@njit(cache=True)
+def combine_1d(indptr, indices, weights, coarse, u, first, second, alpha_1, alpha_2):
+    """second = u + alpha_1 (first - u) + alpha_2 (second - u) + P coarse."""
+    for row in range(len(indptr) - 1):
+        i = np.uint64(row)
+        e = u[i] + alpha_1 * (first[i] - u[i]) + alpha_2 * (second[i] - u[i])
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
+            e += weights[k] * coarse[np.uint64(indices[k])]
+        second[i] = e
 
 
 @njit(cache=True)
@@ -139,6 +175,6 @@ def combine_3d(indptr, indices, weights, coarse, u, first, second, alpha_1, alph
         second[at], second[m], second[to] = e_0, e_1, e_2
 
 
-restrict = {2: restrict_2d, 3: restrict_3d}
-add_prolonged = {2: add_prolonged_2d, 3: add_prolonged_3d}
-combine = {2: combine_2d, 3: combine_3d}
+restrict = {1: restrict_1d, 2: restrict_2d, 3: restrict_3d}
+add_prolonged = {1: add_prolonged_1d, 2: add_prolonged_2d, 3: add_prolonged_3d}
+combine = {1: combine_1d, 2: combine_2d, 3: combine_3d}

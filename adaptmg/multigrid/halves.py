@@ -79,6 +79,17 @@ class Halves:
         return replace(self, lower=self.lower.copy(), upper=self.upper.copy(), diagonal=self.diagonal.copy(),
                        inverse=self.inverse.copy())
 
+    def at_slots(self, slots: np.ndarray) -> np.ndarray:
+        """The blocks at slots (L first, then the diagonal, then U), flat."""
+        size, n, below = self.dim**2, self.n_nodes, int(self.lower_indptr[-1])
+        result = np.empty((len(slots), size))
+        in_lower, in_upper = slots < below, slots >= below + n
+        on_diagonal = ~(in_lower | in_upper)
+        result[in_lower] = self.lower.reshape(-1, size)[slots[in_lower]]
+        result[on_diagonal] = self.diagonal.reshape(-1, size)[slots[on_diagonal] - below]
+        result[in_upper] = self.upper.reshape(-1, size)[slots[in_upper] - below - n]
+        return result.reshape(-1)
+
     def matrix(self) -> sparse.bsr_array:
         """The whole matrix, for coarsest solves and tests (n_dofs, n_dofs); needs ``diagonal``."""
         n, dim = self.n_nodes, self.dim

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg, sparse
 
-from adaptmg.multigrid import half_sweeps_2d, half_sweeps_3d
+from adaptmg.multigrid import half_sweeps_1d, half_sweeps_2d, half_sweeps_3d
 from adaptmg.multigrid.coarse_transfer import add_prolonged, restrict, zero_at
 from adaptmg.multigrid.correction import Recorder
 from adaptmg.multigrid.halves import Halves
 
 __all__ = ["CoarseFactors", "LinearCycle"]
 
-_SWEEPS = {2: half_sweeps_2d, 3: half_sweeps_3d}
+_SWEEPS = {1: half_sweeps_1d, 2: half_sweeps_2d, 3: half_sweeps_3d}
 
 
 class CoarseFactors:
@@ -72,7 +72,7 @@ class LinearCycle:
     levels : list of Halves
         Coarsest first.
     prolongations : list of csr_array
-        Between neighbours, nodal.
+        Between neighbours, of nodes (n_nodes, n_nodes coarse) or of dofs (n_dofs, n_dofs coarse).
     recorder : Recorder
         Counts passes, and notes the way.
     sweeps : sequence of int
@@ -102,11 +102,12 @@ class LinearCycle:
         self._before(level, v, self.sweeps[number])
         self.recorder.visit(number, "smooth", self.sweeps[number])
         below = self.vectors[number - 1]
-        restrict[level.dim](nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
+        components = level.n_dofs // nodal.shape[0]
+        restrict[components](nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
         zero_at(below.load, self.levels[number - 1].fixed)
         self.recorder.visit(number, "restrict")
         correction = self.solve(number - 1)
-        add_prolonged[level.dim](nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
+        add_prolonged[components](nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
         zero_at(v.solution, level.fixed)
         self.recorder.visit(number, "prolong")
         self._after(level, v, self.sweeps[number])

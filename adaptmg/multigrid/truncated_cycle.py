@@ -60,7 +60,8 @@ class TruncatedCycle:
         self.cycle, self.number, self.obstacle, self.load = cycle, number, obstacle, load
         self.level, self.below = cycle.levels[number], cycle.levels[number - 1]
         self.truncation = Truncation(cycle.levels[:number + 1], cycle.prolongations[:number], obstacle)
-        self.recombination = Recombination(self.level.dim, self.below.n_dofs, depth)
+        self.recombination = Recombination(self.below.dim, self.below.n_dofs, depth)
+        self._components = self.level.n_dofs // cycle.prolongations[number - 1].shape[0]
         self.unknowns = unknowns
         self._past = [np.zeros_like(unknowns), np.zeros_like(unknowns)]
         self.defect = np.zeros_like(unknowns)
@@ -92,7 +93,7 @@ class TruncatedCycle:
             self._symmetric = safe
         squares = o.truncate(self.defect)
         now = self.recombination.now
-        total = restrict[self.level.dim](nodal.indptr, nodal.indices, nodal.data, self.defect, now)
+        total = restrict[self._components](nodal.indptr, nodal.indices, nodal.data, self.defect, now)
         zero_at(now, self.below.fixed)
         self.cycle.recorder.visit(self.number, "restrict")
         residual = np.sqrt(max(total - squares, 0.0) + status.natural)
@@ -111,7 +112,7 @@ class TruncatedCycle:
         self.recombination.combine(alpha, below.load)
         correction = self.cycle.solve(self.number - 1)
         energy = float(below.load @ correction)
-        combine[self.level.dim](nodal.indptr, nodal.indices, nodal.data, correction, self.unknowns, first, second,
+        combine[self._components](nodal.indptr, nodal.indices, nodal.data, correction, self.unknowns, first, second,
                                 *alpha)
         zero_at(second, self.level.fixed)
         before = o.values.copy()

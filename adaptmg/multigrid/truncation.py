@@ -10,6 +10,7 @@ from scipy import sparse
 from adaptmg.multigrid import truncation_kernels as kernels
 from adaptmg.multigrid.halves import Halves
 from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.multigrid.truncation_dofs import DofChain
 
 __all__ = ["Truncation"]
 
@@ -45,7 +46,7 @@ class Truncation:
         Coarsest first; the last is the level of the contact nodes. The others are changed in place and must come with
         their base matrices, of which ``P' A P`` is the pattern at least near contact.
     prolongations : list of csr_array
-        Between neighbours, nodal.
+        Between neighbours, all of nodes or all of dofs.
     obstacle : Obstacle
         The contact nodes of the last level.
     """
@@ -61,20 +62,53 @@ class Truncation:
         self.rows, self.columns = rows[:count].copy(), columns[:count].copy()
         self.blocks = blocks[:count * dim * dim].copy()
         self.change = np.zeros_like(self.blocks)
-        self.below: list[_Below] = []
-        rows, columns = self.rows, self.columns
-        for level, nodal in zip(reversed(levels[:-1]), reversed(prolongations), strict=True):
-            self.below.append(_products(level, nodal, rows, columns))
-            rows, columns = self.below[-1].rows, self.below[-1].columns
+        if prolongations[-1].shape[0] == fine.n_nodes:
+            self.chain: NodalChain | DofChain = NodalChain(levels[:-1], prolongations, self.rows, self.columns)
+        else:
+            self.chain = DofChain(levels[:-1], prolongations, dim, self.rows, self.columns)
 
     def apply(self, newton: bool) -> None:
         """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g frozen."""
         o = self.obstacle
         kernels.changed_blocks(o.dim, self.rows, self.columns, self.blocks, o.contact_of, o.codes, o.frames,
                                o.friction, o.direction, o.hessian, newton, self.change)
-        change = self.change
+        self.chain.update(self.change)
+
+    def restore(self) -> None:
+        """Put the base matrices back."""
+        self.chain.restore()
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        own = self.rows.nbytes + self.columns.nbytes + self.blocks.nbytes + self.change.nbytes
+        return own + self.chain.nbytes
+
+
+class NodalChain:
+    """Carries changed blocks down the levels by nodal prolongations, through lists of products made once.
+
+    Parameters
+    ----------
+    levels : list of Halves
+        The coarse levels, coarsest first.
+    prolongations : list of csr_array
+        From each of them to the next finer level, nodal.
+    rows, columns : int32 arrays
+        Of the changed blocks on the finest level.
+    """
+
+    def __init__(self, levels: list[Halves], prolongations: list[sparse.csr_array], rows: np.ndarray,
+                 columns: np.ndarray) -> None:
+        self.below: list[_Below] = []
+        for level, nodal in zip(reversed(levels), reversed(prolongations), strict=True):
+            self.below.append(_products(level, nodal, rows, columns))
+            rows, columns = self.below[-1].rows, self.below[-1].columns
+
+    def update(self, change: np.ndarray) -> None:
+        """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""
         for below in self.below:
-            kernels.add_contributions(o.dim * o.dim, below.source, below.target, below.weight, change, below.change)
+            kernels.add_contributions(below.level.dim**2, below.source, below.target, below.weight, change, below.change)
             below.store()
             change = below.change
 
@@ -87,9 +121,8 @@ class Truncation:
     @property
     def nbytes(self) -> int:
         """Memory of the arrays, bytes."""
-        own = self.rows.nbytes + self.columns.nbytes + self.blocks.nbytes + self.change.nbytes
-        return own + sum(value.nbytes for below in self.below for value in vars(below).values()
-                         if isinstance(value, np.ndarray))
+        return sum(value.nbytes for below in self.below for value in vars(below).values()
+                   if isinstance(value, np.ndarray))
 
 
 def _products(level: Halves, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray) -> _Below:
@@ -111,16 +144,4 @@ def _products(level: Halves, nodal: sparse.csr_array, rows: np.ndarray, columns:
     free = np.ones(level.n_dofs, dtype=bool)
     free[level.fixed] = False
     return _Below(level, free, source[:count].copy(), target[:count].copy(), weight[:count].copy(), slots,
-                  coarse_rows[:met].copy(), coarse_columns[:met].copy(), _gather(level, slots), np.zeros(met * size))
-
-
-def _gather(level: Halves, slots: np.ndarray) -> np.ndarray:
-    """The blocks at slots, flat."""
-    size, n, below = level.dim**2, level.n_nodes, int(level.lower_indptr[-1])
-    result = np.empty((len(slots), size))
-    in_lower, in_upper = slots < below, slots >= below + n
-    on_diagonal = ~(in_lower | in_upper)
-    result[in_lower] = level.lower.reshape(-1, size)[slots[in_lower]]
-    result[on_diagonal] = level.diagonal.reshape(-1, size)[slots[on_diagonal] - below]
-    result[in_upper] = level.upper.reshape(-1, size)[slots[in_upper] - below - n]
-    return result.reshape(-1)
+                  coarse_rows[:met].copy(), coarse_columns[:met].copy(), level.at_slots(slots), np.zeros(met * size))

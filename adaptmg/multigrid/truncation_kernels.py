@@ -18,7 +18,7 @@ from adaptmg.multigrid.contact_loops import CLOSED, HELD, TANGENTIAL
 from adaptmg.multigrid.halves import invert_block
 
 __all__ = ["add_contributions", "changed_blocks", "collect", "count_blocks", "count_contributions",
-           "fill_contributions", "find_slot", "store"]
+           "fill_contributions", "find_slot", "find_slots", "store"]
 
 
 @njit(cache=True)
@@ -156,6 +156,13 @@ def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices):
         else:
             high = middle
     return np.int64(-1)
+
+
+@njit(cache=True)
+def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, slots):
+    """Slots of many blocks."""
+    for k in range(len(rows)):
+        slots[k] = find_slot(rows[k], columns[k], l_indptr, l_indices, u_indptr, u_indices)
 
 
 @njit(cache=True)

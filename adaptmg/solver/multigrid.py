@@ -133,6 +133,7 @@ class FullMultigrid(Multigrid):
             raise ValueError("start: FullMultigrid makes its own start; use Multigrid to continue from a given one")
         _need_levels(hierarchy)
         if isinstance(self.correction, Truncated):
+            hierarchy.need_discretised("the nested start of FullMultigrid")
             truncated = TruncatedMachine(self, hierarchy, run)
             return truncated.finish(truncated.nested_start(self.start), cold=False)
         machine = Machine(self, hierarchy, run)

@@ -50,7 +50,7 @@ class TruncatedMachine:
             prolongations = nodal_prolongations(hierarchy)
             levels = coarse_levels(hierarchy, prolongations)
             self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels))
-        self.problems: list[DiscreteProblem] = [level.discrete for level in hierarchy.levels]
+        self.problems: list[DiscreteProblem | None] = [level.discrete for level in hierarchy.levels]
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,), Cartesian."""

@@ -6,11 +6,16 @@ same, and :func:`is_galerkin` finds that out with one product.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numba import njit
 from scipy import sparse
 
-__all__ = ["galerkin_product", "is_galerkin"]
+from adaptmg.transfer.aggregation import without_fixed
+
+__all__ = ["coarse_spaces", "galerkin_product", "is_galerkin"]
 
 
 @njit(cache=True)
@@ -133,3 +138,53 @@ def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: spars
     product = nodal.T @ (matrix @ (nodal @ probe).reshape(-1)).reshape(-1, dim)
     difference = product.reshape(-1) - coarse @ probe.reshape(-1)
     return bool(np.abs(difference).max() <= tolerance * np.abs(product).max())
+
+
+def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[Any]
+                  ) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
+    """Check prolongations against a matrix and form the Galerkin matrices.
+
+    Parameters
+    ----------
+    matrix : bsr_array (n_dofs, n_dofs)
+    fixed : (n_dofs,) bool array
+    prolongations : sequence of sparse matrices
+        Coarse to fine, all of nodes or all of dofs.
+
+    Returns
+    -------
+    prolongations : list of csr_array
+    matrices : list of bsr_array
+        Coarsest first, without the finest; blocks of size 1 where the prolongations are of dofs. A coarse dof that
+        nothing free reaches has a diagonal entry only.
+    """
+    given = []
+    for k, P in enumerate(prolongations):
+        if not sparse.issparse(P):
+            raise TypeError(f"prolongations[{k}] must be a scipy sparse matrix, got {type(P).__name__}")
+        P = sparse.csr_array(P, dtype=np.float64)
+        P.sum_duplicates()
+        if not np.isfinite(P.data).all():
+            raise ValueError(f"prolongations[{k}] must be finite")
+        given.append(P)
+    if not given:
+        raise ValueError("prolongations is empty: give at least one, or use Hierarchy.single")
+    dim, n = matrix.blocksize[0], matrix.shape[0]
+    if given[-1].shape[0] not in (n, n // dim):
+        raise ValueError(f"prolongations[{len(given) - 1}] must have {n // dim} rows (nodes) or {n} (dofs), got "
+                         f"{given[-1].shape[0]}")
+    of_dofs = given[-1].shape[0] == n
+    current = without_fixed(matrix, fixed)
+    if of_dofs:
+        current = sparse.bsr_array(sparse.csr_array(current), blocksize=(1, 1))
+    matrices: list[sparse.bsr_array] = []
+    rows = given[-1].shape[0]
+    for k in range(len(given) - 1, -1, -1):
+        P = given[k]
+        if P.shape[0] != rows or P.shape[1] >= rows:
+            raise ValueError(f"prolongations[{k}] must have {rows} rows and fewer columns, got {P.shape}: they go from "
+                             "coarse to fine")
+        rows = P.shape[1]
+        current = galerkin_product(current, P)
+        matrices.insert(0, current)
+    return given, matrices
