@@ -25,8 +25,8 @@ class Truncated:
         the finest. Default: 1 on levels whose matrix has more than 1.25 times the entries a row of the finest one
         (Galerkin products of independent meshes, which converge as well with less), 2 on the others.
     safe_cycles : int
-        Cycles with g frozen, symmetric truncation and a line search at most, taken while the contact status changes;
-        they make cold starts safe.
+        Cycles with g frozen, symmetric truncation and a line search at most, taken while the contact status of a cold
+        start changes; twice as many whenever the residual stops falling. They make cold starts safe.
     """
 
     #: how much denser than the finest matrix a coarse one is that is smoothed once only

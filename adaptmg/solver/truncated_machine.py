@@ -132,16 +132,19 @@ class TruncatedMachine:
 
     def _cycles(self, runner: TruncatedCycle, watch: TruncatedWatch, cold: bool, limit: int,
                 start: np.ndarray | None) -> tuple[Status, int]:
-        """Cycle until the watch is content; safe cycles while the status of a cold start changes, or after trouble."""
-        cycles, left = 0, self.options.correction.safe_cycles
-        changed, trouble = cold, 0
+        """Cycle until the watch is content.
+
+        Safe cycles are taken while the contact status of a cold start changes, and after trouble; each time at most so
+        many, twice as many as the time before.
+        """
+        cycles, most = 0, self.options.correction.safe_cycles
+        left = most if cold else 0
         while True:
             runner.smooth()
             if cycles % 4 == 0:
                 watch.size = max(runner.energy(), 0.0) ** 0.5
-            safe = left > 0 and (trouble > 0 or (cold and changed))
-            look = runner.look(safe)
-            changed = look.changed > 0
+            look = runner.look(safe=left > 0)
+            left = left - 1 if left > 0 and look.changed else 0
             met = watch.check(look.residual, look.reactions)
             watch.record(runner, cycles, look.changed)
             if met:
@@ -152,10 +155,11 @@ class TruncatedMachine:
                 return Status.STALLED, cycles
             if cycles >= limit:
                 return Status.LIMIT, cycles
-            left -= safe
             watch.corrected(runner.correct())
             cycles += 1
-            trouble = watch.trouble(trouble)
+            if left == 0 and watch.in_trouble():
+                most *= 2
+                left = most
             if cycles == 1 and start is not None:
                 watch.take_discretisation_error(runner.distance(start))
 

@@ -42,8 +42,6 @@ class TruncatedWatch:
     SHARE = 0.1
     #: checks without a new smallest residual after which an iteration is in trouble, and after which it has stalled
     TROUBLE, PATIENCE = 6, 60
-    #: safe cycles taken when in trouble
-    SAFE = 4
 
     def __init__(self, problem: DiscreteProblem, rtol: float | str, run: Run | None = None) -> None:
         self.problem, self.run = problem, run
@@ -121,16 +119,14 @@ class TruncatedWatch:
             return 0.0
         return float((last / first) ** (1 / window)) if first > 0 else np.inf
 
-    def trouble(self, safe_left: int) -> int:
-        """Safe cycles still to take: some more if the residual has reached no new minimum for a while."""
-        if safe_left > 0:
-            return safe_left - 1
+    def in_trouble(self) -> bool:
+        """Whether the residual has reached no new minimum for a while; then the count begins anew."""
         self._since += 1
         window = self.residuals[-self.TROUBLE:]
-        if self._since > self.TROUBLE and window[0] <= min(window[1:]):
-            self._since = 0
-            return self.SAFE
-        return 0
+        if self._since < self.TROUBLE or window[0] > min(window[1:]):
+            return False
+        self._since = 0
+        return True
 
     @property
     def diverged(self) -> bool:
