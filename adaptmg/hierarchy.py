@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -267,7 +267,7 @@ class Hierarchy:
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
                mesh_seconds: float, contact_rows: bool = True) -> Hierarchy:
         from adaptmg.discretisation.discretise import discretise
-        from adaptmg.transfer import Interpolation
+        from adaptmg.transfer import Interpolation, mesh_ratio
 
         if not meshes:
             raise ValueError("no meshes: give at least one, coarse to fine")
@@ -281,7 +281,10 @@ class Hierarchy:
         levels = [Level(discretes[0], meshes[0])]
         for k in range(1, len(meshes)):
             levels.append(_transferred(transfer, levels[-1], meshes[k], discretes[k], contact_rows))
-        timings = {"mesh": mesh_seconds, "assembly": assembled - begin, "transfer": time.perf_counter() - assembled}
+        transferred = time.perf_counter()
+        levels[1:] = [replace(fine, mesh_ratio=mesh_ratio(coarse.mesh, fine.mesh)) for coarse, fine in pairwise(levels)]
+        timings = {"mesh": mesh_seconds, "assembly": assembled - begin, "transfer": transferred - assembled,
+                   "mesh ratios": time.perf_counter() - transferred}
         return cls(tuple(levels), problem, origin, timings)
 
     # -- what it is ---------------------------------------------------------------------------------------------
@@ -330,7 +333,7 @@ def _check_coarse_to_fine(meshes: list[MeshArrays]) -> None:
 def _transferred(transfer: Transfer, coarse: Level, mesh: MeshArrays, discrete: DiscreteProblem,
                  contact_rows: bool) -> Level:
     """A finer level with its prolongation; contact nodes interpolate along the coarse contact boundary."""
-    from adaptmg.transfer import mesh_ratio, surface_interpolation, with_contact_rows
+    from adaptmg.transfer import surface_interpolation, with_contact_rows
 
     nodal = sparse.csr_array(transfer.build(coarse.mesh, mesh))
     wanted = (mesh.n_nodes, coarse.mesh.n_nodes)
@@ -344,4 +347,4 @@ def _transferred(transfer: Transfer, coarse: Level, mesh: MeshArrays, discrete: 
         nodes = contact.nodes[contact.boundary == index]
         rows = surface_interpolation(coarse.mesh, mesh, coarse.mesh.boundary_facets(name), nodes)
         nodal = with_contact_rows(nodal, nodes, rows)
-    return Level(discrete, mesh, nodal, mesh_ratio(coarse.mesh, mesh))
+    return Level(discrete, mesh, nodal)

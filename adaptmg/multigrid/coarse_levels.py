@@ -7,9 +7,9 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.halves import Halves, split
 from adaptmg.transfer.aggregation import without_fixed
 from adaptmg.transfer.galerkin import galerkin_product, is_galerkin
-from adaptmg.multigrid.halves import Halves, split
 
 __all__ = ["coarse_levels", "nodal_prolongations"]
 

@@ -6,8 +6,8 @@ In the local frame of a node, with r = f - A u, :math:`p = \max(0, r_n)`, slip :
 .. math:: \rho_n = 0 \text{ where closed, else } r_n;\qquad
           \rho_t = 0 \text{ where it sticks},\; r_t - g\,\tau/|\tau| \text{ where it slips, else } r_t .
 
-Codes: bit 0 closed; bits 1-2 the tangential part: FREE (no friction acts), HELD (sticks), SLIPS (2D: in the direction of
-the tangent), BACKWARDS (2D: against it).
+Codes: bit 0 closed; bits 1-2 the tangential part: FREE (no friction acts), HELD (sticks), SLIPS (2D: in the direction
+of the tangent), BACKWARDS (2D: against it).
 """
 
 from __future__ import annotations

@@ -31,7 +31,8 @@ class CoarseFactors:
 
     def __init__(self, level: Halves) -> None:
         self.level = level
-        self._scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
+        scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
+        self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self._factors: tuple[np.ndarray, np.ndarray] | None = None
 
     def renew(self) -> None:
@@ -39,15 +40,17 @@ class CoarseFactors:
         matrix = self.level.matrix().toarray()
         empty = ~matrix.any(axis=1)
         matrix[empty, empty] = self._scale[empty]
-        self._factors = linalg.lu_factor(matrix, check_finite=False)
-        pivots = np.abs(self._factors[0].diagonal())
-        if not pivots.min() > self.SINGULAR * pivots.max():
+        # LAPACK itself: scipy's wrapper warns of what is mended here
+        factors, pivots, _ = linalg.lapack.dgetrf(matrix)
+        sizes = np.abs(factors.diagonal())
+        if not sizes.min() > self.SINGULAR * sizes.max():
             matrix[np.diag_indices_from(matrix)] += self.SHIFT * self._scale
-            self._factors = linalg.lu_factor(matrix, check_finite=False)
+            factors, pivots, _ = linalg.lapack.dgetrf(matrix)
+        self._factors = factors, pivots
 
     def solve(self, load: np.ndarray, result: np.ndarray) -> None:
         """Solve into ``result`` (n_dofs,)."""
-        result[:] = linalg.lu_solve(self._factors, load, check_finite=False)
+        result[:] = linalg.lapack.dgetrs(*self._factors, load)[0]
 
 
 @dataclass(eq=False)

@@ -1,9 +1,9 @@
 r"""Numba kernels of the nonlinear smoothing in 2D: projected Gauss-Seidel in half passes, on a symmetric matrix.
 
-Unknowns are Cartesian; the exact node solve of :mod:`adaptmg.smoother.node_solve` works in the frame of the contact node.
-The backward sweep reads L and U and keeps :math:`t = f - U u`. The forward sweep reads L only, and as
-:math:`U = L^T` it scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i, to the nodes before: what t has
-become at the end is the residual f - A u, for no further read.
+Unknowns are Cartesian; the exact node solve of :mod:`adaptmg.smoother.node_solve` works in the frame of the contact
+node. The backward sweep reads L and U and keeps :math:`t = f - U u`. The forward sweep reads L only, and as
+:math:`U = L^T` it scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i, to the nodes before: what t
+has become at the end is the residual f - A u, for no further read.
 
 Arguments of a contact: ``contact_of`` (n_nodes,) index or -1; ``frames`` (n_contact * 4,) rows normal, tangent;
 ``blocks`` (n_contact * 3,) the local diagonal block nn, nt, tt; ``gap, reference, limit, friction``; ``values``

@@ -1,9 +1,9 @@
 r"""Recombination of the last iterates, fitted on the next coarser level.
 
-With restricted truncated residuals :math:`R_0` of this iterate and :math:`R_1, R_2` of the two before it, the weights of
-:math:`u + \alpha_1 (u_1 - u) + \alpha_2 (u_2 - u)` minimise :math:`\sum_k |R_0 + \alpha_1 (R_1 - R_0) +
-\alpha_2 (R_2 - R_0)|_k^2 / d_k`, d the diagonal of the coarse matrix (Anderson acceleration of depth 2, seen through the
-restriction). As long as the contact status stays, the truncated residual is affine in u (3D: nearly).
+With restricted truncated residuals :math:`R_0` of this iterate and :math:`R_1, R_2` of the two before it, the weights
+of :math:`u + \alpha_1 (u_1 - u) + \alpha_2 (u_2 - u)` minimise :math:`\sum_k |R_0 + \alpha_1 (R_1 - R_0) +
+\alpha_2 (R_2 - R_0)|_k^2 / d_k`, d the diagonal of the coarse matrix (Anderson acceleration of depth 2, seen through
+the restriction). As long as the contact status stays, the truncated residual is affine in u (3D: nearly).
 """
 
 from __future__ import annotations

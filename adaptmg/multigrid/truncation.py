@@ -108,7 +108,8 @@ class NodalChain:
     def update(self, change: np.ndarray) -> None:
         """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""
         for below in self.below:
-            kernels.add_contributions(below.level.dim**2, below.source, below.target, below.weight, change, below.change)
+            kernels.add_contributions(below.level.dim**2, below.source, below.target, below.weight, change,
+                                      below.change)
             below.store()
             change = below.change
 

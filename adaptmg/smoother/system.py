@@ -14,8 +14,8 @@ from scipy import sparse
 
 from adaptmg.discrete import ContactNodes, DiscreteProblem
 
-__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_lift", "frames_of", "inverse_blocks", "local_contact",
-           "local_system", "rotate"]
+__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_lift", "frames_of", "inverse_blocks",
+           "local_contact", "local_system", "rotate"]
 
 
 def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:

@@ -81,8 +81,8 @@ class Multigrid:
         elif self.rtol != "discretisation":
             raise ValueError(f"rtol must be a number > 0 or 'discretisation', got {self.rtol!r}")
         elif not (isinstance(self, FullMultigrid) and isinstance(self.correction, Truncated)):
-            raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start shows "
-                             "the discretisation error")
+            raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
+                             "shows the discretisation error")
 
     def _check_truncated(self) -> None:
         for name, default in (("cycle", Cycle()), ("smoother", ProjectedGaussSeidel()), ("coarse", CoarseSolve()),

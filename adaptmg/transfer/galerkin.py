@@ -97,9 +97,8 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
     """
     dim = matrix.blocksize[0]
     size, coarse = dim * dim, nodal.shape[1]
-    half_indptr, half_indices, half = _product(size, matrix.indptr, matrix.indices, matrix.data.reshape(-1), nodal, False)
-    transposed = sparse.csr_array(nodal.T)
-    indptr, indices, data = _product(size, half_indptr, half_indices, half, transposed, True, coarse)
+    half = _product(size, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)), nodal, coarse, left=False)
+    indptr, indices, data = _product(size, half, sparse.csr_array(nodal.T), coarse, left=True)
     shape = (coarse * dim, coarse * dim)
     result = sparse.bsr_array((data.reshape(-1, dim, dim), indices, indptr), shape=shape).sorted_indices()
     diagonal = result.diagonal()
@@ -110,24 +109,24 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
     return result
 
 
-def _product(size: int, indptr: np.ndarray, indices: np.ndarray, data: np.ndarray, weights: sparse.csr_array, left: bool,
-             columns: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Blocks times weights, or (``left``) weights times blocks with so many columns."""
-    columns = weights.shape[1] if columns is None else columns
+def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weights: sparse.csr_array, columns: int, *,
+             left: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks (indptr, indices, data) times weights, or (``left``) weights times blocks; with so many columns."""
+    indptr, indices, data = blocks
     place = np.full(columns, -1, dtype=np.int64)
     arguments = ((weights.indptr, weights.indices, indptr, indices) if left
                  else (indptr, indices, weights.indptr, weights.indices))
     result = np.empty(len(arguments[0]), dtype=np.int64)
     _pattern(*arguments, place, result)
     place[:] = -1
-    found, blocks = np.empty(result[-1], dtype=np.int32), np.empty(result[-1] * size)
+    found, values = np.empty(result[-1], dtype=np.int32), np.empty(result[-1] * size)
     if left:
         _weights_times_block(size, weights.indptr, weights.indices, weights.data, indptr, indices, data, place, result,
-                             found, blocks)
+                             found, values)
     else:
         _block_times_weights(size, indptr, indices, data, weights.indptr, weights.indices, weights.data, place, result,
-                             found, blocks)
-    return result.astype(np.int32), found, blocks
+                             found, values)
+    return result.astype(np.int32), found, values
 
 
 def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array,
