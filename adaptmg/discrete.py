@@ -153,7 +153,7 @@ class DiscreteProblem:
     def __post_init__(self) -> None:
         if not isinstance(self.contact, ContactNodes):
             raise TypeError(f"contact must be ContactNodes, got {type(self.contact).__name__}")
-        if not isinstance(self.law, Law):
+        if not isinstance(self.law, Law) or isinstance(self.law, type):
             raise TypeError(f"law must be Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds, "
                             f"got {self.law!r}")
         dim = self.contact.dim

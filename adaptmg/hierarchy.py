@@ -187,7 +187,7 @@ class Hierarchy:
         begin = time.perf_counter()
         first = as_mesh(coarsest)
         problem.check_boundaries(first.boundaries)
-        meshes = [first, *refine_near(first, problem.contact_boundaries, checks.integer("levels", levels, 1))]
+        meshes = refine_near(first, problem.contact_boundaries, checks.integer("levels", levels, 1))
         seconds = time.perf_counter() - begin
         return cls._build(problem, meshes, None, f"bisected near contact {levels} times", seconds)
 

@@ -1,20 +1,23 @@
 """What every study shares: problems, exact discrete solutions, work at equal true error, output.
 
-A study is a module with ``run(context) -> Section``. Computation goes through :class:`adaptmg.Study` into the store of the
-context; tables and figures are made from what is stored.
+A study is a module with ``run(context) -> Section``. Computation goes through :class:`adaptmg.Study` into the store of
+the context; tables and figures are made from what is stored.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import logging
 import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+# seconds are those of one thread: threads that wait for each other in short dot products cost more than they gain
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import matplotlib
 
@@ -22,8 +25,12 @@ matplotlib.use("Agg")
 
 import numpy as np
 import pandas as pd
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from PIL import Image
 
 import adaptmg as am
+from adaptmg.atomic import write_bytes
+from adaptmg.mesh import refine_near, structured
 
 DATA = Path(__file__).resolve().parent.parent / "data" / "paper"
 
@@ -135,23 +142,60 @@ def first_below(result: am.Result, tolerance: float) -> dict[str, float]:
             for name in names}
 
 
+@lru_cache(maxsize=4)
+def warm_up(dim: int = 2) -> None:
+    """Compile and load all that meshing and solving need, so that no measured second is one of the compiler."""
+    if dim == 2:
+        refine_near(structured(am.cases.greco_bar().domain, 2), "bottom")
+        hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), (20e-3, 10e-3), contact_ratio=2)
+    else:
+        hierarchy = am.Hierarchy.graded(am.cases.greco_block(), (40e-3, 20e-3))
+    for solver in (am.FullMultigrid(), am.ActiveSet(), am.ActiveSet(linear=am.AMG())):
+        am.solve(hierarchy, solver, throw=False)
+
+
+def seconds_by_phase(hierarchy: am.Hierarchy, result: am.Result) -> dict[str, float]:
+    """Seconds of meshing, assembly, transfer, the solver's set-up (factorisations too) and its solve, and their sum."""
+    setup = sum(result.timings.get(name, 0.0) for name in ("setup", "factorise"))
+    phases = {f"{name}_s": hierarchy.timings.get(name, 0.0) for name in ("mesh", "assembly", "transfer")}
+    phases |= {"setup_s": setup, "solve_s": result.seconds - setup}
+    return phases | {"total_s": sum(phases.values())}
+
+
+def quickest(hierarchy: am.Hierarchy, solver: Any, seconds: float = 0.5, times: int = 3) -> am.Result:
+    """Solve up to ``times`` times, as long as that takes no more than ``seconds``, and keep the quickest run."""
+    results = [am.solve(hierarchy, solver, throw=False)]
+    while len(results) < times and sum(r.seconds for r in results) < seconds:
+        results.append(am.solve(hierarchy, solver, throw=False))
+    return min(results, key=lambda result: result.seconds)
+
+
+def slope(x: Sequence[float], y: Sequence[float]) -> float:
+    """Exponent of y ~ x^slope, fitted by least squares to the logarithms."""
+    return float(np.polyfit(np.log(np.asarray(x, dtype=float)), np.log(np.asarray(y, dtype=float)), 1)[0])
+
+
+def plain_ticks(*axes: Any) -> None:
+    """Label logarithmic axes (``ax.xaxis``, ...) at 1, 2, 5 times powers of ten, without exponents."""
+    for axis in axes:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
 def paper(name: str) -> pd.DataFrame:
     """A table of the paper, from data/paper."""
     return pd.read_csv(DATA / f"{name}.csv", comment="#")
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Let ``write`` make a file beside ``path``, then rename it, so that no half-written file is left."""
+def write_picture(figure: Any, path: Path, dpi: int = 130) -> None:
+    """Write a figure as PNG with few colours, whole or not at all."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=dpi, bbox_inches="tight")
+    small = io.BytesIO()
+    Image.open(buffer).convert("RGB").quantize(128).save(small, format="png", optimize=True)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    write_bytes(path, small.getvalue())
 
 
 def show(section: Section, out: Path) -> None:
@@ -163,10 +207,11 @@ def show(section: Section, out: Path) -> None:
         if isinstance(item, Table):
             print("\n" + as_text(item.frame, caption=item.caption, note=item.note, units=item.units,
                                  formats=item.formats))
-            write_atomically(out / f"{item.name}.csv", lambda path, item=item: item.frame.to_csv(path, index=False))
+            out.mkdir(parents=True, exist_ok=True)
+            write_bytes(out / f"{item.name}.csv", item.frame.to_csv(index=False).encode())
         else:
             target = out / f"{item.name}.png"
-            write_atomically(target, lambda path, item=item: item.figure.savefig(path, dpi=130))
+            write_picture(item.figure, target)
             print(f"\n[figure {target}] {item.caption}")
 
 

@@ -1,4 +1,4 @@
-r"""How close the kernels of the smoother come to the speed of memory.
+r"""How close the kernels come to the speed of memory, and what building an interpolation costs.
 
 A sweep reads the matrix once and does two operations a number read: memory is its limit. The measure is the bandwidth
 of a kernel over that of the triad a = b + s c on arrays that fit no cache, both best of several in one process and on
@@ -10,17 +10,20 @@ one thread. Bytes are those a kernel must move at least: each array once, the un
 
 from __future__ import annotations
 
-import argparse
-import csv
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from common import Context, Section, Table, main
 from numba import njit
 
+import adaptmg as am
+from adaptmg.discretisation.elasticity import stiffness
+from adaptmg.mesh import MeshArrays, structured
 from adaptmg.smoother import kernels_2d, kernels_3d
 from adaptmg.smoother.system import LocalSystem
+from adaptmg.transfer import PointLocator
 
 SIZES = ((2, 256), (2, 512), (3, 32), (3, 48))
 QUICK_SIZES = ((2, 64), (3, 10))
@@ -35,35 +38,35 @@ def triad(a: np.ndarray, b: np.ndarray, c: np.ndarray, s: float) -> None:
         a[i] = b[i] + s * c[i]
 
 
+def unit_mesh(dim: int, divisions: int) -> MeshArrays:
+    """A structured mesh of the unit square or cube."""
+    domain = am.Rectangle(width=1, height=1) if dim == 2 else am.Box(width=1, depth=1, height=1)
+    return structured(domain, divisions)
+
+
 def elastic_system(dim: int, divisions: int) -> LocalSystem:
     """P1 elasticity on a structured mesh of the unit square or cube; the nodes at x = 0 are contact nodes."""
-    from adaptmg.discretisation.elasticity import stiffness
-    from adaptmg.mesh.structured import structured
-    from adaptmg.problem import Box, PlaneStrain, Rectangle, Solid
-
-    if dim == 2:
-        mesh, material = structured(Rectangle(width=1, height=1), divisions), PlaneStrain(young=1.0, poisson=0.3)
-    else:
-        mesh, material = structured(Box(width=1, depth=1, height=1), divisions), Solid(young=1.0, poisson=0.3)
+    mesh = unit_mesh(dim, divisions)
+    material = am.PlaneStrain(young=1.0, poisson=0.3) if dim == 2 else am.Solid(young=1.0, poisson=0.3)
     matrix = stiffness(mesh, material)
     return LocalSystem.from_matrix(matrix, np.zeros(matrix.shape[0], dtype=bool),
                                    np.flatnonzero(mesh.points[:, 0] == 0))
 
 
-def best_time(call: Callable[[], object], repeats: int) -> float:
-    """Shortest of several runs, s; one run before them to compile and to fill the caches."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
+def best_times(calls: list[Callable[[], object]], repeats: int) -> list[float]:
+    """Shortest of several runs of each call, s, taken in turns so that all see the same load of the machine.
+
+    One run before them compiles and fills the caches.
+    """
+    for call in calls:
         call()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
-def triad_bandwidth(arrays: np.ndarray, repeats: int) -> float:
-    """Bytes a second of the triad on the rows of a (3, n) array."""
-    return arrays.nbytes / best_time(lambda: triad(*arrays, 0.5), repeats)
+    times = np.full((repeats, len(calls)), np.inf)
+    for i in range(repeats):
+        for k, call in enumerate(calls):
+            start = time.perf_counter()
+            call()
+            times[i, k] = time.perf_counter() - start
+    return times.min(axis=0).tolist()
 
 
 def sweep_calls(system: LocalSystem) -> dict[str, tuple[Callable[[], object], int]]:
@@ -79,51 +82,62 @@ def sweep_calls(system: LocalSystem) -> dict[str, tuple[Callable[[], object], in
     sweep = read + system.inverse.nbytes + system.contact_of.nbytes + unknowns.nbytes
     return {"sweep forward": (lambda: kernels.sweep(0, 1, *arguments), sweep),
             "sweep backward": (lambda: kernels.sweep(system.n_nodes - 1, -1, *arguments), sweep),
-            "residual": (lambda: kernels.residual(*matrix, load, unknowns, result), read + result.nbytes),
-            "natural residual": (lambda: kernels.natural_residual(
-                *matrix, system.diagonal, system.contact_of, *contact, load, unknowns, result),
-                read + system.contact_of.nbytes + result.nbytes)}
+            "residual": (lambda: kernels.residual(*matrix, load, unknowns, result), read + result.nbytes)}
 
 
-def run(quick: bool = False, out: Path | None = None) -> list[dict[str, object]]:
-    """Measure, and write ``kernels.csv`` to ``out`` if that is given.
-
-    Returns
-    -------
-    list of dict
-        One row a kernel and mesh: kernel, dim, nodes, seconds, bytes, GB_per_s, triad_GB_per_s, ratio.
-    """
-    repeats = QUICK_REPEATS if quick else REPEATS
-    arrays = np.ones((3, TRIAD_LENGTH))
-    rows = []
-    for dim, divisions in QUICK_SIZES if quick else SIZES:
-        system = elastic_system(dim, divisions)
-        for kernel, (call, moved) in sweep_calls(system).items():
-            # the triad beside each kernel, so that both see the same load of the machine
-            memory = triad_bandwidth(arrays, repeats)
-            seconds = best_time(call, repeats)
-            rows.append({"kernel": kernel, "dim": dim, "nodes": system.n_nodes, "seconds": seconds, "bytes": moved,
-                         "GB_per_s": moved / seconds / 1e9, "triad_GB_per_s": memory / 1e9,
-                         "ratio": moved / seconds / memory})
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        with open(out / "kernels.csv", "w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-    return rows
+def bandwidth(dim: int, divisions: int, repeats: int) -> pd.DataFrame:
+    """Each kernel of the smoother on one mesh."""
+    system, arrays = elastic_system(dim, divisions), np.ones((3, TRIAD_LENGTH))
+    calls = sweep_calls(system)
+    memory, *seconds = best_times([lambda: triad(*arrays, 0.5), *(call for call, _ in calls.values())], repeats)
+    triad_speed = arrays.nbytes / memory
+    return pd.DataFrame([
+        {"kernel": kernel, "dim": dim, "nodes": system.n_nodes, "time": 1e3 * t, "data": moved / 1e6,
+         "bandwidth": moved / t / 1e9, "triad": triad_speed / 1e9, "over_triad": moved / t / triad_speed}
+        for (kernel, (_, moved)), t in zip(calls.items(), seconds, strict=True)])
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description="Bandwidth of the smoother's kernels over that of the triad.")
-    parser.add_argument("--quick", action="store_true", help="small meshes, in cache: a test that it runs")
-    parser.add_argument("--out", type=Path, help="directory for kernels.csv")
-    options = parser.parse_args()
-    for row in run(options.quick, options.out):
-        print(f"{row['kernel']:17s} {row['dim']}D {row['nodes']:8d} nodes {1e3 * row['seconds']:9.3f} ms "
-              f"{row['GB_per_s']:6.1f} GB/s, {row['ratio']:.2f} of triad")
+def location(dim: int, divisions: int, points: int, repeats: int) -> dict[str, object]:
+    """Locating random points, the search structure included."""
+    mesh = unit_mesh(dim, divisions)
+    where = np.random.default_rng(1).random((points, dim))
+    seconds, = best_times([lambda: PointLocator(mesh).locate(where)], repeats)
+    return {"task": f"locate {points} points", "dim": dim, "nodes": mesh.n_nodes, "time": seconds,
+            "per_point": 1e6 * seconds / points}
+
+
+def interpolation(dim: int, coarse: int, fine: int, repeats: int) -> dict[str, object]:
+    """Building the interpolation between two structured meshes, nested or not."""
+    meshes = unit_mesh(dim, coarse), unit_mesh(dim, fine)
+    seconds, = best_times([lambda: am.Interpolation().build(*meshes)], repeats)
+    return {"task": f"interpolation to {meshes[1].n_nodes} nodes", "dim": dim, "nodes": meshes[0].n_nodes,
+            "time": seconds, "per_point": 1e6 * seconds / meshes[1].n_nodes}
+
+
+def run(context: Context) -> Section:
+    """Measure; nothing is stored, as timings of another moment are of no use."""
+    repeats = QUICK_REPEATS if context.quick else REPEATS
+    kernels = pd.concat([bandwidth(dim, divisions, repeats)
+                         for dim, divisions in (QUICK_SIZES if context.quick else SIZES)])
+    if context.quick:
+        tasks = [location(2, 32, 10_000, 2), interpolation(2, 32, 64, 2)]
+    else:
+        tasks = [location(dim, divisions, points, 2) for dim, divisions in ((2, 128), (3, 24))
+                 for points in (10_000, 100_000, 1_000_000)]
+        tasks += [interpolation(2, 128, 256, 5), interpolation(2, 127, 256, 5), interpolation(3, 16, 32, 5)]
+    section = Section("Kernels", "The cost of a sweep of the smoother and of an interpolation here, on one thread.")
+    section.items = [
+        Table("kernels_bandwidth", kernels, "Bandwidth of the kernels over that of a triad, P1 elasticity",
+              f"Best of {repeats} runs in one process, in turns with the triad "
+              f"({TRIAD_LENGTH} doubles an array). Above 1: the matrix fits into a cache. The kernels ask for the "
+              "matrix ahead of its use.",
+              {"time": "ms", "data": "MB", "bandwidth": "GB/s", "triad": "GB/s"},
+              {"over_triad": ".2f", "bandwidth": ".1f", "triad": ".1f", "time": ".3f", "data": ".1f"}),
+        Table("kernels_transfer", pd.DataFrame(tasks), "Point location and interpolation between meshes",
+              "Search structure included, compiled before. The cost a point should stay flat.",
+              {"time": "s", "per_point": "us"}, {"time": ".4f", "per_point": ".2f"})]
+    return section
 
 
 if __name__ == "__main__":
-    main()
+    main(run, "Bandwidth of the smoother's kernels over that of the triad, and the cost of interpolation.")

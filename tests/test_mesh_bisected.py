@@ -76,7 +76,8 @@ def test_refine_near_reaches_strong_grading_without_bad_angles():
     for level, mesh in enumerate(meshes):
         assert len(mesh.boundary_facets("bottom")) == 4 * 2**level
         assert len(mesh.boundary_facets("top")) == 4
-    assert meshes[-1].n_nodes < 3 * 4 * 2**8
+    # the work goes to the boundary: nodes double with every level, uniform refinement would make four times as many
+    assert meshes[-1].n_nodes < 2.05 * meshes[-2].n_nodes
     assert quality(meshes[-1]).min_angle > 20
     assert containing_elements(meshes[1], meshes[2]).min() >= 0
 

@@ -52,6 +52,14 @@ def test_ngsolve_sees_the_same_mesh(mesh):
     assert flux == pytest.approx(mesh.dim * mesh.volumes.sum(), rel=1e-12)
 
 
+def test_tetrahedra_are_oriented_as_netgen_wants_them():
+    def signs(ngmesh):
+        corners = np.array(ngmesh.Coordinates())[ngmesh.Elements3D().NumPy()["nodes"] - 1]
+        return set(np.sign(np.linalg.det(corners[:, 1:] - corners[:, :1])))
+
+    assert signs(MESHES["3D"].source.ngmesh) == signs(unit_cube.GenerateMesh(maxh=0.5))
+
+
 def test_reading_is_a_copy():
     source = ngsolve.Mesh(unit_square.GenerateMesh(maxh=0.3))
     mesh = from_ngsolve(source)

@@ -178,7 +178,8 @@ def test_quality_of_known_elements():
     half = quality(structured(Rectangle(width=2, height=2), 1))
     assert half.min_angle == pytest.approx(45) and half.max_angle == pytest.approx(90)
     assert half.h_min == pytest.approx(2) and half.h_max == pytest.approx(2 * np.sqrt(2))
-    triangle = MeshArrays([[0, 0], [1, 0], [0.5, np.sqrt(0.75)]], [[0, 1, 2]], [[0, 1], [1, 2], [2, 0]], [0] * 3, ("a",))
+    corners = [[0, 0], [1, 0], [0.5, np.sqrt(0.75)]]
+    triangle = MeshArrays(corners, [[0, 1, 2]], [[0, 1], [1, 2], [2, 0]], [0] * 3, ("a",))
     best = quality(check_mesh(triangle))
     assert best.min_angle == pytest.approx(60) and best.aspect_ratio == pytest.approx(1)
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])

@@ -79,7 +79,8 @@ def test_partly_named_boundary(tmp_path):
 
 def test_groups_without_names_are_numbers(tmp_path):
     cells = [("triangle", np.array([[0, 1, 2]])), ("line", np.array([[0, 1], [1, 2], [2, 0]]))]
-    data = {"gmsh:physical": [np.array([7]), np.array([3, 3, 5])], "gmsh:geometrical": [np.array([1]), np.array([1, 2, 3])]}
+    data = {"gmsh:physical": [np.array([7]), np.array([3, 3, 5])],
+            "gmsh:geometrical": [np.array([1]), np.array([1, 2, 3])]}
     meshio.write(tmp_path / "m.msh", meshio.Mesh(np.eye(3)[[2, 0, 1]] * [1, 1, 0], cells, cell_data=data), "gmsh22")
     mesh = from_gmsh(tmp_path / "m.msh")
     assert mesh.boundaries == ("3", "5") and mesh.bodies == ("7",)
@@ -88,7 +89,8 @@ def test_groups_without_names_are_numbers(tmp_path):
 def test_second_order_elements_are_read_by_their_corners(tmp_path):
     points = np.array([[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1.0]])
     cells = [("triangle6", np.array([[0, 1, 2, 3, 4, 5]])), ("line3", np.array([[0, 1, 3], [1, 2, 4], [2, 0, 5]]))]
-    data = {"gmsh:physical": [np.array([1]), np.array([1, 1, 1])], "gmsh:geometrical": [np.array([1]), np.array([1, 2, 3])]}
+    data = {"gmsh:physical": [np.array([1]), np.array([1, 1, 1])],
+            "gmsh:geometrical": [np.array([1]), np.array([1, 2, 3])]}
     meshio.write(tmp_path / "m.msh", meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), cells, cell_data=data), "gmsh22")
     mesh = from_gmsh(tmp_path / "m.msh")
     np.testing.assert_array_equal(mesh.points, points[:3])

@@ -34,6 +34,12 @@ def test_plane_sizes_are_achieved(domain, contact, size, ratio):
     assert quality(mesh).min_angle > 15
 
 
+def test_contact_edges_are_right_where_the_size_grows_fast():
+    # the centroid of an element at contact already asks for less than its edge does
+    at_contact = edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c") * 60 / 2
+    assert at_contact.max() < 1.5
+
+
 def test_area_and_sides_are_exact():
     mesh = graded(SQUARE, 10e-3, ["bottom", "left"], 8)
     assert mesh.volumes.sum() == pytest.approx(1.6e-3, rel=1e-13)
@@ -41,6 +47,11 @@ def test_area_and_sides_are_exact():
                               ("right", 0, SQUARE.upper[0])):
         assert (mesh.points[mesh.boundary_nodes(name), axis] == where).all()
     assert mesh.boundaries == SQUARE.boundaries
+    # sides that scaling to unit extent and back would move by a rounding error
+    plate = Rectangle(width=0.46, height=0.25, origin=(0.6, 0.2))
+    mesh = graded(plate, 0.2)
+    assert (mesh.points[mesh.boundary_nodes("right"), 0] == plate.upper[0]).all()
+    assert (mesh.points[mesh.boundary_nodes("top"), 1] == plate.upper[1]).all()
     assert graded(ANGLE, 0.5, "c", 40).volumes.sum() == pytest.approx(3, rel=1e-13)
     assert graded(WEDGE, 6e3).volumes.sum() == pytest.approx(12e3 * 24e3 + 0.5 * 12e3 * 16e3, rel=1e-12)
 
@@ -122,7 +133,7 @@ def test_sized_in_3d():
     ((SQUARE, 1e-3, "bottom", 2, 3), ValueError, "grading must be at most 1"),
     ((SQUARE, 1e-6), ValueError, "nodes .at most 5e"),
     ((SQUARE, 1e-3, "bottom", 1e7), ValueError, "nodes .at most 5e"),
-    ((BOX, 1e-3, "bottom", 30), ValueError, "nodes .at most 5e"),
+    ((BOX, 1e-3, "bottom", 100), ValueError, "nodes .at most 2e"),
     (("square", 1), TypeError, "must be a Rectangle, a Polygon or a Box"),
 ])
 def test_bad_input(arguments, error, message):

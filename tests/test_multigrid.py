@@ -147,7 +147,7 @@ def test_fixed_tangents_of_the_coarse_grid_have_no_slip_offset(hierarchies):
     runner, _ = runner_of(grids)
     fine, coarse, local = runner.stack.levels[2], runner.stack.levels[1], runner.stack.fine
     w = np.ones(local.system.n_dofs) * 1e-5
-    data = correction_contact(am.Monotone(), fine.contact_prolongation, fine.system, coarse.system, local.contact, -w,
+    data = correction_contact(am.Monotone(), fine.supports, fine.system, coarse.system, local.contact, -w,
                               residual(local.system, local.load, -w), None)
     fixed = coarse.system.fixed.reshape(-1, 2)[coarse.system.nodes, 1]
     assert fixed.any()

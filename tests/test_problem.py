@@ -293,7 +293,6 @@ class TestContactProblem:
         with pytest.raises(error, match=message):
             problem(**changes)
 
-    @pytest.mark.xfail(reason="runtime-checkable protocols accept classes; ContactProblem does not look further")
     @pytest.mark.parametrize("law", [Coulomb, Frictionless])
     def test_refuses_a_law_that_was_not_made(self, law):
         with pytest.raises(TypeError, match="law must be"):

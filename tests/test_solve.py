@@ -1,5 +1,6 @@
 """solve(), Result and the methods: agreement, records, failure paths, one's own parts."""
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -152,7 +153,7 @@ def test_a_failed_save_leaves_the_old_file(solved, tmp_path, monkeypatch):
     _, result = solved["coulomb 1"]
     target = tmp_path / "run.npz"
     target.write_bytes(b"old")
-    monkeypatch.setattr(np, "savez_compressed", lambda *a, **k: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr("os.replace", lambda *names: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
         result.save(target)
     assert target.read_bytes() == b"old"
@@ -265,6 +266,15 @@ def test_ones_own_transfer_and_smoother_plug_in():
     reference = am.solve(grids, am.ActiveSet(rtol=1e-12))
     result = am.solve(own, am.Multigrid(smoother=Jacobi(), max_cycles=300, rtol=1e-9), reference=reference)
     assert energy_error(grids, result, reference) < 1e-8
+
+
+def test_large_friction_warns():
+    for friction, warns in ((1.0, False), (20.0, True)):
+        grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            am.solve(grids, am.SingleGrid(max_sweeps=10), throw=False)
+        assert any("may not be unique" in str(w.message) for w in caught) == warns
 
 
 def test_bad_input_is_refused(solved):

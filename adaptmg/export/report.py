@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.figure import Figure
 
-from adaptmg.export.atomic import write_bytes
+from adaptmg.atomic import write_bytes
 from adaptmg.export.page_style import STYLE
 from adaptmg.study.fingerprint import environment
 from adaptmg.study.tables import as_html

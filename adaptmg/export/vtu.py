@@ -15,7 +15,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from adaptmg.export.atomic import write_bytes
+from adaptmg.atomic import write_bytes
 from adaptmg.solver.result import Result
 
 __all__ = ["vtk"]

@@ -39,7 +39,7 @@ class MeshArrays:
     bodies : tuple of str
         Names of the bodies.
     source : ngsolve.Mesh, optional
-        The mesh these arrays were read from, with the same node numbers; assembly needs it. Not saved.
+        A straight ngsolve.Mesh of these arrays, with the same node and element numbers; assembly needs it. Not saved.
     """
 
     points: np.ndarray

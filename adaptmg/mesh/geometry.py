@@ -57,6 +57,13 @@ def require_simple(polygon: Polygon) -> None:
     if not lengths.min() > tiny:
         i = int(np.argmin(lengths))
         raise ValueError(f"vertices: edge {i} ({polygon.boundaries[i]!r}) of the polygon has no length")
+    edge, following = b - a, np.roll(b - a, -1, axis=0)
+    turn = edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0]
+    folded = (np.abs(turn) <= 1e-12 * lengths * np.roll(lengths, -1)) & ((edge * following).sum(axis=1) < 0)
+    if folded.any():
+        i = int(np.argmax(folded))
+        raise ValueError(f"vertices: edge {i} ({polygon.boundaries[i]!r}) of the polygon folds back on itself at "
+                         f"{tuple(b[i].tolist())}")
     i, j = np.triu_indices(n, 2)
     apart = (i != 0) | (j != n - 1)
     i, j = i[apart], j[apart]

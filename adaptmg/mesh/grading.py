@@ -19,7 +19,7 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisected import bisect
-from adaptmg.mesh.generate import SizeField, expected_nodes, netgen_mesh, refuse_too_many
+from adaptmg.mesh.generate import SizeField, expected_nodes, guessed_nodes, netgen_mesh, refuse_too_many
 from adaptmg.mesh.geometry import distance_to_boundaries, require_simple
 from adaptmg.mesh.topology import facet_keys, facet_table
 from adaptmg.problem import checks
@@ -30,7 +30,8 @@ __all__ = ["graded", "sized"]
 _NETGEN_RATIO = 16.0
 # an element is bisected when its size is this many times the field: halving then leaves it no smaller than 1 / sqrt(2)
 _TOO_LARGE = math.sqrt(2)
-_MAX_BISECTIONS = 60
+# sizes down to 1e-9 of the domain; far below, neighbouring nodes would round to the same point
+_MAX_BISECTIONS = 30
 
 
 def graded(domain: Rectangle | Polygon | Box, size: float, contact_boundaries: str | Sequence[str] = (),
@@ -61,7 +62,7 @@ def graded(domain: Rectangle | Polygon | Box, size: float, contact_boundaries: s
     ------
     TypeError, ValueError
         On an unknown domain or boundary, sizes <= 0, a ratio < 1, a polygon that crosses itself, sizes that ask for
-        more than 5 million nodes, or where Netgen fails.
+        more than 5 million nodes (3D: 2 million), or where Netgen fails.
     """
     _check_domain(domain)
     size = checks.positive("size", size)
@@ -87,6 +88,8 @@ def graded(domain: Rectangle | Polygon | Box, size: float, contact_boundaries: s
     steps = max(0, math.ceil(math.log2(ratio / _NETGEN_RATIO)))
     near = size / ratio
     start = near * 2**steps
+    # before Netgen works for minutes on a mesh that bisection would then find too large
+    refuse_too_many(guessed_nodes(domain, size, dict.fromkeys(names, near), grading), domain)
     mesh = netgen_mesh(domain, field(start), size, dict.fromkeys(names, start), grading, rounds)
     return _bisected_to(mesh, field(near), domain)
 
@@ -118,8 +121,8 @@ def sized(domain: Rectangle | Polygon | Box, size_function: float | Callable[[np
     Raises
     ------
     TypeError, ValueError
-        On an unknown domain, sizes <= 0 or not finite, sizes that ask for more than 5 million nodes, or where Netgen
-        fails.
+        On an unknown domain, sizes <= 0 or not finite, sizes that ask for more than 5 million nodes (3D: 2
+        million), or where Netgen fails.
     """
     _check_domain(domain)
     max_size = checks.positive("max_size", max_size)

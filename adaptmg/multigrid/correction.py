@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg.smoother.system import LocalSystem, NodalContact
+from adaptmg.transfer.constraints import Supports
 
 __all__ = ["Correction", "InitialContact", "Recorder", "correction_contact", "sliding_limit"]
 
@@ -48,13 +48,14 @@ class Correction(Protocol):
     @property
     def needs_initial(self) -> bool: ...
 
-    def transport(self, weights: sparse.csr_array, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
+    def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Coarse gap D, slip U and limit G.
 
         Parameters
         ----------
-        weights : csr_array (n_contact fine, n_contact coarse)
+        reach : Supports
+            Which fine contact nodes interpolate from each coarse one, and with which weights.
         opening : (n_contact fine,) array
             g0 - u_n >= 0, m.
         slip : (n_contact fine, dim - 1) array
@@ -86,12 +87,12 @@ def sliding_limit(system: LocalSystem, contact: NodalContact, residual: np.ndarr
     return contact.limit + contact.friction * normal_force
 
 
-def correction_contact(correction: Correction, weights: sparse.csr_array, system: LocalSystem, coarse: LocalSystem,
+def correction_contact(correction: Correction, reach: Supports, system: LocalSystem, coarse: LocalSystem,
                        contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray,
                        initial: InitialContact | None) -> NodalContact:
     """The contact data of the coarse correction problem at a fine iterate."""
     values = unknowns.reshape(-1, system.dim)[system.nodes]
-    gap, slip, limit = correction.transport(weights, contact.gap - values[:, 0], values[:, 1:] - contact.slip_reference,
+    gap, slip, limit = correction.transport(reach, contact.gap - values[:, 0], values[:, 1:] - contact.slip_reference,
                                             sliding_limit(system, contact, residual), initial)
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
     return NodalContact(gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit))

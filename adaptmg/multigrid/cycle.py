@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -12,9 +13,26 @@ from adaptmg.multigrid.stack import Stack
 from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import Smoother
 from adaptmg.smoother.residuals import residual
-from adaptmg.smoother.system import NodalContact
+from adaptmg.smoother.system import LocalProblem, NodalContact
 
-__all__ = ["Cycle", "CycleRunner"]
+__all__ = ["Condensation", "Cycle", "CycleRunner"]
+
+
+class Condensation(Protocol):
+    """A matrix condensed to its contact dofs; :class:`adaptmg.solver.condensation.Condensed` is one."""
+
+    @property
+    def problem(self) -> LocalProblem:
+        """The condensed problem."""
+
+    def restrict(self, unknowns: np.ndarray) -> np.ndarray:
+        """The entries at contact dofs."""
+
+    def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A particular solution away from contact, and the condensed residual."""
+
+    def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+        """All dofs from those at contact."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +74,8 @@ class CycleRunner:
     recorder : Recorder
     initial : list of InitialContact or None
         By level, where the correction needs it.
+    condensed : Condensation or None
+        The coarsest matrix condensed to its contact dofs, where the coarse solve wants that.
     """
 
     stack: Stack
@@ -65,6 +85,7 @@ class CycleRunner:
     coarse: CoarseSolve
     recorder: Recorder
     initial: list[InitialContact] = field(default_factory=list)
+    condensed: Condensation | None = None
 
     #: cycles of a 'complete' coarse solution at most
     COMPLETE_LIMIT = 60
@@ -88,7 +109,7 @@ class CycleRunner:
         """Add the correction from the next coarser level, in place; ``defect`` is the residual at ``unknowns``."""
         fine, coarse = self.stack.levels[level], self.stack.levels[level - 1]
         initial = self.initial[level - 1] if self.correction.needs_initial else None
-        data = correction_contact(self.correction, fine.contact_prolongation, fine.system, coarse.system, contact,
+        data = correction_contact(self.correction, fine.supports, fine.system, coarse.system, contact,
                                   unknowns, defect, initial)
         self.recorder.visit(level, "restrict")
         load = fine.restriction @ defect
@@ -105,7 +126,13 @@ class CycleRunner:
 
     def solve_coarsest(self, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:
         """Solve on the coarsest level, in place."""
-        sweeps = self.coarse.solve(self.stack.levels[0].system, contact, load, unknowns, self.recorder)
+        if self.condensed is None:
+            sweeps = self.coarse.solve(self.stack.levels[0].system, contact, load, unknowns, self.recorder)
+        else:
+            particular, reduced = self.condensed.reduce(load)
+            part = self.condensed.restrict(unknowns)
+            sweeps = self.coarse.solve(self.condensed.problem.system, contact, reduced, part, self.recorder)
+            unknowns[:] = self.condensed.complete(particular, part)
         self.recorder.visit(0, "solve", sweeps)
 
     def _solve_coarse(self, level: int, contact: NodalContact, load: np.ndarray, error: np.ndarray, shape: str) -> None:

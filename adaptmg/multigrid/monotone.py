@@ -15,10 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg.multigrid.correction import InitialContact
-from adaptmg.transfer.constraints import minmod_slip, smallest_gap, summed_limit
+from adaptmg.transfer.constraints import Supports, minmod_slip, smallest_gap, summed_limit
 
 __all__ = ["Monotone"]
 
@@ -32,8 +31,8 @@ class Monotone:
         """It needs no first coarse solution."""
         return False
 
-    def transport(self, weights: sparse.csr_array, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
+    def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See :class:`adaptmg.multigrid.correction.Correction`."""
         stick = (slip == 0.0).all(axis=1)
-        return smallest_gap(weights, opening), minmod_slip(weights, slip, stick), summed_limit(weights, limit)
+        return smallest_gap(reach, opening), minmod_slip(reach, slip, stick), summed_limit(reach, limit)

@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg.multigrid.correction import InitialContact
 from adaptmg.problem import checks
 from adaptmg.transfer.constraints import (
+    Supports,
     injected_gap,
     injected_limit,
     injected_slip,
@@ -60,20 +60,20 @@ class PaperCorrection:
         """Whether the first coarse solution is kept."""
         return "initial" in (self.slip, self.limit)
 
-    def transport(self, weights: sparse.csr_array, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
+    def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See :class:`adaptmg.multigrid.correction.Correction`."""
-        gap = {"smallest": smallest_gap, "largest": largest_gap, "injected": injected_gap}[self.gap](weights, opening)
+        gap = {"smallest": smallest_gap, "largest": largest_gap, "injected": injected_gap}[self.gap](reach, opening)
         if self.slip == "initial":
             coarse_slip = initial.slip
         elif self.slip == "injected":
-            coarse_slip = injected_slip(weights, slip)
+            coarse_slip = injected_slip(reach, slip)
         else:
-            coarse_slip = minmod_slip(weights, slip, (slip == 0.0).all(axis=1))
+            coarse_slip = minmod_slip(reach, slip, (slip == 0.0).all(axis=1))
         if self.limit == "initial":
             coarse_limit = initial.limit
         elif self.limit == "injected":
-            coarse_limit = injected_limit(weights, limit)
+            coarse_limit = injected_limit(reach, limit)
         else:
-            coarse_limit = summed_limit(weights, limit)
+            coarse_limit = summed_limit(reach, limit)
         return gap, coarse_slip, coarse_limit

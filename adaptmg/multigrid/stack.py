@@ -10,6 +10,7 @@ Coarse matrices are Galerkin products :math:`\hat P^T A \hat P`, or those of the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -17,6 +18,7 @@ from scipy import sparse
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import LocalProblem, LocalSystem
+from adaptmg.transfer.constraints import Supports, supports
 
 __all__ = ["Stack", "StackLevel", "build_stack"]
 
@@ -39,6 +41,11 @@ class StackLevel:
     prolongation: sparse.bsr_array | None = None
     restriction: sparse.bsr_array | None = None
     contact_prolongation: sparse.csr_array | None = None
+
+    @cached_property
+    def supports(self) -> Supports:
+        """The fine contact nodes that each coarse one reaches; ValueError if a weight is negative."""
+        return supports(self.contact_prolongation)
 
     @property
     def proven(self) -> bool:

@@ -17,7 +17,7 @@ __all__ = ["history"]
 _QUANTITIES = {"error_estimate": "estimated error (relative, energy norm)",
                "true_error": "true error (relative, energy norm)", "residual": "natural residual (relative)",
                "relative_change": "change in one cycle (relative, Euclidean)",
-               "change": "change between checks (energy norm, over the first)"}
+               "change": "change between checks (relative, energy norm)"}
 _AGAINST = {"work_units": "work units", "cycle": "cycle", "seconds": "time [s]"}
 _DASHES = ("-", "--", ":", "-.")
 
@@ -34,8 +34,8 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
         Seconds are those since the solver began.
     ax : matplotlib Axes, optional
     quantity : {"error_estimate", "true_error", "residual", "relative_change", "change"}, optional
-        Default: for one result all it recorded, for several the first of these that all recorded. The change, which
-        is recorded in the absolute energy norm, is drawn over its first value.
+        Default: for one result all it recorded, for several the true error if all recorded it, else the residual
+        (an estimate made from changes cannot see that a method stalled).
 
     Returns
     -------
@@ -57,8 +57,6 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
         for j, name in enumerate(quantities):
             x, y = np.asarray(result.history[against], dtype=float), np.asarray(result.history[name], dtype=float)
             shown = np.isfinite(x) & np.isfinite(y) & (y > 0)
-            if name == "change":
-                y = y / y[shown][0]
             ax.semilogy(x[shown], y[shown], marker="o" if shown.sum() <= 60 else "",
                         linestyle="-" if several else _DASHES[j], color=CYCLE[(k if several else j) % len(CYCLE)],
                         label=label if several else _QUANTITIES[name])
@@ -71,11 +69,11 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
     if several or len(quantities) == 1:
         ax.set_ylabel(_QUANTITIES[quantities[0]])
     else:
-        ax.set_ylabel("relative to the solution")
+        ax.set_ylabel("relative measure")
         ax.set_title(f"{next(iter(runs.values())).problem_name}")
     ax.grid(True)
     if several or len(quantities) > 1:
-        ax.legend()
+        ax.legend(loc="upper right")
     if against == "cycle":
         ax.xaxis.get_major_locator().set_params(integer=True)
     return ax.figure
@@ -89,7 +87,9 @@ def _chosen(runs: Mapping[str, Result], quantity: str | None, several: bool) -> 
 
     if quantity is not None:
         checks.choice("quantity", quantity, _QUANTITIES)
-    wanted = list(_QUANTITIES) if quantity is None else [quantity]
+    wanted = list(_QUANTITIES if quantity is None else (quantity,))
+    if several and quantity is None:
+        wanted.sort(key=("true_error", "residual", *_QUANTITIES).index)
     found = [name for name in wanted if all(recorded(result, name) for result in runs.values())]
     if not found:
         known = {label or result.solver_name: [n for n in _QUANTITIES if recorded(result, n)]

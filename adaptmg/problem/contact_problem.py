@@ -78,7 +78,7 @@ class ContactProblem:
         contact = (self.contact,) if isinstance(self.contact, Contact) else tuple(self.contact)
         if not contact or not all(isinstance(c, Contact) for c in contact):
             raise TypeError(f"contact must be a Contact or a sequence of them, got {self.contact!r}")
-        if not isinstance(self.law, Law):
+        if not isinstance(self.law, Law) or isinstance(self.law, type):
             raise TypeError(f"law must be Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds, "
                             f"got {self.law!r}")
         object.__setattr__(self, "contact", contact)

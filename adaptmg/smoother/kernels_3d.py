@@ -112,8 +112,9 @@ def natural_residual(nodes, diagonal, gap, reference, limit, friction, w, result
     for k in range(len(nodes)):
         i = np.uint64(nodes[k])
         at = THREE * i
-        result[at], result[at + ONE], result[at + TWO] = _natural(
-            i, np.uint64(k), diagonal, gap, reference, limit, friction, w, result[at], result[at + ONE], result[at + TWO])
+        r_0, r_1, r_2 = result[at], result[at + ONE], result[at + TWO]
+        result[at], result[at + ONE], result[at + TWO] = _natural(i, np.uint64(k), diagonal, gap, reference, limit,
+                                                                 friction, w, r_0, r_1, r_2)
 
 
 @njit(cache=True)

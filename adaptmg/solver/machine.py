@@ -13,7 +13,8 @@ from adaptmg.multigrid.cycle import CycleRunner
 from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prolonged_start
 from adaptmg.multigrid.stack import build_stack
 from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver.convergence import Convergence
+from adaptmg.solver.condensation import condense
+from adaptmg.solver.convergence import Convergence, euclidean_norm
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.status import Status
 
@@ -45,7 +46,12 @@ class Machine:
         o = self.options
         with self.run.phase("setup"):
             stack = build_stack(self.hierarchy, self.problems, finest, o.coarse_matrices)
-        return CycleRunner(stack, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial)
+        condensed = None
+        if o.coarse.condensed:
+            with self.run.phase("factorise"):
+                coarsest = stack.levels[0].system
+                condensed = condense(replace(self.problems[0], system=coarsest, load=np.zeros(coarsest.n_dofs)))
+        return CycleRunner(stack, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial, condensed)
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest (steps a and b of the paper).
@@ -136,10 +142,10 @@ class Machine:
             runner.correct(level, local.contact, unknowns, defect)
             runner.smooth(level, local.contact, local.load, unknowns, o.cycle.post)
             cycles += 1
-            size = float(np.linalg.norm(unknowns))
+            size = euclidean_norm(unknowns)
             if not np.isfinite(size):
                 return Status.DIVERGED, cycles, watch
-            change = float(np.linalg.norm(unknowns - before)) / size if size > 0 else 0.0
+            change = euclidean_norm(unknowns - before) / size if size > 0 else 0.0
             self.run.record(cycle=cycles, relative_change=change, **watch.measures())
         watch.check(unknowns, runner.residual(level, local.load, unknowns))
         self.run.record(cycle=cycles, relative_change=change, **watch.measures())

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
-import tempfile
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
+from adaptmg.atomic import write_bytes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.solver.status import Status
@@ -113,7 +113,8 @@ class Result:
     rtol : float
         What was asked for.
     history : dict of str to (n,) array
-        By name: cycle, work_units, seconds, and what the solver recorded (change, residual, error_estimate).
+        By name: cycle, work_units, seconds, and what the solver recorded: residual (natural, relative), change (since
+        the check before, relative, A-norm), error_estimate, true_error (with a reference; relative, A-norm).
     timings : dict of str to float
         Seconds by phase.
     path : list of (level, action, times)
@@ -258,15 +259,9 @@ class Result:
                        for k in ("points", "elements", "facets", "facet_labels", "element_body")}
             meta |= {"boundaries": self.mesh.boundaries, "bodies": self.mesh.bodies}
         arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
-        target = Path(path)
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=target.name, suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez_compressed(file, **arrays)
-            os.replace(temporary, target)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **arrays)
+        write_bytes(path, buffer.getvalue())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:

@@ -13,7 +13,7 @@ from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact, local_system
-from adaptmg.solver.convergence import Convergence
+from adaptmg.solver.convergence import Convergence, euclidean_norm
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.status import Status
 
@@ -128,8 +128,8 @@ class _Iteration:
             if stop == "change":
                 before = self.unknowns.copy()
                 self.sweep(contact, 1)
-                size = float(np.linalg.norm(self.unknowns))
-                change = float(np.linalg.norm(self.unknowns - before)) / size if size > 0 else 0.0
+                size = euclidean_norm(self.unknowns)
+                change = euclidean_norm(self.unknowns - before) / size if size > 0 else 0.0
                 done = self.sweeps - first
                 if change > rtol and done < limit and np.isfinite(change):
                     continue

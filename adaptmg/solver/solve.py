@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import importlib.metadata
+import warnings
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.smoother.system import local_system
+from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.finish import contact_result, relative_residual
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Run, Solver
@@ -63,10 +65,11 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
                         f"got {solver!r}")
     discrete = grids.finest.discrete
     check_statics(discrete)
+    local = local_system(discrete)
+    _warn_of_large_friction(local)
     run = Run(unit=discrete.matrix.nnz, callback=callback, reference=_displacement("reference", reference, discrete))
     outcome = solver.run(grids, run, _displacement("start", start, discrete))
     displacement = np.asarray(outcome.displacement).reshape(discrete.n_nodes, discrete.dim)
-    local = local_system(discrete)
     unknowns = local.to_local(displacement)
     reaction = (discrete.matrix @ displacement.reshape(-1) - discrete.load).reshape(displacement.shape)
     keys = dict.fromkeys(key for row in run.history for key in row)
@@ -95,10 +98,28 @@ def label(option: object) -> str:
     return f"{type(option).__name__}({', '.join(shown)})"
 
 
-def versions() -> dict[str, str]:
-    """Versions of adaptmg and of what its numbers depend on."""
+def _warn_of_large_friction(local: LocalProblem) -> None:
+    """Say where even the problem of one node, all others held, may have several solutions: mu |a_nt| >= a_tt."""
+    system, dim = local.system, local.system.dim
+    blocks = system.diagonal.reshape(-1, dim, dim)[system.nodes]
+    coupling = local.contact.friction * np.linalg.norm(blocks[:, 0, 1:], axis=1)
+    beyond = coupling >= np.linalg.eigvalsh(blocks[:, 1:, 1:])[:, 0]
+    if beyond.any():
+        i = int(np.argmax(beyond))
+        warnings.warn(f"friction {local.contact.friction[i]:g} is so large that the solution may not be unique "
+                      f"({np.count_nonzero(beyond)} contact nodes, the first is node {system.nodes[i]}); "
+                      "which one is found depends on start and method", RuntimeWarning, stacklevel=3)
+
+
+@lru_cache(maxsize=1)
+def _versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name)
             for name in ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")}
+
+
+def versions() -> dict[str, str]:
+    """Versions of adaptmg and of what its numbers depend on."""
+    return dict(_versions())
 
 
 def _problem_name(grids: Hierarchy) -> str:

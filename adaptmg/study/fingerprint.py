@@ -1,8 +1,9 @@
 """What makes a stored result stale: the source of the run function, the source of adaptmg, versions of packages.
 
-The hash covers the text of the run function and of every module of adaptmg that computes (pictures, reports, the
-command line and this layer are left out). It does not see values the function takes from outside (globals, closures,
-files, other helpers of the script): after changing those, run the study with ``rerun=True``.
+The hash covers the text of the run function, of the script it stands in and of the modules beside that script which it
+uses, and of every module of adaptmg that computes (pictures, reports, the command line and this layer are left out).
+It does not see what is not source text (closures, data files, other packages): after changing those, run the study with
+``rerun=True``.
 """
 
 from __future__ import annotations
@@ -10,21 +11,22 @@ from __future__ import annotations
 import hashlib
 import inspect
 import platform
+import sys
 import textwrap
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any
 
 __all__ = ["code_hash", "environment"]
 
 #: parts of the package on which no number depends
-_NOT_COMPUTING = ("study", "plot", "export", "cli.py", "__main__.py")
+_NOT_COMPUTING = ("study", "plot", "export", "cli", "__main__.py")
 
 
 def code_hash(function: Callable[..., Any]) -> str:
-    """Hash of the source of ``function`` and of the modules of adaptmg that compute.
+    """Hash of the source of ``function``, its script, and the modules of adaptmg that compute.
 
     Parameters
     ----------
@@ -43,7 +45,32 @@ def code_hash(function: Callable[..., Any]) -> str:
     except (OSError, TypeError):
         code = function.__code__
         own = repr((code.co_code, code.co_consts, code.co_names))
-    return hashlib.sha256((own + _package_hash()).encode()).hexdigest()
+    return hashlib.sha256((own + _script_text(function) + _package_hash()).encode()).hexdigest()
+
+
+def _script_text(function: FunctionType) -> str:
+    """Text of the file of ``function`` and of the modules in its folder from which that file takes names."""
+    first = sys.modules.get(function.__module__)
+    home = _file_of(first)
+    found: dict[Path, str] = {}
+    waiting = [first]
+    while waiting:
+        module = waiting.pop()
+        file = _file_of(module)
+        if file is None or file.parent != home.parent or file in found:
+            continue
+        found[file] = file.read_text(encoding="utf-8", errors="replace")
+        for value in list(vars(module).values()):
+            waiting.append(value if isinstance(value, ModuleType)
+                           else sys.modules.get(getattr(value, "__module__", None) or ""))
+    return "\0".join(found[file] for file in sorted(found))
+
+
+def _file_of(module: ModuleType | None) -> Path | None:
+    """The source file of a module, if it has one."""
+    name = getattr(module, "__file__", None)
+    file = Path(name) if isinstance(name, str) else None
+    return file if file is not None and file.suffix == ".py" and file.is_file() else None
 
 
 @cache

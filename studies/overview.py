@@ -1,0 +1,61 @@
+"""The picture at the top of the README: problem, non-nested grids, contact line, convergence.
+
+    python studies/overview.py [--out FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+from common import write_picture
+from matplotlib.figure import Figure
+
+import adaptmg as am
+
+SIZES = (10e-3, 6e-3, 3.6e-3, 2.2e-3, 1.3e-3)
+
+
+def draw() -> Figure:
+    """Solve the bar with friction 1 on graded independent meshes and draw."""
+    problem = am.cases.greco_bar(law=am.Coulomb(1.0))
+    grids = am.Hierarchy.graded(problem, sizes=SIZES, contact_ratio=4)
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
+    smoother = am.ProjectedGaussSeidel(order="backward")
+    full = am.FullMultigrid(smoother=smoother)
+    runs = {"one grid": am.solve(grids, am.SingleGrid(rtol=1e-7), reference=exact, throw=False),
+            "multigrid, zero start": am.solve(grids, am.Multigrid(smoother=smoother), reference=exact),
+            "full multigrid": am.solve(grids, full, reference=exact)}
+    figure = plt.figure(figsize=(13, 7.2), layout="constrained")
+    above, below = figure.subfigures(2, 1)
+    left, right = above.subfigures(1, 2, width_ratios=(1.2, 2.2))
+    am.plot.problem(problem, left.subplots())
+    axes = right.subplots(1, 3)
+    for k, ax in zip((0, 2, 4), axes, strict=True):
+        level = grids[k]
+        am.plot.mesh(level.mesh, ax, contact=("bottom",))
+        ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes")
+        ax.set_axis_off()
+    left, right = below.subfigures(1, 2)
+    am.plot.contact(runs["full multigrid"], left.subplots(2, 1, sharex=True))
+    ax = right.subplots()
+    am.plot.history(runs, ax=ax)
+    ax.set_xscale("log")
+    ax.legend(loc="lower left")
+    ax.set_title(f"{grids.finest.mesh.n_nodes} nodes: true error against work")
+    return figure
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Draw the picture of the README.")
+    parser.add_argument("--out", type=Path, default=Path("data/pictures/overview.png"), metavar="FILE")
+    out = parser.parse_args().out
+    figure = draw()
+    write_picture(figure, out, dpi=90)
+    print(out)
+
+
+if __name__ == "__main__":
+    main()

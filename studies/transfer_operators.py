@@ -1,0 +1,324 @@
+"""Transfers between meshes that are not nested: what they cost, what they keep, how the cycles converge with them.
+
+1. Each transfer on independent Netgen meshes in 2D and 3D (nested uniform grids as the base line): seconds to build,
+   entries, complexity of the Galerkin matrices, affine fields reproduced, whether the monotone correction is proven.
+2. Cycles and work units of V(2,0) and W(2,0) with each of them, from a zero and from a nested start.
+3. Two grids with a growing ratio of their mesh sizes, everywhere or at contact only.
+
+    python studies/transfer_operators.py [--quick] [--out DIR]
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from statistics import median
+from typing import Any
+
+import common
+import numpy as np
+import pandas as pd
+from matplotlib import pyplot as plt
+
+import adaptmg as am
+from adaptmg.mesh import MeshArrays, graded, structured
+from adaptmg.multigrid.stack import build_stack, contact_weights
+from adaptmg.plot.style import CYCLE, styled
+from adaptmg.smoother.system import local_system
+from adaptmg.transfer import mesh_ratio
+
+RTOL = 1e-8
+MAX_CYCLES = 300
+REPETITIONS = 3
+
+TRANSFERS: Mapping[str, Any] = {
+    "Interpolation": am.Interpolation(), "PseudoL2": am.PseudoL2(), "L2": am.L2(),
+    "QuasiInterpolation": am.QuasiInterpolation(), "LumpedL2": am.LumpedL2()}
+#: (transfer, contact rows interpolated along the contact boundary)
+CHOICES = (*((name, True) for name in TRANSFERS), ("Interpolation", False), ("PseudoL2", False),
+           ("LumpedL2", False))
+
+
+@dataclass(frozen=True)
+class Case:
+    """Meshes, coarse to fine, and what is tried on them.
+
+    Parameters
+    ----------
+    sizes : tuple
+        Divisions of structured meshes, or sizes away from contact of graded ones, m.
+    contact_ratio : float
+        Of graded meshes: size away from contact over size at contact; 0 means structured.
+    choices : tuple of (transfer, contact rows)
+    dim : int
+    """
+
+    sizes: tuple[float, ...]
+    contact_ratio: float
+    choices: tuple[tuple[str, bool], ...] = CHOICES
+    dim: int = 2
+
+
+NESTED = Case((4, 8, 16, 32), 0, (("Interpolation", True),))
+GRADED = Case((20e-3, 10e-3, 5e-3, 2.5e-3, 1.25e-3), 4)
+CASES: Mapping[str, Case] = {
+    "2D nested": NESTED, "2D graded": GRADED, "2D graded, fine": Case((*GRADED.sizes, 0.625e-3), 4, CHOICES[:5]),
+    "3D graded": Case((20e-3, 10e-3, 5e-3), 2, dim=3)}
+QUICK_CASES: Mapping[str, Case] = {"2D nested": NESTED, "2D graded": Case(GRADED.sizes[:-1], 4)}
+RATIOS, QUICK_RATIOS = (2, 3, 4, 6), (2, 4)
+
+
+@lru_cache(maxsize=4)
+def posed(dim: int, sizes: tuple[float, ...], contact_ratio: float) -> tuple[am.ContactProblem, tuple[MeshArrays, ...]]:
+    """Problem and meshes of a case, coarse to fine; see :class:`Case`."""
+    problem = am.cases.greco_bar(law=am.Coulomb(1.0)) if dim == 2 else am.cases.greco_block(law=am.Coulomb(0.3))
+    if contact_ratio == 0:
+        return problem, tuple(structured(problem.domain, n) for n in sizes)
+    return problem, tuple(graded(problem.domain, size, "bottom", contact_ratio) for size in sizes)
+
+
+def build_seconds(meshes: Sequence[MeshArrays], transfers: Sequence[Any]) -> list[float]:
+    """Median seconds to build all prolongations with each transfer, in turns."""
+    for transfer in transfers:
+        transfer.build(*meshes[:2])
+    seconds: list[list[float]] = [[] for _ in transfers]
+    for _ in range(REPETITIONS):
+        for k, transfer in enumerate(transfers):
+            begin = time.perf_counter()
+            for coarse, fine in pairwise(meshes):
+                transfer.build(coarse, fine)
+            seconds[k].append(time.perf_counter() - begin)
+    return [median(values) for values in seconds]
+
+
+def affine_error(hierarchy: am.Hierarchy) -> float:
+    """Largest error of P in affine fields 0 <= x, y, z <= 1 over all levels."""
+    worst = 0.0
+    for coarse, fine in pairwise(hierarchy.levels):
+        size = np.ptp(coarse.mesh.points, axis=0)
+        error = fine.prolongation @ (coarse.mesh.points / size) - fine.mesh.points / size
+        worst = max(worst, float(np.abs(error).max()))
+    return worst
+
+
+def properties(dim: int, sizes: tuple[float, ...], contact_ratio: float, transfer: str,
+               contact_rows: bool) -> dict[str, Any]:
+    """What a transfer costs and keeps."""
+    problem, meshes = posed(dim, sizes, contact_ratio)
+    base, own = build_seconds(meshes, (am.Interpolation(), TRANSFERS[transfer]))
+    hierarchy = am.Hierarchy.from_meshes(problem, meshes, TRANSFERS[transfer], contact_rows=contact_rows)
+    problems = [local_system(level.discrete) for level in hierarchy.levels]
+    stack = build_stack(hierarchy, problems, len(hierarchy) - 1)
+    finest = hierarchy.finest
+    return {"nodes": finest.discrete.n_nodes, "contact_nodes": len(finest.discrete.contact), "levels": len(hierarchy),
+            "mesh_ratio": max(level.mesh_ratio for level in hierarchy.levels[1:]), "build_s": own,
+            "build_ratio": own / base, "row_entries": finest.prolongation.nnz / finest.prolongation.shape[0],
+            "complexity": stack.operator_complexity, "discretised_complexity": hierarchy.operator_complexity,
+            "min_weight": min(float(level.prolongation.data.min()) for level in hierarchy.levels[1:]),
+            "affine_error": affine_error(hierarchy), "proven": all(level.proven for level in stack.levels)}
+
+
+def negative_contact_weights(hierarchy: am.Hierarchy) -> bool:
+    """Whether a weight between contact nodes is negative: the monotone correction refuses such transfers."""
+    return any(contact_weights(fine.prolongation, fine.discrete, coarse.discrete).data.min() < 0
+               for coarse, fine in pairwise(hierarchy.levels))
+
+
+def convergence(dim: int, sizes: tuple[float, ...], contact_ratio: float, transfer: str, contact_rows: bool, shape: str,
+                rtol: float, max_cycles: int) -> dict[str, Any]:
+    """Cycles and work from a zero start and from a nested one."""
+    common.warm_up(dim)
+    problem, meshes = posed(dim, sizes, contact_ratio)
+    hierarchy = am.Hierarchy.from_meshes(problem, meshes, TRANSFERS[transfer], contact_rows=contact_rows)
+    row: dict[str, Any] = {"nodes": hierarchy.finest.discrete.n_nodes}
+    refused = negative_contact_weights(hierarchy)
+    for start, method in (("zero", am.Multigrid), ("full", am.FullMultigrid)):
+        solver = method(cycle=am.Cycle(shape=shape, pre=2, post=0), correction=am.Monotone(), rtol=rtol,
+                        max_cycles=max_cycles)
+        if refused:
+            row |= {f"{start}_{name}": float("nan") for name in ("cycles", "rate", "work", "s", "residual")}
+            row[f"{start}_outcome"] = "REFUSED"
+            continue
+        result = am.solve(hierarchy, solver, throw=False)
+        row |= {f"{start}_cycles": result.cycles, f"{start}_rate": result.rate, f"{start}_work": result.work_units,
+                f"{start}_s": result.seconds, f"{start}_residual": result.residual,
+                f"{start}_outcome": result.status.name}
+    return row
+
+
+def two_grids(where: str, ratio: int, rtol: float, max_cycles: int) -> dict[str, Any]:
+    """Two grids whose sizes differ by ``ratio`` everywhere, or by 2 in the bulk and by ``ratio`` at contact."""
+    common.warm_up()
+    problem = am.cases.greco_bar(law=am.Coulomb(1.0))
+    fine = graded(problem.domain, 2.5e-3, "bottom", 8)
+    coarse = (graded(problem.domain, 2.5e-3 * ratio, "bottom", 8) if where == "everywhere" else
+              graded(problem.domain, 5e-3, "bottom", 16 / ratio))
+    hierarchy = am.Hierarchy.from_meshes(problem, [coarse, fine])
+    result = am.solve(hierarchy, am.Multigrid(cycle=am.Cycle(shape="V", pre=2, post=0), rtol=rtol,
+                                              max_cycles=max_cycles), throw=False)
+    return {"coarse_nodes": coarse.n_nodes, "nodes": fine.n_nodes, "largest_ratio": mesh_ratio(coarse, fine),
+            "median_ratio": mesh_ratio(coarse, fine, quantile=0.5), "cycles": result.cycles, "rate": result.rate,
+            "work_units": result.work_units, "residual": result.residual, "outcome": result.status.name}
+
+
+def run(context: common.Context) -> common.Section:
+    """All three parts."""
+    kept, cycles = [], []
+    stop = {"rtol": RTOL, "max_cycles": MAX_CYCLES}
+    for name, case in (QUICK_CASES if context.quick else CASES).items():
+        meshes = {"dim": case.dim, "sizes": case.sizes, "contact_ratio": case.contact_ratio}
+        for transfer, rows in case.choices:
+            choice = {"transfer": [transfer], "contact_rows": [rows]}
+            shapes = choice | {"shape": ["V", "W"]}
+            kept.append(context.study(properties, choice, **meshes).assign(case=name))
+            cycles.append(context.study(convergence, shapes, **meshes, **stop).assign(case=name))
+    ratios = context.study(two_grids, {"where": ["everywhere", "at contact"],
+                                       "ratio": QUICK_RATIOS if context.quick else RATIOS}, **stop)
+    kept, cycles = pd.concat(kept, ignore_index=True), pd.concat(cycles, ignore_index=True)
+    text = ("The GRECO bar with friction 1 (2D) and the block with friction .3 (3D) on independent Netgen meshes, "
+            "four times (3D: twice) finer at contact, sizes halved from level to level. Every prolongation is "
+            "tried with the monotone correction; with contact rows, fine contact nodes interpolate along the coarse "
+            f"contact boundary whatever the transfer does elsewhere. Tolerance {RTOL:g} (estimated relative energy "
+            f"error), at most {MAX_CYCLES} cycles.")
+    return common.Section("Transfers between non-nested meshes", text, [
+        property_table(kept), cycle_table(cycles), ratio_table(ratios), work_figure(cycles), ratio_figure(ratios)])
+
+
+def property_table(kept: pd.DataFrame) -> common.Table:
+    """Cost and properties of the prolongations."""
+    frame = pd.DataFrame({
+        "case": kept["case"], "nodes": kept["nodes"], "transfer": kept["transfer"],
+        "contact rows": kept["contact_rows"], "build": 1e3 * kept["build_s"],
+        "x interpolation": kept["build_ratio"], "entries a row": kept["row_entries"],
+        "complexity": kept["complexity"], "least weight": kept["min_weight"], "affine error": kept["affine_error"],
+        "proven": kept["proven"], "h ratio": kept["mesh_ratio"]})
+    with_rows = kept[kept["contact_rows"] & kept["case"].str.contains("graded")]
+    by = with_rows.groupby("transfer")
+    worst, least = by["affine_error"].max(), by["min_weight"].min()
+    slower = {name: span(group["build_ratio"], ".0f") for name, group in by}
+    signed = ["PseudoL2", "L2", "QuasiInterpolation"]
+    discretised = with_rows["discretised_complexity"]
+    note = (
+        f"build: all prolongations of the hierarchy, median of {REPETITIONS} in turns with interpolation; PseudoL2 "
+        f"takes {slower['PseudoL2']} times as long, L2 {slower['L2']}. complexity: nonzeros of the Galerkin matrices "
+        f"of all levels over the finest (discretised on every level: {span(discretised, '.2f')}). affine error: in "
+        f"fields from 0 to 1, all levels. Interpolation reproduces them to {worst['Interpolation']:.0e}; the lumped "
+        f"projection evaluates them at centres of gravity and is off by up to {worst['LumpedL2']:.2f}; L2 drops "
+        "entries below 1e-3, which on some rows leaves too few to restore their moments. Weights of "
+        f"{', '.join(signed)} fall to {least[signed].min():.2f}. proven: contact rows >= 0 with sums 1, as the "
+        "monotone correction needs; contact rows give this to every transfer, and on a straight boundary "
+        "interpolation has it anyway.")
+    return common.Table("transfer_properties", frame, "What the transfers cost and keep", note, {"build": "ms"},
+                        {"build": ".1f", "x interpolation": ".1f", "entries a row": ".2f", "complexity": ".2f",
+                         "least weight": ".3f", "affine error": ".1e", "h ratio": ".2f"})
+
+
+def cycle_table(cycles: pd.DataFrame) -> common.Table:
+    """Cycles, rates and work."""
+    frame = pd.DataFrame({
+        "case": cycles["case"], "nodes": cycles["nodes"], "transfer": cycles["transfer"],
+        "contact rows": cycles["contact_rows"], "cycle": cycles["shape"] + "(2,0)",
+        "cycles": cycles["zero_cycles"], "rate": cycles["zero_rate"], "WU": cycles["zero_work"],
+        "status": cycles["zero_outcome"], "full: cycles": cycles["full_cycles"], "full: rate": cycles["full_rate"],
+        "full: WU": cycles["full_work"], "full: residual": cycles["full_residual"],
+        "full: status": cycles["full_outcome"], "full: time": cycles["full_s"]})
+    block = cycles[cycles["case"].str.startswith("3D") & (cycles["full_outcome"] == "CONVERGED")]
+    limits = (f" On the block every transfer that converges does so at a rate of {span(block['full_rate'], '.2f')}, V "
+              "as W, so it is not the transfer that limits it; likely it is that in 3D the monotone correction lets a "
+              "coarse node slip on only if all slips over its support are parallel." if len(block) else "")
+    note = ("Left from a zero start, right with the nested start (full), its work included. WU: passes over the finest "
+            f"matrix. {work_words(cycles)} REFUSED: a weight between contact nodes is negative, which the monotone "
+            f"correction does not accept. rate: geometric mean of the last cycles.{limits}")
+    return common.Table("transfer_cycles", frame, f"Monotone multigrid with each transfer (rtol {RTOL:g})", note,
+                        {"full: time": "s"},
+                        {"rate": ".2f", "WU": ".0f", "full: rate": ".2f", "full: WU": ".0f", "full: residual": ".1e",
+                         "full: time": ".2f"})
+
+
+def work_words(cycles: pd.DataFrame) -> str:
+    """Work of the other transfers over that of interpolation, in words."""
+    rows = cycles[cycles["case"].str.contains("graded")]
+    key = ["case", "shape"]
+    base = rows[(rows["transfer"] == "Interpolation") & rows["contact_rows"]].set_index(key)["full_work"]
+    words, failed = [], []
+    for (name, contact_rows), group in rows.groupby(["transfer", "contact_rows"], sort=False):
+        label = name if contact_rows else f"{name} without contact rows"
+        unfinished = group["full_outcome"].isin(["LIMIT", "STALLED", "DIVERGED"])
+        if unfinished.any():
+            failed.append(f" {label} does not converge in {unfinished.sum()} of {len(group)} runs.")
+        ratio = (group[group["full_outcome"] == "CONVERGED"].set_index(key)["full_work"] / base).dropna()
+        if len(ratio) and label != "Interpolation":
+            words.append(f"{label} {span(ratio, '.2f')}")
+    return ("Work with the nested start over that of interpolation with contact rows, over cases and cycles: "
+            + "; ".join(words) + "." + "".join(failed))
+
+
+def span(values: pd.Series, spec: str) -> str:
+    """'smallest to largest', or the one value."""
+    low, high = format(values.min(), spec), format(values.max(), spec)
+    return low if low == high else f"{low} to {high}"
+
+
+def ratio_table(ratios: pd.DataFrame) -> common.Table:
+    """Two grids, by the ratio of their sizes."""
+    frame = ratios[["where", "ratio", "coarse_nodes", "nodes", "median_ratio", "largest_ratio", "cycles", "rate",
+                    "work_units", "residual", "outcome"]].rename(columns={
+                        "coarse_nodes": "coarse nodes", "median_ratio": "median ratio", "work_units": "WU",
+                        "largest_ratio": "largest ratio", "outcome": "status"})
+    words = []
+    for where, group in ratios.groupby("where", sort=False):
+        first, last = group.iloc[0], group.iloc[-1]
+        words.append(f"{where} from {first['rate']:.2f} ({first['cycles']} cycles) at {first['ratio']} to "
+                     f"{last['rate']:.2f} ({last['cycles']}) at {last['ratio']}")
+    note = ("Interpolation with contact rows, from a zero start, two grids, V(2,0). ratio: sizes asked for, coarse "
+            "over fine, everywhere, or at contact with 2 in the bulk; median and largest are measured element by "
+            f"element. The rate goes {'; '.join(words)}: what the smoother does not reach between the two sizes stays.")
+    return common.Table("transfer_mesh_ratio", frame, f"GRECO bar: ratio of mesh sizes (rtol {RTOL:g})", note,
+                        formats={"median ratio": ".2f", "largest ratio": ".2f", "rate": ".2f", "WU": ".0f",
+                                 "residual": ".1e"})
+
+
+@styled
+def work_figure(cycles: pd.DataFrame) -> common.Figure:
+    """Work units of V-cycles with the nested start."""
+    rows = cycles[(cycles["shape"] == "V") & cycles["contact_rows"]]
+    cases = [case for case in rows["case"].unique() if "graded" in case]
+    figure, ax = plt.subplots(figsize=(7.0, 3.8))
+    width = 0.8 / len(TRANSFERS)
+    for k, name in enumerate(TRANSFERS):
+        for j, case in enumerate(cases):
+            row = rows[(rows["case"] == case) & (rows["transfer"] == name)].iloc[0]
+            bar = ax.bar(j + (k - 2) * width, row["full_work"], width=0.9 * width, color=CYCLE[k],
+                         label=name if j == 0 else None)
+            text = f"{row['full_cycles']:.0f}" if row["full_outcome"] == "CONVERGED" else "not"
+            ax.bar_label(bar, [text], fontsize=8)
+    nodes = rows.groupby("case")["nodes"].first()
+    ax.set_xticks(range(len(cases)), [f"{case}\n{nodes[case]} nodes" for case in cases])
+    ax.set_ylabel("work units")
+    ax.tick_params(axis="x", length=0)
+    ax.grid(True, axis="y")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return common.Figure("transfer_work", figure,
+                         f"Work to {RTOL:g} with the nested start, V(2,0); above the bars cycles on the finest grid")
+
+
+@styled
+def ratio_figure(ratios: pd.DataFrame) -> common.Figure:
+    """Rate against the ratio of sizes."""
+    figure, ax = plt.subplots(figsize=(5.4, 3.8))
+    for k, (where, group) in enumerate(ratios.groupby("where", sort=False)):
+        ax.plot(group["ratio"], group["rate"], marker="os"[k], color=CYCLE[k], label=where)
+    ax.set_xlabel("ratio of mesh sizes, coarse over fine")
+    ax.set_ylabel("rate a cycle")
+    ax.set_ylim(0.0, 1.0)
+    ax.set_xticks(sorted(ratios["ratio"].unique()))
+    ax.grid(True)
+    ax.legend(loc="lower right")
+    return common.Figure("transfer_mesh_ratio", figure, "Two-grid rate against the ratio of mesh sizes")
+
+
+if __name__ == "__main__":
+    common.main(run, "Transfers between non-nested meshes: cost, properties, convergence.")

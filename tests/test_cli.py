@@ -1,0 +1,152 @@
+"""The command: what it prints where, what it writes, how it ends."""
+
+from __future__ import annotations
+
+import json
+import logging
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.cli import app
+from adaptmg.cli.progress import watched
+
+
+@pytest.fixture
+def command(capsys, monkeypatch):
+    """Run the command in this process: exit code, standard output, standard error."""
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as end:
+            app(list(arguments), prog_name="adaptmg")
+        out, err = capsys.readouterr()
+        return end.value.code or 0, out, err
+
+    return run
+
+
+def test_the_version(command):
+    assert command("--version") == (0, f"adaptmg {am.__version__}\n", "")
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("cases", "--help"), ("solve", "--help"), ()])
+def test_every_help_has_an_example(command, arguments):
+    code, out, _ = command(*arguments)
+    assert code == 0 and "Example: adaptmg" in out
+
+
+def test_help_loads_nothing_heavy():
+    code = ("import sys\nfrom adaptmg.cli import app\n"
+            "try:\n    app(['solve', '--help'])\nexcept SystemExit:\n    pass\n"
+            "sys.stderr.write(' '.join(m for m in ('numpy', 'numba', 'pandas', 'matplotlib', 'ngsolve') "
+            "if m in sys.modules))")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr == ""
+
+
+def test_cases_are_listed(command):
+    _, out, _ = command("cases")
+    assert [row.split()[0] for row in out.splitlines()] == list(am.cases.names())
+    _, out, _ = command("cases", "--json")
+    assert [row["name"] for row in json.loads(out)] == list(am.cases.names())
+
+
+def test_solve_prints_grids_and_result(command):
+    code, out, err = command("solve", "greco_bar", "--divisions", "4,8")
+    assert code == 0 and "Hierarchy of 2 levels" in out and "CONVERGED" in out
+    assert "Traceback" not in err
+
+
+def test_solve_prints_json_and_nothing_else_to_standard_output(command):
+    code, out, _ = command("solve", "greco_bar", "--divisions", "4,8", "--friction", "0.3", "--json")
+    row = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert code == 0 and row["status"] == "CONVERGED" and row["error_estimate"] <= row["rtol"]
+    assert sum(row["contact"].values()) == row["levels"][-1]["contact_nodes"] == 9
+    problem = am.cases.greco_bar(law=am.Coulomb(0.3))
+    wanted = am.solve(am.Hierarchy.uniform(problem, divisions=(4, 8)), am.FullMultigrid())
+    assert row["max_pressure"] == pytest.approx(float(wanted.contact.pressure.max()), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_solve_writes_result_pictures_and_vtk(command, tmp_path):
+    out = tmp_path / "deep" / "bar"
+    code, text, _ = command("solve", "greco_bar", "--divisions", "2,4", "--out", str(out))
+    assert code == 0
+    names = {"result.npz", "result.vtu", "problem.png", "grids.png", "deformed.png", "contact.png", "history.png",
+             "path.png"}
+    assert {p.name for p in out.iterdir()} == names
+    assert all(str(out / name) in text for name in names)
+    assert np.isfinite(am.Result.load(out / "result.npz").displacement).all()
+
+
+@pytest.mark.parametrize("options", [
+    ("--solver", "single-grid", "--omega", "1.5"),
+    ("--solver", "multigrid", "--cycle", "W", "--pre", "1", "--post", "1"),
+    ("--solver", "active-set", "--linear", "amg", "--rtol", "1e-9"),
+    ("--law", "tresca", "--limit", "1e7"),
+    ("--law", "frictionless"),
+])
+def test_every_method_and_law_gives_its_solution(command, options):
+    code, out, _ = command("solve", "curved_obstacle", "--divisions", "4,8", "--json", *options)
+    row = json.loads(out)
+    assert code == 0 and row["status"] == "CONVERGED" and row["residual"] < 1e-6
+
+
+def test_independent_meshes_are_solved_with_any_transfer(command):
+    code, out, _ = command("solve", "greco_bar", "--sizes", "20e-3,8e-3", "--contact-ratio", "2", "--transfer",
+                           "lumped-l2", "--friction", "0.3", "--json")
+    assert code == 0 and len(json.loads(out)["levels"]) == 2
+
+
+def test_a_run_that_does_not_converge_ends_with_code_1(command):
+    code, out, err = command("solve", "greco_bar", "--divisions", "4,8", "--max-cycles", "1", "--json")
+    assert code == 1 and json.loads(out)["status"] == "LIMIT"
+    assert err.splitlines()[-1].startswith("adaptmg: not converged (LIMIT)")
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    (("greco_bax",), "did you mean 'greco_bar'"),
+    (("greco_bar", "--divisions", "4,x"), "--divisions must be numbers"),
+    (("greco_bar", "--divisions", "8,4"), "coarse to fine"),
+    (("greco_bar", "--divisions", "4", "--sizes", "1e-2"), "not both"),
+    (("greco_bar", "--transfer", "l2"), "belong to --sizes"),
+    (("greco_bar", "--solver", "single-grid", "--cycle", "W"), "--cycle has no meaning"),
+    (("greco_bar", "--rtol", "nan"), "rtol must be finite"),
+    (("greco_bar", "--friction", "-1"), "friction must be"),
+    (("greco_bar", "--law", "coulomb"), "needs --friction"),
+    (("greco_bar", "--law", "tresca", "--limit", "1", "--friction", "1"), "--friction belongs to"),
+    (("greco_bar", "--divisions", "2,4", "--out", "/dev/null/x"), "/dev/null"),
+])
+def test_bad_input_is_one_line_and_code_2(command, options, message):
+    code, out, err = command("solve", *options)
+    assert code == 2 and out == "" and message in err
+    last = [row for row in err.splitlines() if row.startswith("adaptmg: ")]
+    assert len(last) == 1 and "Traceback" not in err
+
+
+def test_python_m_adaptmg_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "adaptmg", "solve", "nothing"], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+
+
+def test_the_log_goes_to_standard_error_and_is_put_back(capsys):
+    logger = logging.getLogger("adaptmg")
+    before = (logger.level, list(logger.handlers))
+    with watched(1e-8) as callback:
+        logging.getLogger("adaptmg.somewhere").info("compiling [kernels]")
+    assert callback is None
+    assert (logger.level, logger.handlers) == before
+    out, err = capsys.readouterr()
+    assert out == "" and "compiling [kernels]" in err
+
+
+def test_a_terminal_gets_a_bar(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with watched(1e-8) as callback:
+        callback({"cycle": 0, "residual": float("nan"), "error_estimate": float("inf")})
+        callback({"cycle": 3, "residual": 1e-3, "error_estimate": 2.5e-4})
+    assert "cycle 3, error 2.5e-04" in capsys.readouterr().err

@@ -1,0 +1,119 @@
+"""Hierarchies: constructors, the table, and what is refused."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import adaptmg as am
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return am.cases.greco_bar()
+
+
+def affine(points):
+    return 1.0 + points @ np.arange(2, 2 + points.shape[1])
+
+
+@pytest.mark.parametrize("make", [
+    lambda p: am.Hierarchy.uniform(p, divisions=(2, 4, 8)),
+    lambda p: am.Hierarchy.uniform(p, divisions=(3, 5, 8), diagonal="alternating"),
+    lambda p: am.Hierarchy.graded(p, sizes=(20e-3, 10e-3), contact_ratio=3),
+    lambda p: am.Hierarchy.bisected(p, am.mesh.structured(p.domain, 4), levels=3),
+    lambda p: am.Hierarchy.from_meshes(p, [am.mesh.graded(p.domain, s, "bottom").source for s in (20e-3, 9e-3)])])
+def test_prolongations_reproduce_affine_fields(problem, make):
+    grids = make(problem)
+    for coarse, fine in zip(grids.levels[:-1], grids.levels[1:], strict=True):
+        assert fine.prolongation @ affine(coarse.mesh.points) == pytest.approx(affine(fine.mesh.points), rel=1e-10)
+        assert fine.mesh_ratio >= 1
+
+
+def test_paper_grids(problem):
+    grids = am.Hierarchy.uniform(problem, divisions=(4, 8, 16, 32))
+    assert [row["nodes"] for row in grids.table()] == [25, 81, 289, 1089]
+    text = repr(grids)
+    assert "1089" in text
+    assert "GRECO" in text
+    assert f"{grids.operator_complexity:.3f}" in text
+    assert grids.grid_complexity == pytest.approx((25 + 81 + 289 + 1089) / 1089)
+
+
+def test_bisected_levels_are_nested(problem):
+    grids = am.Hierarchy.bisected(problem, am.mesh.structured(problem.domain, 4), levels=3)
+    assert len(grids) == 4
+    for coarse, fine in zip(grids.levels[:-1], grids.levels[1:], strict=True):
+        n = coarse.mesh.n_nodes
+        assert np.array_equal(fine.mesh.points[:n], coarse.mesh.points)
+        assert abs(fine.prolongation[:n] - sparse.eye_array(n)).max() < 1e-12
+    assert len(grids.finest.discrete.contact) > 2 * len(grids[0].discrete.contact)
+
+
+def test_contact_rows_stay_on_the_contact_boundary(problem):
+    class Nearest:
+        """Takes the nearest coarse node."""
+
+        def build(self, coarse, fine):
+            node = np.argmin(np.linalg.norm(fine.points[:, None] - coarse.points, axis=2), axis=1)
+            return sparse.csr_array((np.ones(len(node)), (np.arange(len(node)), node)),
+                                    shape=(fine.n_nodes, coarse.n_nodes))
+
+    sizes = (20e-3, 8e-3)
+    grids = am.Hierarchy.graded(problem, sizes=sizes, transfer=Nearest())
+    contact = grids[1].discrete.contact.nodes
+    x = affine(grids[1].mesh.points)
+    found = grids[1].prolongation @ affine(grids[0].mesh.points)
+    assert found[contact] == pytest.approx(x[contact], rel=1e-12)
+    assert np.abs(found - x).max() > 1e-3
+    untouched = am.Hierarchy.graded(problem, sizes=sizes, transfer=Nearest(), contact_rows=False)
+    assert (np.diff(untouched[1].prolongation.indptr) == 1).all()
+
+
+def test_truncated(problem):
+    grids = am.Hierarchy.uniform(problem, divisions=(2, 4, 8))
+    part = grids.truncated(coarsest=1)
+    assert [row["nodes"] for row in part.table()] == [25, 81]
+    assert part[0].prolongation is None
+    assert len(grids.truncated(finest=1)) == 2
+    with pytest.raises(ValueError, match="coarsest and finest"):
+        grids.truncated(coarsest=2, finest=1)
+
+
+def test_refusals(problem):
+    with pytest.raises(ValueError, match="coarse to fine"):
+        am.Hierarchy.uniform(problem, divisions=(8, 4))
+    with pytest.raises(ValueError, match="no meshes"):
+        am.Hierarchy.uniform(problem, divisions=())
+    with pytest.raises(ValueError, match="domain is None"):
+        am.Hierarchy.uniform(am.ContactProblem(material=problem.material, contact=problem.contact, law=problem.law),
+                             divisions=(2, 4))
+    with pytest.raises(ValueError, match=r"contact_ratio"):
+        am.Hierarchy.graded(problem, sizes=(20e-3, 10e-3), contact_ratio=np.nan)
+    with pytest.raises(TypeError, match="transfer must offer build"):
+        am.Hierarchy.graded(problem, sizes=(20e-3, 10e-3), transfer="interpolation")
+    with pytest.raises(ValueError, match="levels is empty"):
+        am.Hierarchy(())
+
+    class Wrong:
+        def __init__(self, matrix):
+            self.matrix = matrix
+
+        def build(self, coarse, fine):
+            return self.matrix
+
+    with pytest.raises(ValueError, match="must return a matrix of shape"):
+        am.Hierarchy.graded(problem, sizes=(20e-3, 10e-3), transfer=Wrong(sparse.eye_array(3)))
+    with pytest.raises(ValueError, match="prolongation must have shape"):
+        levels = am.Hierarchy.uniform(problem, divisions=(2, 4)).levels
+        am.Hierarchy((levels[0], am.Level(levels[1].discrete, levels[1].mesh, sparse.eye_array(3, format="csr"))))
+
+
+def test_wrong_names_and_dimensions_are_refused(problem):
+    mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 4)
+    renamed = am.MeshArrays(points=mesh.points, elements=mesh.elements, facets=mesh.facets,
+                            facet_labels=mesh.facet_labels, boundaries=("south", "east", "north", "west"))
+    with pytest.raises(ValueError, match=r"'bottom', used for contact, does not exist"):
+        am.Hierarchy.from_meshes(problem, [renamed, am.mesh.structured(am.Rectangle(width=1, height=1), 8)])
+    block = am.mesh.structured(am.Box(width=1, depth=1, height=1), 2)
+    with pytest.raises(ValueError, match="3D"):
+        am.Hierarchy.from_meshes(problem, [block, am.mesh.structured(am.Box(width=1, depth=1, height=1), 4)])

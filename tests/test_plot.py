@@ -1,0 +1,253 @@
+"""Pictures show what they say: the data drawn, the units, the words. How they look is judged by eye."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from made import cube, result_on, square
+from matplotlib.colors import to_rgba
+
+import adaptmg as am
+from adaptmg import plot
+from adaptmg.plot.contact_zone import STATE_COLORS
+from adaptmg.plot.line import lines_of
+from adaptmg.plot.stress import von_mises
+from adaptmg.plot.style import number, scaled
+from adaptmg.smoother.state import OPEN, SLIP, STICK
+
+PLANE, SOLID = result_on(square(16)), result_on(cube(3))
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def words(figure) -> str:
+    """All text of a figure."""
+    figure.canvas.draw()
+    return "\n".join(t.get_text() for t in figure.findobj(plt.Text) if t.get_text())
+
+
+def line(ax, label):
+    return next(found for found in ax.lines if found.get_label() == label)
+
+
+def polygon_problem() -> am.ContactProblem:
+    domain = am.Polygon(vertices=((0, 0), (2, 0), (2, 1), (1.5, 0.6), (0.5, 0.6), (0, 1)),
+                        boundaries=("foot", "side", "s1", "notch", "s2", "left"))
+    return am.ContactProblem(
+        material=am.PlaneStress(young=1e9, poisson=0.3), law=am.Tresca(2e3), domain=domain, name="a polygon",
+        contact=(am.Contact("foot", am.Plane((0, -1e-3), (0, 1))),
+                 am.Contact("side", am.GapFunction(lambda x: 0.1 * (x[:, 1] - 0.5) ** 2))),
+        loads=(am.Traction("left", (3e5, -2e5)), am.Pressure("notch", lambda x: 4e5 * x[:, 0]),
+               am.BodyForce((0, -7e4))),
+        supports=(am.Support("s1", x=0, y=-1e-4), am.Support("s2", y=0)))
+
+
+@pytest.mark.parametrize("name", am.cases.names())
+def test_problem_draws_every_case(name):
+    posed = am.cases.get(name).function()
+    shown = words(plot.problem(posed))
+    assert posed.name in shown and all(boundary in shown for boundary in posed.domain.boundaries)
+
+
+def test_problem_states_loads_supports_law_and_enlarged_gaps():
+    shown = words(plot.problem(polygon_problem()))
+    for text in ("a polygon", "361 kPa", "up to", "70 kN/m³", "Tresca limit 2 kPa", "$u_y$ = -100 µm", "gap drawn"):
+        assert text in shown
+    shown = words(plot.problem(am.cases.greco_bar()))
+    for text in ("p = 50 MPa", "p = 150 MPa", "Coulomb friction 1", "$u_x$ = 0", "40 mm"):
+        assert text in shown
+    assert "gap drawn" not in shown
+
+
+def test_problem_arrows_are_proportional_to_the_tractions():
+    figure = plot.problem(am.cases.greco_bar())
+    lengths = [np.hypot(q.U, q.V) for q in figure.axes[0].findobj(lambda a: type(a).__name__ == "Quiver")]
+    assert sorted(round(float(x[0] / lengths[0][0]), 6) for x in lengths) in ([1.0, 3.0], [round(1 / 3, 6), 1.0])
+    assert all(np.ptp(x) < 1e-9 for x in lengths)
+
+
+def test_contact_draws_the_values_in_the_units_it_names():
+    figure = plot.contact(PLANE)
+    upper, lower = figure.axes
+    c = PLANE.contact
+    order = np.argsort(c.x[:, 0])
+    np.testing.assert_allclose(line(upper, "pressure p").get_ydata(), 1e-6 * c.pressure[order])
+    np.testing.assert_allclose(line(upper, "traction |t|").get_ydata(), 1e-6 * np.abs(c.traction[order, 0]))
+    np.testing.assert_allclose(line(upper, "friction bound").get_ydata(), 1e-6 * (c.limit / c.weights)[order])
+    np.testing.assert_allclose(line(lower, "gap").get_ydata(), 1e6 * c.gap[order])
+    np.testing.assert_allclose(line(lower, "slip").get_ydata(), 1e6 * c.slip[order, 0])
+    np.testing.assert_allclose(line(lower, "slip").get_xdata(), 1e3 * c.x[order, 0])
+    assert "MPa" in upper.get_ylabel() and "µm" in lower.get_ylabel() and lower.get_xlabel() == "x [mm]"
+
+
+def test_contact_shades_the_zones_half_way_between_nodes():
+    upper = plot.contact(PLANE).axes[0]
+    spans = {tuple(np.round(p.get_facecolor(), 6)): p.get_extents().transformed(upper.transData.inverted())
+             for p in upper.patches}
+    x, state = 1e3 * PLANE.contact.x[:, 0], PLANE.contact.state
+    for code in (OPEN, SLIP, STICK):
+        span = spans[tuple(np.round(to_rgba(STATE_COLORS[code]), 6))]
+        inside = np.flatnonzero(state == code)
+        first, last = inside.min(), inside.max()
+        assert span.x0 == pytest.approx(0.5 * (x[first] + x[max(first - 1, 0)]), abs=1e-9)
+        assert span.x1 == pytest.approx(0.5 * (x[last] + x[min(last + 1, len(x) - 1)]), abs=1e-9)
+
+
+def test_contact_draws_surfaces_and_bare_problems():
+    shown = words(plot.contact(SOLID))
+    assert "contact pressure [MPa]" in shown and "stick (" in shown and "x [mm]" in shown
+    assert plot.contact(result_on(None)).axes[1].get_xlabel() == "contact node"
+    with pytest.raises(ValueError, match="boundary must be one of 'bottom'"):
+        plot.contact(PLANE, boundary="top")
+
+
+def test_contact_takes_axes():
+    figure, axes = plt.subplots(2)
+    assert plot.contact(PLANE, axes) is figure
+    with pytest.raises(ValueError, match="2 matplotlib axes"):
+        plot.contact(PLANE, axes[0])
+
+
+def test_a_curved_contact_line_is_drawn_against_its_arc_length():
+    angle = np.linspace(0, np.pi / 2, 9)
+    inner, outer = np.stack([np.cos(angle), np.sin(angle)], 1), 2 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    k = np.arange(8)
+    elements = np.vstack([np.stack([k, 9 + k, 10 + k], 1), np.stack([k, 10 + k, 1 + k], 1)])
+    facets = np.vstack([np.stack([9 + k, 10 + k], 1), np.stack([1 + k, k], 1)[::-1], [[0, 9], [17, 8]]])
+    mesh = am.MeshArrays(np.vstack([inner, outer]), elements, facets, [0] * 8 + [1] * 10, ("bottom", "rest"))
+    (found,) = lines_of(result_on(mesh), "bottom")
+    assert found.label == "arc length [m]"
+    chord = np.linalg.norm(outer[1] - outer[0])
+    np.testing.assert_allclose(found.position, chord * np.arange(9))
+
+
+@pytest.mark.parametrize("result", [PLANE, SOLID], ids=["2D", "3D"])
+@pytest.mark.parametrize("quantity", ["magnitude", "von_mises", None])
+def test_deformed_states_its_amplification(result, quantity):
+    material = (am.PlaneStrain if result.dim == 2 else am.Solid)(young=1e11, poisson=0.3)
+    shown = words(plot.deformed(result, quantity=quantity, material=material))
+    largest = np.linalg.norm(result.displacement, axis=1).max()
+    factor = float(shown.split("drawn ")[1].split(" times")[0])
+    size = np.linalg.norm(np.ptp(result.mesh.points, axis=0))
+    assert 0.03 < factor * largest / size < 0.08
+    assert ("|u| [µm]" in shown) == (quantity == "magnitude") and ("MPa" in shown) == (quantity == "von_mises")
+    assert "drawn 7 times" in words(plot.deformed(result, 7.0))
+
+
+def test_deformed_draws_the_displaced_corners():
+    figure = plot.deformed(PLANE, 10.0, None)
+    drawn = [path.vertices[:3] for path in figure.axes[0].collections[0].get_paths()]
+    wanted = 1e3 * (PLANE.mesh.points + 10 * PLANE.displacement)[PLANE.mesh.elements]
+    np.testing.assert_allclose(drawn, wanted, rtol=1e-12)
+
+
+def test_deformed_refuses_what_it_cannot_draw():
+    with pytest.raises(ValueError, match="no mesh"):
+        plot.deformed(result_on(None))
+    with pytest.raises(ValueError, match=r"material=problem\.material"):
+        plot.deformed(PLANE, quantity="von_mises")
+    with pytest.raises(ValueError, match="quantity"):
+        plot.deformed(PLANE, quantity="pressure")
+    with pytest.raises(ValueError, match="amplification"):
+        plot.deformed(PLANE, float("nan"))
+    with pytest.raises(ValueError, match="three-dimensional"):
+        plot.deformed(SOLID, ax=plt.subplots()[1])
+
+
+def test_von_mises_is_the_uniaxial_stress():
+    young, poisson, strain = 2e11, 0.3, 1e-4
+    x = cube(2).points
+    u = strain * np.stack([x[:, 0], -poisson * x[:, 1], -poisson * x[:, 2]], 1)
+    np.testing.assert_allclose(von_mises(cube(2), u, am.Solid(young=young, poisson=poisson)), young * strain)
+    x = square(3).points
+    u = strain * np.stack([x[:, 0], -poisson * x[:, 1]], 1)
+    np.testing.assert_allclose(von_mises(square(3), u, am.PlaneStress(young=young, poisson=poisson)), young * strain)
+    # plane strain: e_zz = 0, by the three-dimensional law
+    flat = am.PlaneStrain(young=young, poisson=poisson)
+    box = cube(1).points
+    solid = von_mises(cube(1), strain * np.stack([box[:, 0], 0 * box[:, 1], 0 * box[:, 2]], 1),
+                      am.Solid(young=young, poisson=poisson))
+    np.testing.assert_allclose(von_mises(square(2), strain * square(2).points * [1, 0], flat), solid[0])
+
+
+def test_history_draws_what_was_recorded():
+    ax = plot.history(PLANE).axes[0]
+    drawn = line(ax, "natural residual (relative)")
+    np.testing.assert_array_equal(drawn.get_xdata(), PLANE.history["work_units"])
+    np.testing.assert_array_equal(drawn.get_ydata(), PLANE.history["residual"])
+    estimate = line(ax, "estimated error (relative, energy norm)")
+    np.testing.assert_array_equal(estimate.get_ydata(), PLANE.history["error_estimate"][1:])
+    assert ax.get_yscale() == "log" and ax.get_xlabel() == "work units"
+
+
+def test_history_compares_results_by_a_common_quantity():
+    short = result_on(square(4), history={k: v for k, v in PLANE.history.items() if k != "residual"})
+    ax = plot.history({"a": PLANE, "b": PLANE}, against="cycle").axes[0]
+    assert ax.get_ylabel().startswith("natural residual") and {x.get_label() for x in ax.lines} >= {"a", "b"}
+    assert plot.history({"a": PLANE, "b": short}).axes[0].get_ylabel().startswith("estimated error")
+    with pytest.raises(ValueError, match="not every result recorded residual"):
+        plot.history({"a": PLANE, "b": short}, quantity="residual")
+    with pytest.raises(ValueError, match="against"):
+        plot.history(PLANE, against="time")
+    with pytest.raises(TypeError, match="Result"):
+        plot.history({"a": 1})
+
+
+def test_path_climbs_from_level_to_level():
+    ax = plot.path(PLANE, steps=8).axes[0]
+    ways = [(found.get_label(), found.get_ydata()) for found in ax.lines if len(found.get_xdata()) == 2
+            and found.get_xdata()[1] - found.get_xdata()[0] == 1 and found.get_xdata()[0] >= 0
+            and found.get_ydata()[0] != found.get_ydata()[1]]
+    assert [tuple(y) for _, y in ways[:6]] == [(0, 1), (1, 0), (0, 1), (1, 2), (2, 1), (1, 0)]
+    shown = words(ax.figure)
+    assert "first 8 of" in shown and "level 2\n289 nodes" in shown and "restrict residual" in shown
+    with pytest.raises(ValueError, match="no way"):
+        plot.path(result_on(square(4), path=[]))
+
+
+def test_meshes_and_grids_are_drawn():
+    assert "81 nodes, 128 elements" in words(plot.mesh(square(8), contact=["bottom"]))
+    assert "27 nodes" in words(plot.mesh(cube(2)))
+    with pytest.raises(TypeError, match="MeshArrays"):
+        plot.mesh("bar.msh")
+    with pytest.raises(TypeError, match="Hierarchy"):
+        plot.grids([square(2)])
+
+
+def test_grids_draws_each_level_of_a_hierarchy():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    figure = plot.grids(grids)
+    assert len(figure.axes) == 2 and "level 1: 25 nodes" in words(figure)
+    triangles = figure.axes[1].collections[0].get_paths()
+    assert len(triangles) == 32
+    bare = am.Hierarchy.single(grids.finest.discrete)
+    with pytest.raises(ValueError, match="no mesh"):
+        plot.grids(bare)
+
+
+def test_pictures_leave_the_settings_of_the_user_alone():
+    before = dict(plt.rcParams)
+    plot.contact(PLANE)
+    assert dict(plt.rcParams) == before
+
+
+@pytest.mark.parametrize(("value", "unit"), [(4e-3, (1e3, "mm")), (1.0, (1.0, "m")), (2e-7, (1e9, "nm")),
+                                             (0.0, (1.0, "m")), (5e3, (1e-3, "km"))])
+def test_units_are_chosen_to_read_well(value, unit):
+    factor, name = scaled(value, "m")
+    assert (pytest.approx(factor), name) == unit
+
+
+def test_numbers_are_short():
+    assert [number(v) for v in (50.0, 0.3, 1234.5, 0.0)] == ["50", "0.3", "1234", "0"]
+    assert number(1.5e-7) == r"1.5$\cdot$10$^{-7}$"
+
+
+def test_an_unknown_picture_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = plot.nothing

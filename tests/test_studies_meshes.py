@@ -1,0 +1,190 @@
+"""The studies of meshes, transfers and algebraic multigrid: they run, and what they measure holds."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from study_scripts import load
+
+import adaptmg as am
+
+common = load("common")
+adaptive = load("adaptive_vs_uniform")
+upset = load("adaptive_upset")
+families = load("mesh_families")
+transfers = load("transfer_operators")
+amg = load("amg_comparison")
+
+
+def test_a_geometric_sequence_has_its_limit():
+    assert adaptive.limit(3.0 + 2.0 * 0.3 ** np.arange(5)) == pytest.approx(3.0)
+
+
+def test_slope_of_a_power():
+    x = np.array([10.0, 40.0, 90.0])
+    assert common.slope(x, 7 * x**-0.4) == pytest.approx(-0.4)
+
+
+def test_the_gain_of_uniform_grids_is_one_and_unknown_outside():
+    bars = pd.DataFrame({"family": ["uniform", "uniform", "other", "other"], "nodes": [100, 10_000, 1000, 5],
+                         "max_error": [1.0, 0.01, 0.05, 0.5]})
+    assert adaptive.gain(bars, "max_error")[:3].tolist() == pytest.approx([1.0, 1.0, 2.0])
+    assert np.isnan(adaptive.gain(bars, "max_error")[3])
+
+
+def test_the_mesh_needed_is_the_first_from_which_on_the_error_is_small():
+    rows = pd.DataFrame({"nodes": [10, 20, 40, 80], "max_error": [0.5, 0.05, 0.2, 0.01]})
+    assert adaptive.needed(rows, 0.1)["nodes"] == 80
+    assert adaptive.needed(rows, 1.0)["nodes"] == 10
+    assert adaptive.needed(rows, 0.001) is None
+
+
+def test_zone_ends_lie_between_nodes_of_different_state():
+    grids = families.grids_of(am.cases.greco_bar(), "uniform", 16)
+    result = am.solve(grids, am.FullMultigrid())
+    h = families.SIDE / 16
+    for state, end in ((am.OPEN, 3.32e-3), (am.SLIP, 29.86e-3)):
+        found = adaptive.zone_end(result, state)
+        assert (found / h) % 1 == pytest.approx(0.5)
+        assert abs(found - end) <= h
+    assert np.isnan(adaptive.zone_end(result, am.STICK))
+
+
+def test_bisected_families_are_nested_and_refine_the_contact_line():
+    for family, fineness in (("8 cells, contact line bisected", 2), ("halved, contact line bisected 3x", 4)):
+        grids = families.grids_of(am.cases.greco_bar(), family, fineness)
+        for level in grids.levels[1:]:
+            # every fine node is a coarse node or the midpoint of an edge, or of one that was cut before
+            quarters = 4 * level.prolongation.data
+            assert quarters == pytest.approx(np.round(quarters), abs=1e-9)
+        assert len(grids.finest.discrete.contact) == 33
+
+
+def test_the_mesh_to_the_corner_follows_its_size_field():
+    mesh = families.to_the_corner(am.cases.upset_block(), 5e-3)
+    r = np.linalg.norm(mesh.points[mesh.elements].mean(axis=1), axis=1)
+    size = np.sqrt(mesh.volumes * 4 / np.sqrt(3))
+    wanted = 5e-3 * np.sqrt(np.maximum(r / families.SIDE, (5e-3 / families.SIDE) ** 2))
+    assert np.median(size / wanted) == pytest.approx(1.0, abs=0.35)
+    assert size[np.argmin(r)] < 0.3 * size.max()
+
+
+def test_the_glued_matrix_is_the_old_one_at_free_dofs():
+    discrete = amg.grids_of("uniform", 8).finest.discrete
+    matrix, load_vector, modes, constants = amg.glued(discrete)
+    held = discrete.fixed.reshape(-1, 2).copy()
+    held[discrete.contact.nodes] = True
+    held = held.reshape(-1)
+    dense, old = matrix.toarray(), discrete.matrix.toarray()
+    assert np.array_equal(dense[np.ix_(~held, ~held)], old[np.ix_(~held, ~held)])
+    assert np.array_equal(dense[held], np.diag(np.diag(old))[held])
+    assert not load_vector[held].any()
+    assert not modes[held].any()
+    assert not constants[held].any()
+
+
+def test_counted_solver_counts_and_changes_nothing():
+    grids = amg.grids_of("uniform", 8)
+    counted = amg.Counted(am.AMG())
+    plain = am.solve(grids, am.ActiveSet(linear=am.AMG()))
+    result = am.solve(grids, am.ActiveSet(linear=counted))
+    # not bitwise: pyamg starts its estimates of spectral radii at random
+    assert result.displacement == pytest.approx(plain.displacement, abs=1e-12 * np.abs(plain.displacement).max())
+    assert counted.iterations > result.cycles
+
+
+def test_medians_are_of_seconds_in_turns():
+    order, seconds = [], iter([3.0, 1.0, 2.0])
+
+    def first():
+        order.append("first")
+        return {"total_s": next(seconds), "steps": len(order)}
+
+    found = amg.medians({"first": first, "second": lambda: order.append("second") or {"total_s": 0.0}}, 3)
+    assert order == ["first", "second"] * 3
+    assert found == {"first: total_s": 2.0, "first: steps": 5, "second: total_s": 0.0}
+    table = amg.long_form(pd.DataFrame([{"nodes": 9, **found}]))
+    assert table["method"].tolist() == ["first", "second"]
+    assert table["total_s"].tolist() == [2.0, 0.0]
+
+
+def test_negative_contact_weights_are_seen():
+    problem, meshes = transfers.posed(2, (5e-3, 2.5e-3), 4)
+    for rows in (False, True):
+        grids = am.Hierarchy.from_meshes(problem, meshes, am.PseudoL2(), contact_rows=rows)
+        assert transfers.negative_contact_weights(grids) is not rows
+
+
+def section_of(module, folder):
+    """A quick run: the section, and its tables by name."""
+    section = module.run(common.Context(quick=True, out=folder))
+    common.show(section, folder)
+    written = {item.name: (folder / f"{item.name}.{'csv' if isinstance(item, common.Table) else 'png'}")
+               for item in section.items}
+    assert all(path.stat().st_size > 100 for path in written.values())
+    return {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
+
+
+@pytest.mark.slow
+def test_adaptive_against_uniform(tmp_path):
+    tables = section_of(adaptive, tmp_path)
+    accuracy, cost = tables["adaptive_bar_accuracy"], tables["adaptive_bar_cost"]
+    assert (cost["status"] == "CONVERGED").all()
+    assert (cost["residual"] < 1e-7).all()
+    uniform = accuracy[accuracy["grid"] == "uniform"]
+    assert (np.diff(uniform["max error A-E"]) < 0).all()
+    assert uniform["max error A-E"].iloc[-1] < 0.1
+    graded = accuracy[accuracy["grid"] == "Netgen, contact 4x finer"]
+    assert (graded["gain A-E"] > 2).all()
+    # the line alone leaves the error of the bulk in the contact force
+    line = accuracy[accuracy["grid"] == "8 cells, contact line bisected"]
+    assert (line["T error"] > 1).all()
+    inside = accuracy["contact h"] / 2
+    assert (abs(accuracy["open to"] - 3.32) <= inside + 0.6).all()
+    assert (abs(accuracy["slip to"] - 29.86) <= inside + 0.6).all()
+    assert (tables["adaptive_upset"]["status"] == "CONVERGED").all()
+    assert (tables["adaptive_upset"]["energy error"] > 0).all()
+    rates = tables["adaptive_upset_rates"].set_index("grid")["fitted, all"]
+    assert rates["uniform"] == pytest.approx(-0.39, abs=0.04)
+    assert rates["Netgen, to the corner"] < rates["uniform"] - 0.08
+
+
+@pytest.mark.slow
+def test_transfers(tmp_path):
+    tables = section_of(transfers, tmp_path)
+    kept = tables["transfer_properties"].set_index(["case", "transfer", "contact rows"]).loc["2D graded"]
+    lumped = kept.index.get_level_values("transfer") == "LumpedL2"
+    assert (kept["affine error"][~lumped] < 1e-4).all()
+    assert kept.loc[("Interpolation", True), "affine error"] < 1e-12
+    assert kept.loc[("LumpedL2", True), "affine error"] > 1e-2
+    assert kept.xs(True, level="contact rows")["proven"].all()
+    assert not kept.loc[("PseudoL2", False), "proven"]
+    assert (kept.loc[("Interpolation", True), "complexity"] <= kept["complexity"]).all()
+    assert (kept["complexity"] <= kept.loc[("L2", True), "complexity"]).all()
+    assert kept.loc["Interpolation", "least weight"].min() >= 0
+    cycles = tables["transfer_cycles"]
+    with_rows = cycles[cycles["contact rows"]]
+    assert (with_rows["status"] == "CONVERGED").all()
+    assert (with_rows["full: status"] == "CONVERGED").all()
+    assert (with_rows["full: WU"] <= with_rows["WU"]).all()
+    refused = cycles[(cycles["transfer"] == "PseudoL2") & ~cycles["contact rows"]]
+    assert (refused["status"] == "REFUSED").all()
+    for _, rows in tables["transfer_mesh_ratio"].groupby("where"):
+        assert (np.diff(rows["rate"]) > 0).all()
+        assert (np.diff(rows["largest ratio"]) > 0).all()
+
+
+@pytest.mark.slow
+def test_algebraic_multigrid(tmp_path):
+    tables = section_of(amg, tmp_path)
+    glued = tables["amg_glued"]
+    assert (glued["status"] == "CONVERGED").all()
+    by = {name: rows.set_index(["grid", "nodes"]) for name, rows in glued.groupby("method")}
+    assert (by["AMG-CG, rigid-body modes"]["iterations"] < by["AMG-CG, constants"]["iterations"]).all()
+    assert (glued["energy error"] < 2e-8).all()
+    contact = tables["amg_contact"]
+    assert (contact["status"] == "CONVERGED").all()
+    assert (contact["true error"] < 5e-8).all()
+    steps = contact.pivot(index=["grid", "nodes"], columns="method", values="steps")
+    assert (steps["ActiveSet, AMG, nested"] < steps["ActiveSet, AMG, cold"]).all()
+    assert (steps["ActiveSet, direct, nested"] < steps["ActiveSet, direct, cold"]).all()
+    assert (contact["inner"].notna() == contact["method"].str.contains("AMG")).all()
