@@ -111,7 +111,7 @@ def geometric_preconditioner(problem: Glued) -> tuple[Callable[[np.ndarray], np.
     top = len(levels) - 1
 
     def precondition(r: np.ndarray) -> np.ndarray:
-        cycle.vectors[top].load[:] = r
+        cycle.vectors(top).load[:] = r
         return cycle.solve(top)
 
     return precondition, run

@@ -78,7 +78,7 @@ def test_fixed_point_over_tresca_reaches_the_same_solution(solved):
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_contact_conditions(solved, name):
     grids, _ = solved[name]
-    result = am.solve(grids, am.FullMultigrid(rtol=1e-11))
+    result = am.solve(grids, am.FullMultigrid(rtol=1e-12))
     c = result.contact
     force, length = np.abs(c.force_n).max(), np.abs(result.displacement).max()
     assert (c.gap >= -1e-15).all()

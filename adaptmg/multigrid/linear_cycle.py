@@ -13,7 +13,7 @@ from adaptmg.multigrid.coarse_transfer import add_prolonged, restrict, zero_at
 from adaptmg.multigrid.correction import Recorder
 from adaptmg.multigrid.halves import Halves
 
-__all__ = ["CoarseFactors", "LinearCycle"]
+__all__ = ["CoarseFactors", "LinearCycle", "Vectors"]
 
 _SWEEPS = {1: half_sweeps_1d, 2: half_sweeps_2d, 3: half_sweeps_3d}
 
@@ -54,7 +54,7 @@ class CoarseFactors:
 
 
 @dataclass(eq=False)
-class _Vectors:
+class Vectors:
     """What the cycle keeps on a level (n_dofs,) each."""
 
     load: np.ndarray
@@ -62,7 +62,7 @@ class _Vectors:
     kept: np.ndarray
 
     @classmethod
-    def zeros(cls, n: int) -> _Vectors:
+    def zeros(cls, n: int) -> Vectors:
         return cls(np.zeros(n), np.zeros(n), np.zeros(n))
 
 
@@ -88,15 +88,27 @@ class LinearCycle:
     recorder: Recorder
     sweeps: Sequence[int]
     factors: CoarseFactors = field(init=False)
-    vectors: list[_Vectors] = field(init=False)
 
     def __post_init__(self) -> None:
         self.factors = CoarseFactors(self.levels[0])
-        self.vectors = [_Vectors.zeros(level.n_dofs) for level in self.levels]
+        self._vectors: dict[int, Vectors] = {}
+
+    def vectors(self, number: int) -> Vectors:
+        """Load and solution of a level, made when first asked for."""
+        if number not in self._vectors:
+            self._vectors[number] = Vectors.zeros(self.levels[number].n_dofs)
+        return self._vectors[number]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of matrices, prolongations and vectors, bytes."""
+        vectors = sum(v.load.nbytes + v.solution.nbytes + v.kept.nbytes for v in self._vectors.values())
+        transfers = sum(P.data.nbytes + P.indices.nbytes + P.indptr.nbytes for P in self.prolongations)
+        return sum(level.nbytes for level in self.levels) + transfers + vectors
 
     def solve(self, number: int) -> np.ndarray:
-        """One cycle from zero for ``vectors[number].load``; returns ``vectors[number].solution``."""
-        v = self.vectors[number]
+        """One cycle from zero for the load of a level; returns its solution."""
+        v = self.vectors(number)
         if number == 0:
             self.factors.solve(v.load, v.solution)
             self.recorder.visit(0, "solve")
@@ -104,7 +116,7 @@ class LinearCycle:
         level, nodal = self.levels[number], self.prolongations[number - 1]
         self._before(level, v, self.sweeps[number])
         self.recorder.visit(number, "smooth", self.sweeps[number])
-        below = self.vectors[number - 1]
+        below = self.vectors(number - 1)
         components = level.n_dofs // nodal.shape[0]
         restrict[components](nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
         zero_at(below.load, self.levels[number - 1].fixed)
@@ -118,7 +130,7 @@ class LinearCycle:
         self.recorder.count(1 + self.sweeps[number], level.nonzeros)
         return v.solution
 
-    def _before(self, level: Halves, v: _Vectors, sweeps: int) -> None:
+    def _before(self, level: Halves, v: Vectors, sweeps: int) -> None:
         """Smooth from zero; the residual is left in ``kept``."""
         kernels = _SWEEPS[level.dim]
         kernels.forward_from_zero(*level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
@@ -128,7 +140,7 @@ class LinearCycle:
             kernels.backward_change(*level.upper_arrays, level.inverse, v.solution, v.kept)
             kernels.residual(*level.lower_arrays, v.kept)
 
-    def _after(self, level: Halves, v: _Vectors, sweeps: int) -> None:
+    def _after(self, level: Halves, v: Vectors, sweeps: int) -> None:
         """Smooth the corrected solution."""
         kernels = _SWEEPS[level.dim]
         if sweeps == 1:

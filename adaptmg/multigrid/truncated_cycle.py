@@ -68,6 +68,19 @@ class TruncatedCycle:
         self.cuts = 0
         self._symmetric = False
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of what the cycle adds to the linear one, bytes."""
+        vectors = 5 * self.unknowns.nbytes + 3 * self.recombination.now.nbytes
+        return vectors + self.obstacle.nbytes + self.truncation.nbytes
+
+    def rounding(self) -> float:
+        """Norm of D u, D the diagonal: times the unit of rounding, what a residual cannot be better than, N."""
+        dim = self.level.dim
+        diagonal = self.level.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
+        stiffness = np.divide(1.0, diagonal, where=diagonal > 0, out=np.zeros_like(diagonal))
+        return float(np.linalg.norm(stiffness * self.unknowns))
+
     def smooth(self) -> None:
         """A backward and a forward projected sweep; 1.5 passes; leaves f - A u in ``defect``."""
         level, o, sweeps = self.level, self.obstacle, _SWEEPS[self.level.dim]
@@ -104,7 +117,7 @@ class TruncatedCycle:
 
         The energy is that of the correction proposed by the next coarser level, an estimate of the error it removes.
         """
-        o, below, nodal = self.obstacle, self.cycle.vectors[self.number - 1], self.cycle.prolongations[self.number - 1]
+        o, below, nodal = self.obstacle, self.cycle.vectors(self.number - 1), self.cycle.prolongations[self.number - 1]
         first, second = self._past
         alpha = self.recombination.fit(self.below.inverse)
         if alpha != (0.0, 0.0) and not o.admits(self.unknowns, first, second, alpha):

@@ -31,9 +31,10 @@ class Multigrid:
     cycle : Cycle
     smoother : ProjectedGaussSeidel or one's own
         Anything with ``smooth(system, contact, load, unknowns, sweeps) -> passes``.
-    correction : Monotone, Truncated, PaperCorrection or one's own
-        :class:`~adaptmg.multigrid.Truncated` brings its own cycle, smoother and coarse solve and takes the others at
-        their defaults only.
+    correction : Truncated, Monotone, PaperCorrection or one's own
+        :class:`~adaptmg.multigrid.Truncated` brings its own cycle, smoother and coarse solve and takes ``cycle``,
+        ``smoother``, ``coarse``, ``coarse_matrices`` and ``stop`` at their defaults only. Default: Truncated() if these
+        are at their defaults, else Monotone().
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
         iteration first, and starts from zero all the same; the work is counted.
     coarse : CoarseSolve
@@ -50,7 +51,7 @@ class Multigrid:
 
     cycle: Cycle = field(default_factory=Cycle)
     smoother: Smoother = field(default_factory=ProjectedGaussSeidel)
-    correction: Correction = field(default_factory=Monotone)
+    correction: Correction | Truncated | None = None
     coarse: CoarseSolve = field(default_factory=CoarseSolve)
     coarse_matrices: str = "galerkin"
     stop: str = "error"
@@ -58,6 +59,8 @@ class Multigrid:
     max_cycles: int = 100
 
     def __post_init__(self) -> None:
+        if self.correction is None:
+            object.__setattr__(self, "correction", Monotone() if self._not_for_truncated() else Truncated())
         if not isinstance(self.cycle, Cycle):
             raise TypeError(f"cycle must be a Cycle, got {self.cycle!r}")
         if not callable(getattr(self.smoother, "smooth", None)):
@@ -84,12 +87,16 @@ class Multigrid:
             raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
                              "shows the discretisation error")
 
+    def _not_for_truncated(self) -> str:
+        """Name of an option that is not at its default though Truncated has its own; empty if there is none."""
+        defaults = {"cycle": Cycle(), "smoother": ProjectedGaussSeidel(), "coarse": CoarseSolve(),
+                    "coarse_matrices": "galerkin", "stop": "error"}
+        return next((name for name, default in defaults.items() if getattr(self, name) != default), "")
+
     def _check_truncated(self) -> None:
-        for name, default in (("cycle", Cycle()), ("smoother", ProjectedGaussSeidel()), ("coarse", CoarseSolve()),
-                              ("coarse_matrices", "galerkin"), ("stop", "error")):
-            if getattr(self, name) != default:
-                raise ValueError(f"{name}: Truncated() has its own; leave it at {default!r}, or take "
-                                 "correction=Monotone()")
+        name = self._not_for_truncated()
+        if name:
+            raise ValueError(f"{name}: Truncated() has its own; leave it at its default, or take correction=Monotone()")
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level; see :class:`adaptmg.solver.run.Solver`."""

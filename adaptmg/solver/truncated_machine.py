@@ -8,6 +8,7 @@ smoothing leaves behind, it decides when to stop, at no further pass over a matr
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,6 +40,11 @@ class TruncatedMachine:
         With :class:`~adaptmg.multigrid.Truncated` as correction.
     hierarchy : Hierarchy
     run : Run
+
+    Attributes
+    ----------
+    nbytes : int
+        Memory of the arrays of the solver on all levels, with the contact data of the level last worked on.
     """
 
     #: complete nested starts stop after so many cycles on a level
@@ -46,6 +52,7 @@ class TruncatedMachine:
 
     def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
         self.options, self.hierarchy, self.run = options, hierarchy, run
+        self.nbytes = 0
         with run.phase("setup"):
             prolongations = nodal_prolongations(hierarchy)
             levels = coarse_levels(hierarchy, prolongations)
@@ -94,8 +101,13 @@ class TruncatedMachine:
             problem, levels = self.problems[number], self.cycle.levels
             obstacle = Obstacle.of(problem, levels[number])
             obstacle.place(unknowns)
-            return TruncatedCycle(self.cycle, number, obstacle, _load(problem), unknowns,
-                                  self.options.correction.recombine)
+            runner = TruncatedCycle(self.cycle, number, obstacle, _load(problem), unknowns,
+                                    self.options.correction.recombine)
+            if number == len(levels) - 1:
+                # nothing changes the finest matrix
+                levels[number].diagonal = None
+            self.nbytes = self.cycle.nbytes + runner.nbytes
+            return runner
 
     def _start_cycles(self, runner: TruncatedCycle, number: int, start: NestedStart) -> None:
         """The cycles of a nested start on one level."""
@@ -113,7 +125,7 @@ class TruncatedMachine:
         problem, level = self.problems[0], self.cycle.levels[0]
         n = level.n_nodes
         identity = sparse.csr_array((np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)))
-        cycle = LinearCycle([level.copy(), level], [identity], self.run, (1, 1))
+        cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1))
         unknowns = np.zeros(problem.n_dofs)
         with self.run.phase("start"):
             obstacle = Obstacle.of(problem, level)
@@ -145,7 +157,9 @@ class TruncatedMachine:
                 watch.size = max(runner.energy(), 0.0) ** 0.5
             look = runner.look(safe=left > 0)
             left = left - 1 if left > 0 and look.changed else 0
-            met = watch.check(look.residual, look.reactions)
+            # an exact start has no rate to measure, and needs none
+            floor = runner.rounding() if cycles < 2 else 0.0
+            met = watch.check(look.residual, look.reactions, floor)
             watch.record(runner, cycles, look.changed)
             if met:
                 return Status.CONVERGED, cycles
@@ -162,6 +176,22 @@ class TruncatedMachine:
                 left = most
             if cycles == 1 and start is not None:
                 watch.take_discretisation_error(runner.distance(start))
+
+
+@dataclass(frozen=True)
+class _OnCoarsest:
+    """Notes everything as done on the coarsest level."""
+
+    run: Run
+
+    def count(self, passes: float, nonzeros: int) -> None:
+        """Count matrix passes."""
+        self.run.count(passes, nonzeros)
+
+    def visit(self, level: int, action: str, times: int = 1) -> None:
+        """Note smoothing and solves; what goes between the level and its copy is no transfer."""
+        if action in ("smooth", "solve"):
+            self.run.visit(0, action, times)
 
 
 def _load(problem: DiscreteProblem) -> np.ndarray:

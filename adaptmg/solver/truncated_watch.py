@@ -53,13 +53,16 @@ class TruncatedWatch:
         self._scale = max(float(np.linalg.norm(problem.load)), float(np.linalg.norm(lift)))
         self._since = 0
 
-    def check(self, residual: float, reactions: float) -> bool:
-        """Take the norms of the natural residual and the reactions after a smoothing; True if it is enough."""
+    def check(self, residual: float, reactions: float, floor: float) -> bool:
+        """Take the norms of the natural residual and the reactions after a smoothing; True if it is enough.
+
+        A residual of ``Convergence.ROUNDING`` times ``floor`` cannot be bettered.
+        """
         scale = max(self._scale, reactions)
         self.residual = residual / scale if scale > 0 else (0.0 if residual == 0 else np.inf)
         self.residuals.append(self.residual)
-        if self.residual == 0.0:
-            self.error_estimate = 0.0
+        if residual <= Convergence.ROUNDING * floor:
+            self.error_estimate = self.residual
             return True
         rate = self.safe_rate
         if self.size > 0 and rate < 1:
