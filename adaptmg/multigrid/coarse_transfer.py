@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["add_prolonged", "combine", "product_of_change", "restrict", "shorten", "zero_at"]
+__all__ = ["add_prolonged", "combine", "dot", "product_of_change", "restrict", "shorten", "zero_at"]
 
 
 @njit(cache=True)
@@ -17,6 +17,15 @@ def zero_at(vector, positions):
     """Set entries to zero."""
     for k in range(len(positions)):
         vector[positions[k]] = 0.0
+
+
+@njit(cache=True)
+def dot(a, b):
+    """a'b, not through BLAS: its threads cost more than they gain."""
+    total = 0.0
+    for at in range(len(a)):
+        total += a[at] * b[at]
+    return total
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg.multigrid import projected_sweeps_2d, projected_sweeps_3d
-from adaptmg.multigrid.coarse_transfer import combine, product_of_change, restrict, shorten, zero_at
+from adaptmg.multigrid.coarse_transfer import combine, dot, product_of_change, restrict, shorten, zero_at
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.recombination import Recombination
@@ -79,7 +79,8 @@ class TruncatedCycle:
         dim = self.level.dim
         diagonal = self.level.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
         stiffness = np.divide(1.0, diagonal, where=diagonal > 0, out=np.zeros_like(diagonal))
-        return float(np.linalg.norm(stiffness * self.unknowns))
+        forces = stiffness * self.unknowns
+        return float(np.sqrt(dot(forces, forces)))
 
     def smooth(self) -> None:
         """A backward and a forward projected sweep; 1.5 passes; leaves f - A u in ``defect``."""
@@ -124,7 +125,7 @@ class TruncatedCycle:
             alpha = (0.0, 0.0)
         self.recombination.combine(alpha, below.load)
         correction = self.cycle.solve(self.number - 1)
-        energy = float(below.load @ correction)
+        energy = float(dot(below.load, correction))
         combine[self._components](nodal.indptr, nodal.indices, nodal.data, correction, self.unknowns, first, second,
                                 *alpha)
         zero_at(second, self.level.fixed)
@@ -159,7 +160,7 @@ class TruncatedCycle:
 
     def energy(self) -> float:
         """u'Au - u'r = u'f at the present unknowns and residual f - A u (before :meth:`look`), N m."""
-        return float(self.unknowns @ self.load - self.unknowns @ self.defect)
+        return float(dot(self.unknowns, self.load) - dot(self.unknowns, self.defect))
 
     def distance(self, other: np.ndarray) -> float:
         """A-norm of the difference to other unknowns; half a pass."""
