@@ -29,7 +29,7 @@ class Halves:
     lower, upper : float64 arrays
         Blocks, row by row, flat.
     diagonal, inverse : (n_nodes * dim * dim,) arrays
-        Diagonal blocks and their inverses, flat; ``diagonal`` may be dropped (None) where nothing changes it.
+        Diagonal blocks and their inverses, flat; :meth:`drop_diagonal` empties ``diagonal`` when it is of no more use.
     fixed : (n_fixed,) int64 array
         Fixed dofs.
     nonzeros : int
@@ -43,7 +43,7 @@ class Halves:
     upper_indptr: np.ndarray
     upper_indices: np.ndarray
     upper: np.ndarray
-    diagonal: np.ndarray | None
+    diagonal: np.ndarray
     inverse: np.ndarray
     fixed: np.ndarray
     nonzeros: int
@@ -72,12 +72,16 @@ class Halves:
     def nbytes(self) -> int:
         """Memory of the arrays, bytes."""
         arrays = (*self.lower_arrays, *self.upper_arrays, self.diagonal, self.inverse, self.fixed)
-        return sum(array.nbytes for array in arrays if array is not None)
+        return sum(array.nbytes for array in arrays)
 
     def copy(self) -> Halves:
         """With arrays of its own where the contact status changes them."""
         return replace(self, lower=self.lower.copy(), upper=self.upper.copy(), diagonal=self.diagonal.copy(),
                        inverse=self.inverse.copy())
+
+    def drop_diagonal(self) -> None:
+        """Free the diagonal blocks: :meth:`at_slots` and :meth:`matrix` are then out of reach."""
+        self.diagonal = np.empty(0)
 
     def at_slots(self, slots: np.ndarray) -> np.ndarray:
         """The blocks at slots (L first, then the diagonal, then U), flat."""

@@ -206,9 +206,12 @@ def add_contributions(size, source, target, weight, fine, coarse):
 
 @njit(cache=True)
 def store(dim, slots, rows, columns, base, change, free, below, lower, upper, diagonal, inverse):
-    """Write base + change to the halves; ``change`` is zeroed in rows and columns of fixed dofs first."""
+    """Write base + change to the halves; ``change`` is zeroed in rows and columns of fixed dofs first.
+
+    ``diagonal`` may be empty where nobody needs it.
+    """
     size = dim * dim
-    n = len(diagonal) // size
+    n = len(inverse) // size
     block, scale = np.empty(size), np.empty(dim)
     for t in range(len(slots)):
         i, j, slot = rows[t], columns[t], slots[t]
@@ -222,7 +225,7 @@ def store(dim, slots, rows, columns, base, change, free, below, lower, upper, di
             for e in range(size):
                 lower[slot * size + e] = block[e]
         elif slot < below + n:
-            for e in range(size):
+            for e in range(size if len(diagonal) else 0):
                 diagonal[i * size + e] = block[e]
             for a in range(dim):
                 scale[a] = abs(base[t * size + a * dim + a])

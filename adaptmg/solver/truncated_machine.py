@@ -104,8 +104,9 @@ class TruncatedMachine:
             runner = TruncatedCycle(self.cycle, number, obstacle, _load(problem), unknowns,
                                     self.options.correction.recombine)
             if number == len(levels) - 1:
-                # nothing changes the finest matrix
-                levels[number].diagonal = None
+                # the last use of the diagonal blocks but on the coarsest level
+                for level in levels[1:]:
+                    level.drop_diagonal()
             self.nbytes = self.cycle.nbytes + runner.nbytes
             return runner
 
