@@ -19,10 +19,10 @@ from functools import lru_cache
 from statistics import median
 from typing import Any
 
+import common
 import linear_rivals as rivals
 import numpy as np
 import pandas as pd
-from common import Context, Figure, Section, Table, main
 from matplotlib import pyplot as plt
 
 import adaptmg as am
@@ -215,7 +215,7 @@ def exponent(nodes: Sequence[float], values: Sequence[float]) -> tuple[float, fl
 
 
 @styled
-def _figure(rows: pd.DataFrame) -> Figure:
+def _figure(rows: pd.DataFrame) -> common.Figure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6))
     for family, part in rows.groupby("family", sort=False):
         left.semilogx(part["nodes"], part["work"], "o-", label=family)
@@ -224,10 +224,11 @@ def _figure(rows: pd.DataFrame) -> Figure:
     left.set(xlabel="nodes", ylabel="work units to 1e-8", ylim=(0, None))
     right.set(xlabel="nodes", ylabel="s (grey: pyamg on the glued problem)")
     left.legend()
-    return Figure("benchmark", figure, "Work does not grow with the mesh; seconds beside pyamg's for one linear solve.")
+    caption = "Work does not grow with the mesh; seconds beside pyamg's for one linear solve."
+    return common.Figure("benchmark", figure, caption)
 
 
-def run(context: Context) -> Section:
+def run(context: common.Context) -> common.Section:
     """All tables."""
     run_ours(grids("nested 2D", 16, 1.0), TOLERANCE)
     run_ours(grids("nested 3D", 4, 1.0), TOLERANCE)
@@ -256,17 +257,18 @@ def run(context: Context) -> Section:
                "pyamg_setup_s", "pyamg_solve_s", "over_pyamg", "with_setup_over_pyamg", "best_setting",
                "over_best_pyamg", "over_mgcg", "over_cholesky"]
     sweep = pd.concat(friction, ignore_index=True)[["family", "nodes", "friction", "cycles", "rate", "work"]]
-    items: list[Table | Figure] = [
-        Table("benchmark_work", rows[work], "Work to a true energy error of 1e-8, friction 1."),
-        Table("benchmark_seconds", rows.reindex(columns=seconds), "Seconds, one thread, and ratios: ours over theirs."),
-        Table("benchmark_scaling", pd.DataFrame(scaling), "Exponents of nodes."),
-        Table("benchmark_friction", sweep, "Friction."),
-        Table("benchmark_methods", against[["nodes", "method", "cycles", "work", "s", "residual", "outcome"]],
-              "Methods for the contact problem, each to its own estimated error of 1e-8."),
+    items: list[common.Table | common.Figure] = [
+        common.Table("benchmark_work", rows[work], "Work to a true energy error of 1e-8, friction 1."),
+        common.Table("benchmark_seconds", rows.reindex(columns=seconds),
+                     "Seconds, one thread, and ratios: ours over theirs."),
+        common.Table("benchmark_scaling", pd.DataFrame(scaling), "Exponents of nodes."),
+        common.Table("benchmark_friction", sweep, "Friction."),
+        common.Table("benchmark_methods", against[["nodes", "method", "cycles", "work", "s", "residual", "outcome"]],
+                     "Methods for the contact problem, each to its own estimated error of 1e-8."),
         _figure(rows),
     ]
-    return Section("The fast solver", __doc__.split("\n\n")[1], items)
+    return common.Section("The fast solver", __doc__.split("\n\n")[1], items)
 
 
 if __name__ == "__main__":
-    main(run, __doc__.split("\n")[0])
+    common.main(run, __doc__.split("\n")[0])
