@@ -204,3 +204,13 @@ def test_random_cold_starts():
         n = hierarchy.finest.n_nodes
         result = am.solve(hierarchy, COLD, start=1e-5 * rng.standard_normal((n, 2)))
         assert result.residual <= 1e-7
+
+
+@pytest.mark.filterwarnings("ignore:friction")
+def test_the_monotone_correction_takes_over_where_friction_is_too_large():
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(3.0)), divisions=(4, 8, 16, 32, 64))
+    result = am.solve(hierarchy, am.FullMultigrid(max_cycles=250))
+    assert result.residual <= 1e-7
+    # one count of cycles for both
+    assert (np.diff(result.history["cycle"]) >= 0).all() and result.history["cycle"][-1] == result.cycles
+    assert am.solve(hierarchy, am.FullMultigrid(max_cycles=20), throw=False).status is am.Status.LIMIT

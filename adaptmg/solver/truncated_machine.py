@@ -1,14 +1,16 @@
-r"""TruncatedMachine: one run of the truncated multigrid: nested start, cycles, safe cycles, stopping.
+r"""TruncatedMachine: one run of the truncated multigrid: nested start, cycles, safe cycles, stopping, fallback.
 
 The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the next coarser level proposes estimates the
 error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last
 three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with the natural residual, which every
-smoothing leaves behind, it decides when to stop, at no further pass over a matrix.
+smoothing leaves behind, it decides when to stop, at no further pass over a matrix. Where safe cycles do not help either
+(friction of 3, say), the monotone correction takes over for the cycles that are left.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,9 +20,11 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.coarse_levels import coarse_levels, nodal_prolongations
 from adaptmg.multigrid.linear_cycle import LinearCycle
-from adaptmg.multigrid.nested import NestedStart
+from adaptmg.multigrid.monotone import Monotone
+from adaptmg.multigrid.nested import NestedStart, project
 from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.solver.machine import Machine
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.status import Status
 from adaptmg.solver.truncated_watch import TruncatedWatch
@@ -29,6 +33,8 @@ if TYPE_CHECKING:
     from adaptmg.solver.multigrid import Multigrid
 
 __all__ = ["TruncatedMachine"]
+
+_LOG = logging.getLogger(__name__)
 
 
 class TruncatedMachine:
@@ -49,6 +55,8 @@ class TruncatedMachine:
 
     #: complete nested starts stop after so many cycles on a level
     COMPLETE_LIMIT = 60
+    #: times that safe cycles are tried when the residual stops falling
+    TROUBLES = 1
 
     def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
         self.options, self.hierarchy, self.run = options, hierarchy, run
@@ -93,8 +101,29 @@ class TruncatedMachine:
         with self.run.phase("cycles"):
             watch = TruncatedWatch(self.problems[-1], self.options.rtol, self.run)
             status, cycles = self._cycles(runner, watch, cold, self.options.max_cycles, start)
+        if self._may_fall_back and status in (Status.STALLED, Status.DIVERGED) and cycles < self.options.max_cycles:
+            return self._monotone(runner, cycles)
         displacement = (runner.unknowns + self.problems[-1].fixed_values).reshape(-1, self.problems[-1].dim)
         return Outcome(displacement, status, cycles, watch.rtol, watch.error_estimate, watch.rate)
+
+    @property
+    def _may_fall_back(self) -> bool:
+        """Whether there is something to fall back on, with a tolerance it understands."""
+        return self.hierarchy.discretised and self.options.rtol != "discretisation"
+
+    def _monotone(self, runner: TruncatedCycle, cycles: int) -> Outcome:
+        """Go on with the monotone correction: slower, but it goes further."""
+        o, problem = self.options, self.problems[-1]
+        _LOG.info("cycle %d: the truncated multigrid does not converge; going on with the monotone correction", cycles)
+        unknowns = np.where(np.isfinite(runner.unknowns), runner.unknowns, 0.0) + problem.fixed_values
+        options = replace(o, correction=Monotone(), max_cycles=o.max_cycles - cycles)
+        machine = Machine(options, self.hierarchy, self.run)
+        local = machine.problems[-1]
+        start = local.to_local(unknowns)
+        project(local, start)
+        self.run.first_cycle = cycles
+        outcome = machine.finish(start)
+        return replace(outcome, cycles=cycles + outcome.cycles)
 
     def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
         with self.run.phase("setup"):
@@ -150,7 +179,7 @@ class TruncatedMachine:
         Safe cycles are taken while the contact status of a cold start changes, and after trouble; each time at most so
         many, twice as many as the time before.
         """
-        cycles, most = 0, self.options.correction.safe_cycles
+        cycles, troubles, most = 0, 0, self.options.correction.safe_cycles
         left = most if cold else 0
         while True:
             runner.smooth()
@@ -173,6 +202,9 @@ class TruncatedMachine:
             watch.corrected(runner.correct())
             cycles += 1
             if left == 0 and watch.in_trouble():
+                troubles += 1
+                if troubles > self.TROUBLES:
+                    return Status.STALLED, cycles
                 most *= 2
                 left = most
             if cycles == 1 and start is not None:
