@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.sparse.linalg import spsolve
 
 from adaptmg import cases
 from adaptmg.discrete import DiscreteProblem
@@ -21,14 +22,14 @@ PAPER = Path(__file__).parent.parent / "data" / "paper"
 
 def solve_with(problem: DiscreteProblem, active: np.ndarray) -> np.ndarray:
     """Displacement with the contact nodes of a mask on the obstacle, without friction; a flat bottom."""
-    matrix = problem.matrix.toarray()
+    matrix = problem.matrix.tocsc()
     normal = problem.dim * problem.contact.nodes[active] + problem.dim - 1
     held = problem.fixed.copy()
     held[normal] = True
     u = problem.fixed_values.copy()
     u[normal] = -problem.contact.gaps[active]
     free = ~held
-    u[free] = np.linalg.solve(matrix[np.ix_(free, free)], problem.load[free] - matrix[np.ix_(free, held)] @ u[held])
+    u[free] = spsolve(matrix[free][:, free], (problem.load - matrix @ u)[free])
     return u
 
 

@@ -23,7 +23,8 @@ class NestedStart:
     cycles : int or "complete"
         Cycles on each level between the coarsest and the finest, or until ``rtol`` is met.
     rtol : float
-        Tolerance on the coarsest level, and with 'complete' on all of them.
+        Tolerance on the coarsest level, and with 'complete' on all of them. With two levels and a coarse solve that
+        is not condensed a tight one is most of the work of the start.
     """
 
     cycles: int | str = 1

@@ -3,8 +3,9 @@
 The paper keeps as coarse slip U and limit G those of the first complete coarse solution ('initial'), and as coarse
 displacement for the non-penetration condition 'the smallest value of u among the value on the same node and on the
 two adjacent ones on the fine grid'. Read as the smallest opening that is safe; read literally (the smallest u_n,
-which is <= 0) it is the largest opening, and stalls or cycles. Frozen U and G cannot be exact on the fine grid: the
-iteration stops changing before the contact conditions hold, which :class:`adaptmg.Result` reports as STALLED.
+which is <= 0) it is the largest opening, and stalls or cycles. A frozen G cannot be exact on the fine grid: the
+iteration stops changing before the contact conditions hold, which :class:`adaptmg.Result` reports as STALLED. On the
+bars of the paper it is G that matters: with ``limit="summed"`` and the smallest gap every choice of U converged.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class Contact:
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
-        if not hasattr(self.obstacle, "contact"):
+        if isinstance(self.obstacle, type) or not hasattr(self.obstacle, "contact"):
             raise TypeError(f"obstacle must be a Plane or a GapFunction, got {self.obstacle!r}")
 
 

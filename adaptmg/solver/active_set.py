@@ -49,9 +49,10 @@ class ActiveSet:
 
     Notes
     -----
-    Without a start all nodes touch and stick, which is never singular for a well-posed problem. If a later state is (a
-    body that is held by contact only and has lost it), the step is repeated with weak springs at the contact nodes.
-    If a status comes back, the iteration may be cycling: the step is halved and ``factor`` reduced.
+    Without a start all nodes touch and, under friction, stick: a state that is not singular where the problem is well
+    posed. If a later one is (a body that only contact holds and that has lost it), the iteration goes back to that
+    state; if it happens again, the step is taken with weak springs at the contact nodes. If a status comes back, the
+    iteration may be cycling: the step is halved and ``factor`` reduced.
     """
 
     linear: LinearSolver = field(default_factory=Direct)
@@ -59,7 +60,7 @@ class ActiveSet:
     rtol: float = 1e-10
     max_steps: int = 60
     factor: float = 0.1
-    linear_rtol: float = 1e-4
+    linear_rtol: float = 1e-2
     nested_start: bool = False
 
     def __post_init__(self) -> None:
@@ -106,6 +107,10 @@ class _Iteration:
     SPRING = 1e-2
     #: repeated states after which the iteration counts as cycling
     PATIENCE = 12
+    #: every so many steps the iteration is taken to repeat itself
+    LONG = 15
+    #: the factor of the augmentation is not reduced below this, lest rounding decide
+    SMALLEST_FACTOR = 1e-4
 
     def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int, record: bool) -> None:
         self.options, self.local, self.run, self.level, self.record = options, local, run, level, record
@@ -114,7 +119,7 @@ class _Iteration:
         reference = local.to_local(run.reference) if record and run.reference is not None else None
         self.watch = Convergence(local, options.rtol, run, reference)
         self.unknowns = np.zeros(local.system.n_dofs)
-        self.steps, self.error_estimate = 0, np.inf
+        self.steps, self.error_estimate, self.held = 0, np.inf, False
 
     def iterate(self, start: np.ndarray | None) -> Status:
         """Newton steps from ``start`` (n_dofs,), local components, until converged or given up."""
@@ -127,7 +132,7 @@ class _Iteration:
             self.run.count(1, local.system.nonzeros)
             met = self._check(defect)
             forces = self.methods.contact_residual(defect)
-            equations = self._equations(forces, factor, held=start is None and self.steps == 0)
+            equations = self._equations(forces, factor, hold=start is None and self.steps == 0)
             self._note(equations)
             if met:
                 return Status.CONVERGED
@@ -135,16 +140,17 @@ class _Iteration:
                 return Status.DIVERGED
             if self.steps >= options.max_steps:
                 return Status.LIMIT
-            repeated = equations.key in seen and equations.key != last
+            # in 3D the direction of a slip may go round while no status comes back
+            repeated = (equations.key in seen and equations.key != last) or self.steps % self.LONG == self.LONG - 1
             if repeated:
                 repeats += 1
-                factor *= 0.1
-                _LOG.info("step %d: a contact status came back (%d times); halving the step", self.steps, repeats)
+                factor = min(factor, max(0.1 * factor, self.SMALLEST_FACTOR))
+                _LOG.info("step %d: the contact status comes back (%d times); halving the step", self.steps, repeats)
                 if repeats > self.PATIENCE:
                     return Status.CYCLING
             last = equations.key
             seen.add(last)
-            self.unknowns = self.unknowns + (0.5 if repeated else 1.0) * self._step(equations)
+            self.unknowns = self.unknowns + (0.5 if repeated else 1.0) * self._step(equations, forces)
             self.steps += 1
             self.run.visit(self.level, "solve")
 
@@ -156,19 +162,22 @@ class _Iteration:
             self.error_estimate = watch.change / size if size > 0 else (0.0 if watch.change == 0 else np.inf)
         return self.error_estimate <= rtol and watch.residual <= watch.RESIDUAL_FACTOR * rtol
 
-    def _equations(self, forces: np.ndarray, factor: float, held: bool) -> Linearised:
+    def _equations(self, forces: np.ndarray, factor: float, hold: bool) -> Linearised:
         system, contact = self.local.system, self.local.contact
         at_contact = self.unknowns.reshape(-1, system.dim)[system.nodes]
-        if held:
+        if hold:
+            self.held = True
             return hold_all(contact, at_contact, forces)
         return linearise(contact, at_contact, forces, self.methods.stiffness, factor)
 
-    def _step(self, equations: Linearised) -> np.ndarray:
+    def _step(self, equations: Linearised, forces: np.ndarray) -> np.ndarray:
         try:
             return self.methods.solve(equations, self.options.linear_rtol, 0.0)
         except np.linalg.LinAlgError as error:
-            _LOG.info("step %d: %s; repeated with springs", self.steps, error)
-            return self.methods.solve(equations, self.options.linear_rtol, self.SPRING)
+            _LOG.info("step %d: %s", self.steps, error)
+            if self.held:
+                return self.methods.solve(equations, self.options.linear_rtol, self.SPRING)
+        return self._step(self._equations(forces, 0.0, hold=True), forces)
 
     def _note(self, equations: Linearised) -> None:
         if self.record:

@@ -50,7 +50,7 @@ class Steps(Protocol):
         Raises
         ------
         numpy.linalg.LinAlgError
-            If the equations are singular.
+            If the equations are singular or, without springs, an iterative solver does not reach ``rtol``.
         """
 
 
@@ -193,8 +193,11 @@ class SparseSteps:
             solution = self._prepared.solve(rhs, rtol=rtol)
         self.run.count(solution.passes, system.nonzeros)
         if not solution.converged and not isinstance(self.linear, Direct):
-            _LOG.warning("%r stopped after %d iterations at a residual of %.1e, wanted %.1e: raise max_iterations, or "
-                         "take Direct()", self.linear, solution.iterations, solution.residual, rtol)
+            message = (f"{self.linear!r} stopped after {solution.iterations} iterations at a relative residual of "
+                       f"{solution.residual:.1e}, wanted {rtol:.1e}: raise max_iterations, or take Direct()")
+            if not spring:
+                raise np.linalg.LinAlgError(message)
+            _LOG.warning(message)
         return solution.unknowns + change
 
     def _prepare(self, equations: Linearised, matrix: sparse.bsr_array, prescribed: np.ndarray, spring: float) -> None:

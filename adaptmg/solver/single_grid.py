@@ -35,6 +35,9 @@ class SingleGrid:
         Coulomb: update the sliding limit with every node solve (the paper's diagonal process), or solve Tresca
         problems with the limit held and update it between them (Problems P1 and P2 of the paper).
     order : {"forward", "backward", "symmetric"}
+    friction_update : "sweep" or int
+        The diagonal process updates the limit within each node solve, or holds it for so many sweeps: over-relaxed
+        sweeps that cycle with the former can converge with the latter.
     stop : {"error", "change"}
         Test the estimated relative A-norm error and the natural residual, or (as the paper) the relative Euclidean
         change in one sweep alone.
@@ -47,16 +50,21 @@ class SingleGrid:
     condensed: bool = False
     friction: str = "diagonal"
     order: str = "forward"
+    friction_update: str | int = "sweep"
     stop: str = "error"
     rtol: float = 1e-8
     max_sweeps: int = 200_000
 
     def __post_init__(self) -> None:
-        ProjectedGaussSeidel(omega=self.omega, order=self.order)
+        self.smoother()
         checks.choice("friction", self.friction, ("diagonal", "fixed point"))
         checks.choice("stop", self.stop, ("error", "change"))
         object.__setattr__(self, "rtol", checks.positive("rtol", self.rtol))
         checks.integer("max_sweeps", self.max_sweeps, 1)
+
+    def smoother(self) -> ProjectedGaussSeidel:
+        """What sweeps."""
+        return ProjectedGaussSeidel(omega=self.omega, order=self.order, friction_update=self.friction_update)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level; see :class:`adaptmg.solver.run.Solver`."""
@@ -104,7 +112,7 @@ class _Iteration:
         self.options, self.problem, self.run, self.unknowns = options, problem, run, unknowns
         self.reference, self.hidden_energy = reference, 0.0
         self.system: LocalSystem = problem.system
-        self.smoother = ProjectedGaussSeidel(omega=options.omega, order=options.order)
+        self.smoother = options.smoother()
         self.sweeps, self.error_estimate, self.rate = 0, np.inf, np.nan
 
     def sweep(self, contact: NodalContact, times: int) -> None:

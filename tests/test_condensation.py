@@ -1,0 +1,129 @@
+"""Condensation to the contact dofs: against dense algebra, on one body and on several."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import sparse
+from smoother_problems import network
+
+import adaptmg as am
+from adaptmg.discrete import ContactNodes, DiscreteProblem
+from adaptmg.mesh.structured import structured
+from adaptmg.smoother.residuals import natural_residual
+from adaptmg.smoother.system import LocalProblem, local_system
+from adaptmg.solver.condensation import condense
+
+
+def contact_dofs(local: LocalProblem) -> np.ndarray:
+    dim = local.system.dim
+    return (dim * local.system.nodes[:, None] + np.arange(dim)).ravel()
+
+
+def dense_condensation(local: LocalProblem) -> tuple[np.ndarray, np.ndarray]:
+    matrix, c = local.system.matrix.toarray(), contact_dofs(local)
+    i = np.setdiff1d(np.arange(len(matrix)), c)
+    through = matrix[np.ix_(c, i)] @ np.linalg.inv(matrix[np.ix_(i, i)])
+    return matrix[np.ix_(c, c)] - through @ matrix[np.ix_(i, c)], local.load[c] - through @ local.load[i]
+
+
+def bar(divisions: int = 6) -> LocalProblem:
+    problem = am.cases.greco_bar()
+    return local_system(am.discretise(problem, structured(problem.domain, divisions)))
+
+
+def together(*problems: DiscreteProblem) -> DiscreteProblem:
+    """Several bodies side by side, contact nodes of the bodies in turns."""
+    shifts = np.cumsum([0, *(p.n_nodes for p in problems)])[:-1]
+    order = np.argsort(np.concatenate([np.arange(len(p.contact)) for p in problems]), kind="stable")
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(p.contact, name) for p in problems])[order]
+
+    nodes = np.concatenate([p.contact.nodes + shift for p, shift in zip(problems, shifts, strict=True)])[order]
+    return DiscreteProblem(
+        matrix=sparse.block_diag([p.matrix for p in problems], format="csr"), law=am.Coulomb(1.0),
+        load=np.concatenate([p.load for p in problems]), fixed=np.concatenate([p.fixed for p in problems]),
+        contact=ContactNodes(nodes=nodes, normals=joined("normals"), gaps=joined("gaps")))
+
+
+def block() -> LocalProblem:
+    problem = am.cases.greco_block(plane_strain=False)
+    return local_system(am.discretise(problem, structured(problem.domain, 3)))
+
+
+PROBLEMS = {"bar": bar, "block": block, "network": lambda: network(3, "coulomb", fixed_tangent=True),
+            "three bodies": lambda: local_system(together(*3 * [bar(3).discrete])),
+            "no coordinates": lambda: local_system(replace(bar().discrete, coordinates=None))}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_schur_complement_and_load_are_those_of_dense_algebra(name):
+    local = PROBLEMS[name]()
+    condensed = condense(local)
+    schur, load = dense_condensation(local)
+    assert np.abs(condensed.matrix - schur).max() < 1e-13 * np.abs(schur).max()
+    assert np.abs(condensed.problem.system.matrix.toarray() - schur).max() < 1e-13 * np.abs(schur).max()
+    assert np.abs(condensed.problem.load - load).max() < 1e-13 * np.abs(local.load).max() * len(load)
+    assert not condensed.problem.load[condensed.problem.system.fixed].any()
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_recovery_is_in_equilibrium_away_from_contact(name):
+    local = PROBLEMS[name]()
+    condensed = condense(local)
+    unknowns = np.random.default_rng(0).normal(size=len(condensed.problem.load)) * 1e-5
+    unknowns[condensed.problem.system.fixed] = 0.0
+    full = condensed.recover(unknowns)
+    defect = local.load - local.system.matrix @ full
+    forces = np.abs(local.system.matrix) @ np.abs(full)
+    away = np.setdiff1d(np.arange(len(full)), contact_dofs(local))
+    assert np.array_equal(condensed.restrict(full), unknowns)
+    assert np.abs(defect[away]).max() < 1e-13 * forces.max()
+    assert np.abs(condensed.restrict(defect) - condensed.problem.load
+                  + condensed.matrix @ unknowns).max() < 1e-12 * forces.max()
+
+
+def test_reduce_and_complete_solve_a_system_with_the_whole_matrix():
+    local = bar()
+    condensed = condense(local)
+    residual = np.random.default_rng(1).normal(size=local.system.n_dofs)
+    residual[local.system.fixed] = 0.0
+    particular, force = condensed.reduce(residual)
+    springs = np.diag(local.system.matrix.diagonal()[contact_dofs(local)])
+    change = condensed.complete(particular, np.linalg.solve(condensed.matrix + springs, force))
+    matrix = local.system.matrix.toarray()
+    matrix[np.ix_(contact_dofs(local), contact_dofs(local))] += springs
+    assert change == pytest.approx(np.linalg.solve(matrix, residual), rel=1e-9, abs=1e-13 * np.abs(change).max())
+
+
+def test_smoothing_the_condensed_problem_solves_the_whole_one():
+    local = bar(4)
+    condensed = condense(local)
+    unknowns = np.zeros(len(condensed.problem.load))
+    am.ProjectedGaussSeidel().smooth(condensed.problem.system, condensed.problem.contact, condensed.problem.load,
+                                     unknowns, 400)
+    natural = natural_residual(local.system, local.contact, local.load, condensed.recover(unknowns))
+    assert np.linalg.norm(natural) < 1e-10 * np.linalg.norm(local.load)
+
+
+def test_a_body_without_support_and_contact_is_refused():
+    held = bar(3).discrete
+    loose = replace(held, fixed=np.zeros(held.n_dofs, dtype=bool))
+    both = together(held, loose)
+    keep = both.contact.nodes < held.n_nodes
+    contact = ContactNodes(nodes=both.contact.nodes[keep], normals=both.contact.normals[keep],
+                           gaps=both.contact.gaps[keep])
+    with pytest.raises(ValueError, match="singular even with all contact dofs fixed"):
+        condense(local_system(replace(both, contact=contact, law=am.Coulomb(1.0))))
+
+
+def test_a_body_held_by_contact_only_is_condensed():
+    floating = replace(bar(3).discrete, fixed=np.zeros(32, dtype=bool))
+    local = local_system(floating)
+    matrix = condense(local).matrix
+    values = np.linalg.eigvalsh(matrix)
+    assert (np.abs(values[:3]) < 1e-12 * values[-1]).all()
+    assert values[3] > 1e-3 * values[-1]

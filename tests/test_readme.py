@@ -1,0 +1,36 @@
+"""The examples of the README run as they stand, and its commands are the ones that work."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import adaptmg as am
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_examples_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert len(blocks) == 3
+    for block in blocks[:2]:
+        exec(compile(block, "README.md", "exec"), names)
+        assert names["result"].status is am.Status.CONVERGED
+        assert names["result"].residual < 1e-7
+    exec(compile(blocks[2], "README.md", "exec"), names)
+    table = names["study"].table()
+    assert len(table) == 8
+    assert (table["status"] == "done").all()
+    assert (table["outcome"] == "CONVERGED").all()
+    assert {"contact.png", "run.npz", "results"} <= {path.name for path in tmp_path.iterdir()}
+
+
+def test_commands_and_files_exist():
+    for command in ("pip install -e \".[dev]\" && .venv/bin/python studies/reproduce.py", "&& .venv/bin/pytest"):
+        assert command in README
+    for path in re.findall(r"\]\((data/[^)]*)\)", README) + re.findall(r"`(studies/\w+\.py)`", README):
+        assert (ROOT / path).exists(), path
