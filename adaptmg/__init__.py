@@ -24,7 +24,7 @@ _WHERE = {
     "adaptmg.hierarchy": ("Hierarchy", "Level"),
     "adaptmg.smoother.gauss_seidel": ("ProjectedGaussSeidel",),
     "adaptmg.smoother.state": ("OPEN", "SLIP", "STICK"),
-    "adaptmg.multigrid": ("CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection"),
+    "adaptmg.multigrid": ("CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection", "Truncated"),
     "adaptmg.solver.single_grid": ("SingleGrid",),
     "adaptmg.solver.multigrid": ("FullMultigrid", "Multigrid"),
     "adaptmg.solver.active_set": ("ActiveSet",),

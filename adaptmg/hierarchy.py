@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -27,26 +27,41 @@ class Level:
 
     Attributes
     ----------
-    discrete : DiscreteProblem
-        The problem discretised on this grid.
+    discrete : DiscreteProblem or None
+        The problem discretised on this grid; None where only a coarse space is known.
     mesh : MeshArrays or None
-    prolongation : csr_array (n_nodes, n_nodes of the next coarser level) or None
-        Nodal values from the next coarser level; None on the coarsest.
+    prolongation : csr_array or None
+        Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse spaces, its dofs
+        (n_dofs, n_dofs coarse); None on the coarsest.
     mesh_ratio : float
         Largest local ratio of mesh sizes, next coarser over this; NaN if unknown.
+    galerkin : bsr_array or None
+        The matrix of a coarse space without a discrete problem.
     """
 
-    discrete: DiscreteProblem
+    discrete: DiscreteProblem | None
     mesh: MeshArrays | None = None
     prolongation: sparse.csr_array | None = None
     mesh_ratio: float = float("nan")
+    galerkin: sparse.bsr_array | None = None
+
+    @property
+    def matrix(self) -> sparse.bsr_array:
+        """The discretised matrix, or the Galerkin one of a coarse space."""
+        return self.galerkin if self.discrete is None else self.discrete.matrix
+
+    @property
+    def n_nodes(self) -> int:
+        """Nodes; of a coarse space the rows of blocks of its matrix."""
+        return self.matrix.shape[0] // self.matrix.blocksize[0]
 
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
     """Levels, coarsest first, and how they were made. Printing it shows a table.
 
-    Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`, :meth:`single`.
+    Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`,
+    :meth:`from_prolongations`, :meth:`algebraic`, :meth:`single`.
     """
 
     levels: tuple[Level, ...]
@@ -59,10 +74,14 @@ class Hierarchy:
         if not levels:
             raise ValueError("levels is empty: a hierarchy needs at least one level")
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
-            wanted = (fine.discrete.n_nodes, coarse.discrete.n_nodes)
+            wanted = (fine.n_nodes, coarse.n_nodes)
+            if coarse.discrete is None and coarse.matrix.blocksize[0] == 1:
+                wanted = (fine.matrix.shape[0], coarse.matrix.shape[0])
             if fine.prolongation is None or fine.prolongation.shape != wanted:
                 got = None if fine.prolongation is None else fine.prolongation.shape
-                raise ValueError(f"levels[{k}].prolongation must have shape {wanted} (nodes fine, coarse), got {got}")
+                raise ValueError(f"levels[{k}].prolongation must have shape {wanted} (fine, coarse), got {got}")
+        if levels[-1].discrete is None:
+            raise ValueError("the finest level has no DiscreteProblem")
         object.__setattr__(self, "levels", levels)
 
     def __len__(self) -> int:
@@ -76,13 +95,24 @@ class Hierarchy:
         """The finest level."""
         return self.levels[-1]
 
+    @property
+    def discretised(self) -> bool:
+        """Whether every level poses the contact problem; if not, only ``Truncated`` without nested start can use it."""
+        return all(level.discrete is not None for level in self.levels)
+
+    def need_discretised(self, what: str) -> None:
+        """ValueError unless every level poses the contact problem."""
+        if not self.discretised:
+            raise ValueError(f"grids: {what} needs the contact problem on every level, but the coarse levels of this "
+                             f"hierarchy ({self.origin}) are only spaces; use am.Multigrid(correction=am.Truncated())")
+
     def truncated(self, *, coarsest: int = 0, finest: int | None = None) -> Hierarchy:
         """The levels ``coarsest`` .. ``finest`` (inclusive; default: the last) as a hierarchy of their own."""
         finest = len(self) - 1 if finest is None else checks.integer("finest", finest)
         if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
             raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
         first, *rest = self.levels[coarsest:finest + 1]
-        first = Level(first.discrete, first.mesh)
+        first = Level(first.discrete, first.mesh, galerkin=first.galerkin)
         return Hierarchy((first, *rest), self.problem, self.origin, dict(self.timings))
 
     # -- constructors -------------------------------------------------------------------------------------------
@@ -184,10 +214,60 @@ class Hierarchy:
         return cls._build(problem, arrays, transfer, "given meshes", time.perf_counter() - begin, contact_rows)
 
     @classmethod
+    def from_prolongations(cls, discrete: DiscreteProblem, prolongations: Sequence[Any]) -> Hierarchy:
+        """From one's own matrix and coarse spaces, with Galerkin matrices; no contact problem on the coarse levels.
+
+        Parameters
+        ----------
+        discrete : DiscreteProblem
+            On the finest level.
+        prolongations : sequence of sparse matrices
+            Coarse to fine, each from a level to the next finer: all of nodes (n_nodes, n_nodes coarse), acting on every
+            component, or all of dofs (n_dofs, n_dofs coarse).
+        """
+        from adaptmg.transfer.galerkin import coarse_spaces
+
+        begin = time.perf_counter()
+        given, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
+        levels = [Level(None, galerkin=matrices[0])]
+        levels += [Level(None, None, P, galerkin=A) for P, A in zip(given[:-1], matrices[1:], strict=True)]
+        levels.append(Level(discrete, None, given[-1]))
+        return cls(tuple(levels), None, "given prolongations", {"transfer": time.perf_counter() - begin})
+
+    @classmethod
+    def algebraic(cls, discrete: DiscreteProblem, strength: float = 0.0, max_coarse: int = 300) -> Hierarchy:
+        """Coarse spaces by smoothed aggregation (pyamg), for a bare matrix.
+
+        Parameters
+        ----------
+        discrete : DiscreteProblem
+            Its ``near_nullspace`` matters: with rigid-body modes convergence is about twice as fast.
+        strength : float
+            Drop tolerance of the strength of connection, 0 <= strength < 1.
+        max_coarse : int
+            Dofs of the coarsest level at most.
+        """
+        from adaptmg.transfer.aggregation import aggregated_prolongations
+
+        if not isinstance(discrete, DiscreteProblem):
+            raise TypeError(f"discrete must be a DiscreteProblem, got {type(discrete).__name__}")
+        begin = time.perf_counter()
+        strength = checks.nonnegative("strength", strength)
+        if not strength < 1:
+            raise ValueError(f"strength must be < 1, got {strength!r}")
+        found = aggregated_prolongations(discrete.matrix, discrete.near_nullspace, discrete.fixed, strength=strength,
+                                         max_coarse=checks.integer("max_coarse", max_coarse, 1))
+        if not found:
+            raise ValueError(f"the matrix has {discrete.n_dofs} rows, no more than max_coarse={max_coarse}: there is "
+                             "nothing to coarsen; use SingleGrid or ActiveSet, or a smaller max_coarse")
+        made = cls.from_prolongations(discrete, found)
+        return cls(made.levels, None, "smoothed aggregation", {"transfer": time.perf_counter() - begin})
+
+    @classmethod
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
                mesh_seconds: float, contact_rows: bool = True) -> Hierarchy:
         from adaptmg.discretisation.discretise import discretise
-        from adaptmg.transfer import Interpolation
+        from adaptmg.transfer import Interpolation, mesh_ratio
 
         if not meshes:
             raise ValueError("no meshes: give at least one, coarse to fine")
@@ -201,7 +281,10 @@ class Hierarchy:
         levels = [Level(discretes[0], meshes[0])]
         for k in range(1, len(meshes)):
             levels.append(_transferred(transfer, levels[-1], meshes[k], discretes[k], contact_rows))
-        timings = {"mesh": mesh_seconds, "assembly": assembled - begin, "transfer": time.perf_counter() - assembled}
+        transferred = time.perf_counter()
+        levels[1:] = [replace(fine, mesh_ratio=mesh_ratio(coarse.mesh, fine.mesh)) for coarse, fine in pairwise(levels)]
+        timings = {"mesh": mesh_seconds, "assembly": assembled - begin, "transfer": transferred - assembled,
+                   "mesh ratios": time.perf_counter() - transferred}
         return cls(tuple(levels), problem, origin, timings)
 
     # -- what it is ---------------------------------------------------------------------------------------------
@@ -209,17 +292,18 @@ class Hierarchy:
     @property
     def grid_complexity(self) -> float:
         """Nodes on all levels over nodes on the finest."""
-        return sum(level.discrete.n_nodes for level in self.levels) / self.finest.discrete.n_nodes
+        return sum(level.n_nodes for level in self.levels) / self.finest.n_nodes
 
     @property
     def operator_complexity(self) -> float:
         """Nonzeros of the discretised matrices on all levels over those of the finest."""
-        return sum(level.discrete.matrix.nnz for level in self.levels) / self.finest.discrete.matrix.nnz
+        return sum(level.matrix.nnz for level in self.levels) / self.finest.matrix.nnz
 
     def table(self) -> list[dict[str, float]]:
         """One dict a level: level, nodes, contact_nodes, nonzeros, mesh_ratio (to the next coarser level)."""
-        return [{"level": k, "nodes": level.discrete.n_nodes, "contact_nodes": len(level.discrete.contact),
-                 "nonzeros": level.discrete.matrix.nnz, "mesh_ratio": level.mesh_ratio}
+        return [{"level": k, "nodes": level.n_nodes,
+                 "contact_nodes": 0 if level.discrete is None else len(level.discrete.contact),
+                 "nonzeros": level.matrix.nnz, "mesh_ratio": level.mesh_ratio}
                 for k, level in enumerate(self.levels)]
 
     def __repr__(self) -> str:
@@ -249,7 +333,7 @@ def _check_coarse_to_fine(meshes: list[MeshArrays]) -> None:
 def _transferred(transfer: Transfer, coarse: Level, mesh: MeshArrays, discrete: DiscreteProblem,
                  contact_rows: bool) -> Level:
     """A finer level with its prolongation; contact nodes interpolate along the coarse contact boundary."""
-    from adaptmg.transfer import mesh_ratio, surface_interpolation, with_contact_rows
+    from adaptmg.transfer import surface_interpolation, with_contact_rows
 
     nodal = sparse.csr_array(transfer.build(coarse.mesh, mesh))
     wanted = (mesh.n_nodes, coarse.mesh.n_nodes)
@@ -263,4 +347,4 @@ def _transferred(transfer: Transfer, coarse: Level, mesh: MeshArrays, discrete: 
         nodes = contact.nodes[contact.boundary == index]
         rows = surface_interpolation(coarse.mesh, mesh, coarse.mesh.boundary_facets(name), nodes)
         nodal = with_contact_rows(nodal, nodes, rows)
-    return Level(discrete, mesh, nodal, mesh_ratio(coarse.mesh, mesh))
+    return Level(discrete, mesh, nodal)

@@ -75,10 +75,12 @@ def test_fixed_point_over_tresca_reaches_the_same_solution(solved):
     assert energy_error(grids, result, reference) < 1e-7
 
 
+@pytest.mark.parametrize("solver", [am.FullMultigrid(correction=am.Monotone(), rtol=1e-11),
+                                    am.FullMultigrid(correction=am.Truncated(), rtol=1e-12)])
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_contact_conditions(solved, name):
+def test_contact_conditions(solved, name, solver):
     grids, _ = solved[name]
-    result = am.solve(grids, am.FullMultigrid(correction=am.Monotone(), rtol=1e-11))
+    result = am.solve(grids, solver)
     c = result.contact
     force, length = np.abs(c.force_n).max(), np.abs(result.displacement).max()
     assert (c.gap >= -1e-15).all()

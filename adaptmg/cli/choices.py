@@ -37,6 +37,7 @@ class TransferName(StrEnum):
 class CorrectionName(StrEnum):
     """Multigrid corrections."""
 
+    TRUNCATED = "truncated"
     MONOTONE = "monotone"
     PAPER = "paper"
 

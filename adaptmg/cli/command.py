@@ -65,7 +65,8 @@ def solve(
     limit: Annotated[float | None, typer.Option(help="Tresca limit, Pa.")] = None,
     solver: Annotated[SolverName, typer.Option(help="Method.")] = SolverName.FULL,
     correction: Annotated[CorrectionName | None, typer.Option(
-        show_default="monotone", help="Multigrid: correction.")] = None,
+        show_default="truncated, or monotone with --cycle, --pre, --post, --omega",
+        help="Multigrid: correction.")] = None,
     cycle: Annotated[Shape | None, typer.Option(show_default="V", help="Multigrid: shape of the cycle.")] = None,
     pre: Annotated[int | None, typer.Option(show_default="2", help="Multigrid: sweeps before the correction.")] = None,
     post: Annotated[int | None, typer.Option(show_default="0", help="Multigrid: sweeps after the correction.")] = None,

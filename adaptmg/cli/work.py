@@ -19,6 +19,8 @@ __all__ = ["hierarchy_of", "problem_of", "solved", "solver_of", "summary", "writ
 _TAKES = {SolverName.FULL: ("correction", "cycle", "pre", "post", "omega"),
           SolverName.MULTIGRID: ("correction", "cycle", "pre", "post", "omega"),
           SolverName.SINGLE: ("omega",), SolverName.ACTIVE: ("linear",)}
+_CORRECTIONS = {CorrectionName.TRUNCATED: am.Truncated, CorrectionName.MONOTONE: am.Monotone,
+                CorrectionName.PAPER: am.PaperCorrection}
 _DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
 
 
@@ -56,7 +58,7 @@ def solver_of(name: SolverName, *, correction: CorrectionName | None, cycle: Sha
     kind = am.FullMultigrid if name is SolverName.FULL else am.Multigrid
     return kind(cycle=am.Cycle(**_only(shape=None if cycle is None else cycle.value, pre=pre, post=post)),
                 smoother=am.ProjectedGaussSeidel(**_only(omega=omega)),
-                correction=am.PaperCorrection() if correction is CorrectionName.PAPER else am.Monotone(),
+                correction=None if correction is None else _CORRECTIONS[correction](),
                 **_only(rtol=rtol, max_cycles=most))
 
 

@@ -14,8 +14,8 @@ from scipy import sparse
 
 from adaptmg.discrete import ContactNodes, DiscreteProblem
 
-__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_lift", "frames_of", "inverse_blocks", "local_system",
-           "rotate"]
+__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_lift", "frames_of", "inverse_blocks",
+           "local_contact", "local_system", "rotate"]
 
 
 def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
@@ -203,23 +203,28 @@ def local_system(problem: DiscreteProblem) -> LocalProblem:
     """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs."""
     dim, contact = problem.dim, problem.contact
     frames = frames_of(contact, problem.fixed.reshape(-1, dim))
-    # Q maps local to Cartesian components: u = Q w
-    blocks = np.broadcast_to(np.eye(dim), (problem.n_nodes, dim, dim)).copy()
-    blocks[contact.nodes] = np.swapaxes(frames, 1, 2)
-    n = problem.n_nodes
-    rotation = sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=problem.matrix.shape)
     fixed = _local_fixed(problem, frames)
-    matrix = sparse.bsr_array(rotation.T @ problem.matrix @ rotation, blocksize=(dim, dim)).sorted_indices()
+    matrix = _eliminated(_rotated(problem.matrix, frames, contact.nodes), fixed)
     load = rotate(problem.load - problem.matrix @ problem.fixed_values, frames, contact.nodes)
     load[fixed] = 0.0
-    system = LocalSystem.from_matrix(_eliminated(matrix, fixed), fixed, contact.nodes)
-    lifted = contact_lift(problem, frames)
-    limit, friction = problem.law.bounds(len(contact))
-    reference = np.einsum("nij,nj->ni", frames, contact.slip_reference)[:, 1:] - lifted[:, 1:]
-    reference[fixed.reshape(-1, dim)[contact.nodes][:, 1:]] = 0.0
-    nodal = NodalContact(gap=contact.gaps - lifted[:, 0], slip_reference=np.ascontiguousarray(reference),
-                         limit=np.array(limit, dtype=np.float64), friction=np.array(friction, dtype=np.float64))
+    system = LocalSystem.from_matrix(matrix, fixed, contact.nodes)
+    nodal = _nodal_contact(problem, frames, fixed)
     return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
+
+
+def local_contact(problem: DiscreteProblem) -> tuple[NodalContact, np.ndarray]:
+    """The contact data of a problem in local components, and the frames (n_contact, dim, dim): no matrix is touched."""
+    frames = frames_of(problem.contact, problem.fixed.reshape(-1, problem.dim))
+    return _nodal_contact(problem, frames, _local_fixed(problem, frames)), frames
+
+
+def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarray) -> NodalContact:
+    lifted = contact_lift(problem, frames)
+    limit, friction = problem.law.bounds(len(problem.contact))
+    reference = np.einsum("nij,nj->ni", frames, problem.contact.slip_reference)[:, 1:] - lifted[:, 1:]
+    reference[fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]] = 0.0
+    return NodalContact(gap=problem.contact.gaps - lifted[:, 0], slip_reference=np.ascontiguousarray(reference),
+                        limit=np.array(limit, dtype=np.float64), friction=np.array(friction, dtype=np.float64))
 
 
 def contact_lift(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
@@ -244,14 +249,28 @@ def _local_fixed(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
     return fixed.reshape(-1)
 
 
+def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) -> sparse.bsr_array:
+    """A copy with ``frames`` applied to the block rows and columns of ``nodes``; the others are not touched."""
+    n = matrix.shape[0] // matrix.blocksize[0]
+    frame_of = np.full(n, -1)
+    frame_of[nodes] = np.arange(len(nodes))
+    in_row, in_column = np.repeat(frame_of, np.diff(matrix.indptr)), frame_of[matrix.indices]
+    data = matrix.data.copy()
+    at = np.flatnonzero(in_row >= 0)
+    data[at] = np.einsum("nij,njk->nik", frames[in_row[at]], data[at])
+    at = np.flatnonzero(in_column >= 0)
+    data[at] = np.einsum("nij,nkj->nik", data[at], frames[in_column[at]])
+    return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
 def _eliminated(matrix: sparse.bsr_array, fixed: np.ndarray) -> sparse.bsr_array:
-    """Zero the rows and columns of fixed dofs, keep their diagonal entries; the pattern stays."""
+    """Zero the rows and columns of fixed dofs in place, keep their diagonal entries; the pattern stays."""
     dim = matrix.blocksize[0]
     free = (~fixed).astype(np.float64).reshape(-1, dim)
+    held = ~free.all(axis=1)
     rows = np.repeat(np.arange(matrix.shape[0] // dim), np.diff(matrix.indptr))
-    data = matrix.data * free[rows][:, :, None] * free[matrix.indices][:, None, :]
-    at_diagonal = np.flatnonzero(rows == matrix.indices)
-    node = rows[at_diagonal]
-    kept = matrix.data[at_diagonal] * (np.eye(dim) * (1 - free[node])[:, :, None])
-    data[at_diagonal] += kept
-    return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    at = np.flatnonzero(held[rows] | held[matrix.indices])
+    row, column, blocks = rows[at], matrix.indices[at], matrix.data[at]
+    diagonal = (row == column)[:, None, None] * blocks * (np.eye(dim) * (1 - free[row])[:, :, None])
+    matrix.data[at] = blocks * free[row][:, :, None] * free[column][:, None, :] + diagonal
+    return matrix

@@ -82,6 +82,8 @@ class ActiveSet:
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level; see :class:`adaptmg.solver.run.Solver`."""
+        if self.nested_start and start is None:
+            hierarchy.need_discretised("the nested start of ActiveSet")
         first = 0 if self.nested_start and start is None else len(hierarchy) - 1
         for number in range(first, len(hierarchy)):
             level, finest = hierarchy[number], number == len(hierarchy) - 1

@@ -35,6 +35,7 @@ class Machine:
     """
 
     def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
+        hierarchy.need_discretised(f"the correction {type(options.correction).__name__}")
         self.options, self.hierarchy, self.run = options, hierarchy, run
         with run.phase("setup"):
             self.problems: list[LocalProblem] = [local_system(level.discrete) for level in hierarchy.levels]

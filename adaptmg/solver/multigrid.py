@@ -12,10 +12,12 @@ from adaptmg.multigrid.correction import Correction
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.monotone import Monotone
 from adaptmg.multigrid.nested import NestedStart, project
+from adaptmg.multigrid.truncated import Truncated
 from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.solver.machine import Machine
 from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.truncated_machine import TruncatedMachine
 
 __all__ = ["FullMultigrid", "Multigrid"]
 
@@ -29,7 +31,10 @@ class Multigrid:
     cycle : Cycle
     smoother : ProjectedGaussSeidel or one's own
         Anything with ``smooth(system, contact, load, unknowns, sweeps) -> passes``.
-    correction : Monotone, PaperCorrection or one's own
+    correction : Truncated, Monotone, PaperCorrection or one's own
+        :class:`~adaptmg.multigrid.Truncated` brings its own cycle, smoother and coarse solve and takes ``cycle``,
+        ``smoother``, ``coarse``, ``coarse_matrices`` and ``stop`` at their defaults only. Default: Truncated() if these
+        are at their defaults, else Monotone().
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
         iteration first, and starts from zero all the same; the work is counted.
     coarse : CoarseSolve
@@ -38,14 +43,15 @@ class Multigrid:
     stop : {"error", "change"}
         Test the estimated relative A-norm error (with the natural residual below 10 times the tolerance), or, as the
         paper, the change at the end of step g alone: Euclidean, relative to the solution.
-    rtol : float
-        Tolerance of that test.
+    rtol : float or "discretisation"
+        Tolerance of that test. "discretisation" (FullMultigrid with Truncated): a tenth of the discretisation error, as
+        the nested start shows it.
     max_cycles : int
     """
 
     cycle: Cycle = field(default_factory=Cycle)
     smoother: Smoother = field(default_factory=ProjectedGaussSeidel)
-    correction: Correction = field(default_factory=Monotone)
+    correction: Correction | Truncated | None = None
     coarse: CoarseSolve = field(default_factory=CoarseSolve)
     coarse_matrices: str = "galerkin"
     stop: str = "error"
@@ -53,24 +59,53 @@ class Multigrid:
     max_cycles: int = 100
 
     def __post_init__(self) -> None:
+        if self.correction is None:
+            object.__setattr__(self, "correction", Monotone() if self._not_for_truncated() else Truncated())
         if not isinstance(self.cycle, Cycle):
             raise TypeError(f"cycle must be a Cycle, got {self.cycle!r}")
         if not callable(getattr(self.smoother, "smooth", None)):
             raise TypeError("smoother must offer smooth(system, contact, load, unknowns, sweeps) -> passes, "
                             f"got {self.smoother!r}")
-        if not callable(getattr(self.correction, "transport", None)):
-            raise TypeError("correction must be Monotone(), PaperCorrection() or offer transport, "
+        if not (isinstance(self.correction, Truncated) or callable(getattr(self.correction, "transport", None))):
+            raise TypeError("correction must be Monotone(), Truncated(), PaperCorrection() or offer transport, "
                             f"got {self.correction!r}")
         if not isinstance(self.coarse, CoarseSolve):
             raise TypeError(f"coarse must be a CoarseSolve, got {self.coarse!r}")
         checks.choice("coarse_matrices", self.coarse_matrices, ("galerkin", "discretised"))
         checks.choice("stop", self.stop, ("error", "change"))
-        object.__setattr__(self, "rtol", checks.positive("rtol", self.rtol))
+        self._check_rtol()
         checks.integer("max_cycles", self.max_cycles, 1)
+        if isinstance(self.correction, Truncated):
+            self._check_truncated()
+
+    def _check_rtol(self) -> None:
+        if not isinstance(self.rtol, str):
+            object.__setattr__(self, "rtol", checks.positive("rtol", self.rtol))
+        elif self.rtol != "discretisation":
+            raise ValueError(f"rtol must be a number > 0 or 'discretisation', got {self.rtol!r}")
+        elif not (isinstance(self, FullMultigrid) and isinstance(self.correction, Truncated)):
+            raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
+                             "shows the discretisation error")
+
+    def _not_for_truncated(self) -> str:
+        """Name of an option that is not at its default though Truncated has its own; empty if there is none."""
+        defaults = {"cycle": Cycle(), "smoother": ProjectedGaussSeidel(), "coarse": CoarseSolve(),
+                    "coarse_matrices": "galerkin", "stop": "error"}
+        return next((name for name, default in defaults.items() if getattr(self, name) != default), "")
+
+    def _check_truncated(self) -> None:
+        name = self._not_for_truncated()
+        if name:
+            raise ValueError(f"{name}: Truncated() has its own; leave it at its default, or take correction=Monotone()")
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level; see :class:`adaptmg.solver.run.Solver`."""
         _need_levels(hierarchy)
+        if isinstance(self.correction, Truncated):
+            discrete = hierarchy.finest.discrete
+            unknowns = np.zeros(discrete.n_dofs) if start is None else start.reshape(-1) - discrete.fixed_values
+            unknowns[discrete.fixed] = 0.0
+            return TruncatedMachine(self, hierarchy, run).finish(unknowns, cold=True)
         machine = Machine(self, hierarchy, run)
         if self.correction.needs_initial:
             machine.nested_start(NestedStart())
@@ -104,6 +139,10 @@ class FullMultigrid(Multigrid):
         if start is not None:
             raise ValueError("start: FullMultigrid makes its own start; use Multigrid to continue from a given one")
         _need_levels(hierarchy)
+        if isinstance(self.correction, Truncated):
+            hierarchy.need_discretised("the nested start of FullMultigrid")
+            truncated = TruncatedMachine(self, hierarchy, run)
+            return truncated.finish(truncated.nested_start(self.start), cold=False)
         machine = Machine(self, hierarchy, run)
         return machine.finish(machine.nested_start(self.start))
 

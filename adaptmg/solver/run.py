@@ -45,6 +45,8 @@ class Run:
         What was done on which level, in order: 'smooth', 'restrict', 'prolong', 'solve', 'start'.
     start_work_units : float
         The part of ``work_units`` of the nested start.
+    first_cycle : int
+        Cycles done by another method before the one that records now.
     """
 
     unit: int
@@ -57,6 +59,7 @@ class Run:
     started: float = field(default_factory=time.perf_counter)
     start_work_units: float = 0.0
     untimed_seconds: float = 0.0
+    first_cycle: int = 0
 
     #: entries of ``path`` kept; a run of thousands of cycles repeats itself
     PATH_LIMIT = 100_000
@@ -73,7 +76,7 @@ class Run:
     def record(self, *, cycle: int, **values: float) -> None:
         """Add a row to the history."""
         seconds = time.perf_counter() - self.started - self.untimed_seconds
-        row = {"cycle": cycle, "work_units": self.work_units, "seconds": seconds, **values}
+        row = {"cycle": self.first_cycle + cycle, "work_units": self.work_units, "seconds": seconds, **values}
         self.history.append(row)
         if self.callback is not None:
             self.callback(row)

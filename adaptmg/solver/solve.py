@@ -32,7 +32,8 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     grids : Hierarchy or DiscreteProblem
         A bare DiscreteProblem is a hierarchy of one level.
     solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or one's own, optional
-        Default ``FullMultigrid()``, on one level ``SingleGrid()``. One's own offers ``run`` (see
+        Default ``FullMultigrid()``, where coarse levels are only spaces ``Multigrid()``, on one level
+        ``SingleGrid()``. One's own offers ``run`` (see
         :class:`adaptmg.solver.run.Solver`).
     start : (n_nodes, dim) array or Result, optional
         Where to start, m; default zero. FullMultigrid makes its own start and refuses one.
@@ -126,10 +127,12 @@ def _problem_name(grids: Hierarchy) -> str:
 
 
 def _default_solver(grids: Hierarchy) -> Solver:
-    from adaptmg.solver.multigrid import FullMultigrid
+    from adaptmg.solver.multigrid import FullMultigrid, Multigrid
     from adaptmg.solver.single_grid import SingleGrid
 
-    return SingleGrid() if len(grids) == 1 else FullMultigrid()
+    if len(grids) == 1:
+        return SingleGrid()
+    return FullMultigrid() if grids.discretised else Multigrid()
 
 
 def _displacement(name: str, value: np.ndarray | Result | None, discrete: DiscreteProblem) -> np.ndarray | None:

@@ -3,6 +3,7 @@
 Loads no ngsolve.
 """
 
+from adaptmg.transfer.aggregation import aggregated_prolongations, without_fixed
 from adaptmg.transfer.constraints import (
     Supports,
     injected_gap,
@@ -16,6 +17,7 @@ from adaptmg.transfer.constraints import (
     supports,
 )
 from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
+from adaptmg.transfer.galerkin import galerkin_product, is_galerkin
 from adaptmg.transfer.interpolation import Interpolation
 from adaptmg.transfer.l2 import L2
 from adaptmg.transfer.location import Location, PointLocator
@@ -26,7 +28,35 @@ from adaptmg.transfer.pseudo_l2 import PseudoL2
 from adaptmg.transfer.quasi_interpolation import QuasiInterpolation
 from adaptmg.transfer.rows import CLIP
 
-__all__ = ["CLIP", "L2", "Interpolation", "Location", "LumpedL2", "PointLocator", "PseudoL2", "QuasiInterpolation",
-           "Supports", "Transfer", "expand", "injected_gap", "injected_limit", "injected_slip", "injection",
-           "interpolated_pressure", "largest_gap", "mask", "mesh_ratio", "minmod_slip", "restriction", "smallest_gap",
-           "summed_limit", "supports", "surface_interpolation", "with_contact_rows"]
+__all__ = [
+    "CLIP",
+    "L2",
+    "Interpolation",
+    "Location",
+    "LumpedL2",
+    "PointLocator",
+    "PseudoL2",
+    "QuasiInterpolation",
+    "Supports",
+    "Transfer",
+    "aggregated_prolongations",
+    "expand",
+    "galerkin_product",
+    "injected_gap",
+    "injected_limit",
+    "injected_slip",
+    "injection",
+    "interpolated_pressure",
+    "is_galerkin",
+    "largest_gap",
+    "mask",
+    "mesh_ratio",
+    "minmod_slip",
+    "restriction",
+    "smallest_gap",
+    "summed_limit",
+    "supports",
+    "surface_interpolation",
+    "with_contact_rows",
+    "without_fixed",
+]

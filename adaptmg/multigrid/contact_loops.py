@@ -1,0 +1,186 @@
+r"""Numba kernels over the contact nodes of one level: truncation, projection, admissibility, in 2D and 3D.
+
+In the local frame of a node, with r = f - A u, :math:`p = \max(0, r_n)`, slip :math:`\tau` and
+:math:`g = s + \mu p` (an open node: g = s), the truncated residual is
+
+.. math:: \rho_n = 0 \text{ where closed, else } r_n;\qquad
+          \rho_t = 0 \text{ where it sticks},\; r_t - g\,\tau/|\tau| \text{ where it slips, else } r_t .
+
+Codes: bit 0 closed; bits 1-2 the tangential part: FREE (no friction acts), HELD (sticks), SLIPS (2D: in the direction
+of the tangent), BACKWARDS (2D: against it).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+__all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "SLIPS", "TANGENTIAL", "admissible", "directions", "friction_slope",
+           "project", "truncate"]
+
+CLOSED, FREE, HELD, SLIPS, BACKWARDS = 1, 0, 2, 4, 6
+TANGENTIAL = 6
+
+
+@njit(cache=True, inline="always")
+def _slip_size(dim, k, values, reference):
+    total = 0.0
+    for a in range(dim - 1):
+        slip = values[dim * k + 1 + a] - reference[(dim - 1) * k + a]
+        total += slip * slip
+    return math.sqrt(total)
+
+
+@njit(cache=True)
+def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r):
+    """Replace the residual (n_dofs,) at contact nodes by the truncated one; returns the sum of its squares there."""
+    local = np.empty(dim)
+    squares = 0.0
+    for k in range(len(nodes)):
+        at = dim * np.int64(nodes[k])
+        for a in range(dim):
+            local[a] = 0.0
+            for b in range(dim):
+                local[a] += frames[(dim * k + a) * dim + b] * r[at + b]
+        closed, tangential = codes[k] & CLOSED, codes[k] & TANGENTIAL
+        bound = limit[k]
+        if closed:
+            bound += friction[k] * max(local[0], 0.0)
+            local[0] = 0.0
+        if tangential == HELD:
+            for a in range(1, dim):
+                local[a] = 0.0
+        elif tangential:
+            size = _slip_size(dim, k, values, reference)
+            for a in range(1, dim):
+                local[a] -= bound * (values[dim * k + a] - reference[(dim - 1) * k + a - 1]) / size
+        for b in range(dim):
+            total = 0.0
+            for a in range(dim):
+                total += frames[(dim * k + a) * dim + b] * local[a]
+            r[at + b] = total
+            squares += total * total
+    return squares
+
+
+@njit(cache=True)
+def directions(dim, codes, limit, friction, pressure, reference, values, direction, hessian):
+    """Slip directions and, in 3D, the Hessian of g |slip| at slipping nodes, zero elsewhere.
+
+    ``pressure`` (n_contact,) is p.
+    """
+    m = dim - 1
+    for k in range(len(codes)):
+        for a in range(m):
+            direction[m * k + a] = 0.0
+        for a in range(m * m):
+            hessian[m * m * k + a] = 0.0
+        if codes[k] & TANGENTIAL < SLIPS:
+            continue
+        size = _slip_size(dim, k, values, reference)
+        for a in range(m):
+            direction[m * k + a] = (values[dim * k + 1 + a] - reference[m * k + a]) / size
+        if m == 2:
+            bound = limit[k]
+            if codes[k] & CLOSED:
+                bound += friction[k] * pressure[k]
+            for a in range(m):
+                for b in range(m):
+                    hessian[4 * k + 2 * a + b] = -bound / size * direction[m * k + a] * direction[m * k + b]
+                hessian[4 * k + 3 * a] += bound / size
+
+
+@njit(cache=True)
+def project(dim, codes, nodes, frames, gap, reference, values, u):
+    """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns.
+
+    Closed nodes keep the gap, held ones their place. An open node stops at the gap. A slip that would turn by more
+    than 90 degrees (2D: reverse) is cut to zero. Returns how many nodes were cut.
+    """
+    local = np.empty(dim)
+    m = dim - 1
+    cut = 0
+    for k in range(len(nodes)):
+        at = dim * np.int64(nodes[k])
+        for a in range(dim):
+            local[a] = 0.0
+            for b in range(dim):
+                local[a] += frames[(dim * k + a) * dim + b] * u[at + b]
+        tangential = codes[k] & TANGENTIAL
+        if codes[k] & CLOSED:
+            local[0] = gap[k]
+        elif local[0] > gap[k]:
+            local[0] = gap[k]
+            cut += 1
+        stop = tangential == HELD
+        if tangential >= SLIPS:
+            product = 0.0
+            for a in range(m):
+                ref = reference[m * k + a]
+                product += (values[dim * k + 1 + a] - ref) * (local[1 + a] - ref)
+            if product <= 0.0:
+                stop = True
+                cut += 1
+        for a in range(dim):
+            if stop and a > 0:
+                local[a] = reference[m * k + a - 1]
+            values[dim * k + a] = local[a]
+        for b in range(dim):
+            total = 0.0
+            for a in range(dim):
+                total += frames[(dim * k + a) * dim + b] * local[a]
+            u[at + b] = total
+    return cut
+
+
+@njit(cache=True)
+def admissible(dim, codes, nodes, frames, gap, reference, values, first, second, alpha_1, alpha_2, u):
+    """Whether u + alpha_1 (first - u) + alpha_2 (second - u) closes no open node and reverses no slip."""
+    m = dim - 1
+    for k in range(len(nodes)):
+        at = dim * np.int64(nodes[k])
+        tangential = codes[k] & TANGENTIAL
+        product = 0.0
+        for a in range(dim):
+            change = 0.0
+            for b in range(dim):
+                old = u[at + b]
+                change += frames[(dim * k + a) * dim + b] * (alpha_1 * (first[at + b] - old)
+                                                             + alpha_2 * (second[at + b] - old))
+            moved = values[dim * k + a] + change
+            if a == 0:
+                if not codes[k] & CLOSED and moved > gap[k]:
+                    return False
+            else:
+                ref = reference[m * k + a - 1]
+                product += (values[dim * k + a] - ref) * (moved - ref)
+        if tangential >= SLIPS and product <= 0.0:
+            return False
+    return True
+
+
+@njit(cache=True)
+def friction_slope(dim, codes, limit, friction, pressure, reference, old, new, alpha):
+    """Derivative of the sum of g |slip| along old + alpha (new - old), minus that at alpha = 0; slipping nodes only."""
+    m = dim - 1
+    total = 0.0
+    for k in range(len(codes)):
+        if codes[k] & TANGENTIAL < SLIPS:
+            continue
+        bound = limit[k]
+        if codes[k] & CLOSED:
+            bound += friction[k] * pressure[k]
+        size, before, product, initial = 0.0, 0.0, 0.0, 0.0
+        for a in range(m):
+            slip = old[dim * k + 1 + a] - reference[m * k + a]
+            change = new[dim * k + 1 + a] - old[dim * k + 1 + a]
+            moved = slip + alpha * change
+            size += moved * moved
+            before += slip * slip
+            product += moved * change
+            initial += slip * change
+        if size > 0.0 and before > 0.0:
+            total += bound * (product / math.sqrt(size) - initial / math.sqrt(before))
+    return total

@@ -1,0 +1,250 @@
+r"""Halves: a block matrix stored as strict lower part L, strict upper part U and inverse diagonal blocks.
+
+Gauss-Seidel sweeps in turn, forward after backward, need the half that has changed only:
+with :math:`t = f - U u` kept from the backward sweep, the forward sweep is :math:`D u_i = t_i - L_i u`. Kept apart, a
+half is streamed for itself and counts as half a pass. Rows and columns of fixed dofs are zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from scipy import sparse
+
+__all__ = ["Halves", "split"]
+
+
+@dataclass(eq=False)
+class Halves:
+    """A matrix of ``dim`` x ``dim`` blocks in Cartesian components, fixed dofs eliminated.
+
+    Attributes
+    ----------
+    dim : int
+    lower_indptr, upper_indptr : (n_nodes + 1,) int32 arrays
+    lower_indices, upper_indices : uint32 arrays
+        Block columns, ascending in a row.
+    lower, upper : float64 arrays
+        Blocks, row by row, flat.
+    diagonal, inverse : (n_nodes * dim * dim,) arrays
+        Diagonal blocks and their inverses, flat; :meth:`drop_diagonal` empties ``diagonal`` when it is of no more use.
+    fixed : (n_fixed,) int64 array
+        Fixed dofs.
+    nonzeros : int
+        Stored entries of the whole matrix, the unit of work on this level.
+    """
+
+    dim: int
+    lower_indptr: np.ndarray
+    lower_indices: np.ndarray
+    lower: np.ndarray
+    upper_indptr: np.ndarray
+    upper_indices: np.ndarray
+    upper: np.ndarray
+    diagonal: np.ndarray
+    inverse: np.ndarray
+    fixed: np.ndarray
+    nonzeros: int
+
+    @property
+    def n_nodes(self) -> int:
+        """Block rows."""
+        return len(self.lower_indptr) - 1
+
+    @property
+    def n_dofs(self) -> int:
+        """Rows."""
+        return self.n_nodes * self.dim
+
+    @property
+    def lower_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """indptr, indices, data of L."""
+        return self.lower_indptr, self.lower_indices, self.lower
+
+    @property
+    def upper_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """indptr, indices, data of U."""
+        return self.upper_indptr, self.upper_indices, self.upper
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        arrays = (*self.lower_arrays, *self.upper_arrays, self.diagonal, self.inverse, self.fixed)
+        return sum(array.nbytes for array in arrays)
+
+    def copy(self) -> Halves:
+        """With arrays of its own where the contact status changes them."""
+        return replace(self, lower=self.lower.copy(), upper=self.upper.copy(), diagonal=self.diagonal.copy(),
+                       inverse=self.inverse.copy())
+
+    def drop_diagonal(self) -> None:
+        """Free the diagonal blocks: :meth:`at_slots` and :meth:`matrix` are then out of reach."""
+        self.diagonal = np.empty(0)
+
+    def at_slots(self, slots: np.ndarray) -> np.ndarray:
+        """The blocks at slots (L first, then the diagonal, then U), flat."""
+        size, n, below = self.dim**2, self.n_nodes, int(self.lower_indptr[-1])
+        result = np.empty((len(slots), size))
+        in_lower, in_upper = slots < below, slots >= below + n
+        on_diagonal = ~(in_lower | in_upper)
+        result[in_lower] = self.lower.reshape(-1, size)[slots[in_lower]]
+        result[on_diagonal] = self.diagonal.reshape(-1, size)[slots[on_diagonal] - below]
+        result[in_upper] = self.upper.reshape(-1, size)[slots[in_upper] - below - n]
+        return result.reshape(-1)
+
+    def matrix(self) -> sparse.bsr_array:
+        """The whole matrix, for coarsest solves and tests (n_dofs, n_dofs); needs ``diagonal``."""
+        n, dim = self.n_nodes, self.dim
+        shape = (self.n_dofs, self.n_dofs)
+        parts = []
+        for indptr, indices, data in (self.lower_arrays, self.upper_arrays,
+                                      (np.arange(n + 1), np.arange(n), self.diagonal)):
+            blocks = data.reshape(-1, dim, dim)
+            parts.append(sparse.bsr_array((blocks, indices.astype(np.int32), indptr), shape=shape))
+        return parts[0] + parts[1] + parts[2]
+
+
+@njit(cache=True)
+def _count(indptr, indices, lower_indptr, upper_indptr):
+    """Row pointers of both halves."""
+    lower_indptr[0] = upper_indptr[0] = 0
+    for i in range(len(indptr) - 1):
+        below = 0
+        above = 0
+        for k in range(indptr[i], indptr[i + 1]):
+            if indices[k] < i:
+                below += 1
+            elif indices[k] > i:
+                above += 1
+        lower_indptr[i + 1] = lower_indptr[i] + below
+        upper_indptr[i + 1] = upper_indptr[i] + above
+
+
+@njit(cache=True)
+def _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper,
+                diagonal):
+    """Blocks into L, U and D; blocks of a duplicate or missing diagonal are summed or zero."""
+    size = dim * dim
+    diagonal[:] = 0.0
+    for i in range(len(indptr) - 1):
+        below = lower_indptr[i]
+        above = upper_indptr[i]
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
+            if j < i:
+                lower_indices[below] = j
+                for c in range(size):
+                    lower[size * below + c] = data[size * k + c]
+                below += 1
+            elif j > i:
+                upper_indices[above] = j
+                for c in range(size):
+                    upper[size * above + c] = data[size * k + c]
+                above += 1
+            else:
+                for c in range(size):
+                    diagonal[size * i + c] += data[size * k + c]
+
+
+@njit(cache=True)
+def _mask(dim, indptr, indices, data, free):
+    """Zero rows and columns of fixed dofs in a half."""
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = np.int64(indices[k])
+            for a in range(dim):
+                for b in range(dim):
+                    if not (free[dim * i + a] and free[dim * j + b]):
+                        data[(k * dim + a) * dim + b] = 0.0
+
+
+@njit(cache=True)
+def _decouple(dim, diagonal, fixed):
+    """Zero the couplings of fixed dofs inside their diagonal blocks; the entry itself stays."""
+    for at in fixed:
+        i, a = at // dim, at % dim
+        for b in range(dim):
+            if b != a:
+                diagonal[(i * dim + a) * dim + b] = 0.0
+                diagonal[(i * dim + b) * dim + a] = 0.0
+
+
+@njit(cache=True)
+def invert_block(dim, block, scale, result, at):
+    """The inverse of a block (dim * dim,) with diagonal scale, zero in rows and columns of vanishing diagonal entries.
+
+    ``scale`` (dim,) is what the entry was before truncation; Gauss-Jordan elimination on the rest. Written to
+    ``result`` from position ``at``; ``block`` is destroyed.
+    """
+    for c in range(dim * dim):
+        result[at + c] = 0.0
+    for a in range(dim):
+        result[at + a * dim + a] = 1.0
+    for a in range(dim):
+        pivot = block[a * dim + a]
+        if abs(pivot) <= 1e-10 * scale[a]:
+            for b in range(dim):
+                block[a * dim + b] = 0.0
+                block[b * dim + a] = 0.0
+                result[at + a * dim + b] = 0.0
+                result[at + b * dim + a] = 0.0
+            continue
+        for b in range(dim):
+            block[a * dim + b] /= pivot
+            result[at + a * dim + b] /= pivot
+        for row in range(dim):
+            factor = block[row * dim + a]
+            if row != a and factor != 0.0:
+                for b in range(dim):
+                    block[row * dim + b] -= factor * block[a * dim + b]
+                    result[at + row * dim + b] -= factor * result[at + a * dim + b]
+
+
+@njit(cache=True)
+def _invert_all(dim, diagonal, inverse):
+    size = dim * dim
+    block = np.empty(size)
+    scale = np.empty(dim)
+    for i in range(len(diagonal) // size):
+        for c in range(size):
+            block[c] = diagonal[size * i + c]
+        for a in range(dim):
+            scale[a] = abs(block[a * dim + a])
+        invert_block(dim, block, scale, inverse, size * i)
+
+
+def split(matrix: sparse.bsr_array, fixed: np.ndarray) -> Halves:
+    """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed.
+
+    Parameters
+    ----------
+    matrix : bsr_array (n_dofs, n_dofs)
+        Square blocks; columns sorted in each row.
+    fixed : (n_dofs,) bool array
+
+    Returns
+    -------
+    Halves
+    """
+    dim = matrix.blocksize[0]
+    n = matrix.shape[0] // dim
+    indptr, indices, data = matrix.indptr, matrix.indices, matrix.data.reshape(-1)
+    lower_indptr, upper_indptr = np.empty(n + 1, dtype=np.int32), np.empty(n + 1, dtype=np.int32)
+    _count(indptr, indices, lower_indptr, upper_indptr)
+    below, above = int(lower_indptr[-1]), int(upper_indptr[-1])
+    lower_indices, upper_indices = np.empty(below, dtype=np.uint32), np.empty(above, dtype=np.uint32)
+    lower, upper = np.empty(below * dim * dim), np.empty(above * dim * dim)
+    diagonal, inverse = np.empty(n * dim * dim), np.empty(n * dim * dim)
+    _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper,
+                diagonal)
+    dofs = np.flatnonzero(fixed)
+    if len(dofs):
+        free = ~fixed
+        _mask(dim, lower_indptr, lower_indices, lower, free)
+        _mask(dim, upper_indptr, upper_indices, upper, free)
+        _decouple(dim, diagonal, dofs)
+    _invert_all(dim, diagonal, inverse)
+    return Halves(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse, dofs,
+                  (below + above + n) * dim * dim)

@@ -1,0 +1,150 @@
+"""LinearCycle: a V-cycle on the (truncated) linear coarse problems, two symmetric sweeps and a residual a level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import linalg, sparse
+
+from adaptmg.multigrid import half_sweeps_1d, half_sweeps_2d, half_sweeps_3d
+from adaptmg.multigrid.coarse_transfer import add_prolonged, restrict, zero_at
+from adaptmg.multigrid.correction import Recorder
+from adaptmg.multigrid.halves import Halves
+
+__all__ = ["CoarseFactors", "LinearCycle", "Vectors"]
+
+_SWEEPS = {1: half_sweeps_1d, 2: half_sweeps_2d, 3: half_sweeps_3d}
+
+
+class CoarseFactors:
+    """Dense LU factors of the coarsest matrix; a singular one is shifted by a small part of its diagonal.
+
+    Parameters
+    ----------
+    level : Halves
+    """
+
+    #: a pivot below this times the largest means singular, and the shift that mends it, over the diagonal
+    SINGULAR, SHIFT = 1e-13, 1e-6
+
+    def __init__(self, level: Halves) -> None:
+        self.level = level
+        scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
+        self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
+        self._factors: tuple[np.ndarray, np.ndarray] | None = None
+
+    def renew(self) -> None:
+        """Factorise the matrix as it is now."""
+        matrix = self.level.matrix().toarray()
+        empty = ~matrix.any(axis=1)
+        matrix[empty, empty] = self._scale[empty]
+        # LAPACK itself: scipy's wrapper warns of what is mended here
+        factors, pivots, _ = linalg.lapack.dgetrf(matrix)
+        sizes = np.abs(factors.diagonal())
+        if not sizes.min() > self.SINGULAR * sizes.max():
+            matrix[np.diag_indices_from(matrix)] += self.SHIFT * self._scale
+            factors, pivots, _ = linalg.lapack.dgetrf(matrix)
+        self._factors = factors, pivots
+
+    def solve(self, load: np.ndarray, result: np.ndarray) -> None:
+        """Solve into ``result`` (n_dofs,)."""
+        result[:] = linalg.lapack.dgetrs(*self._factors, load)[0]
+
+
+@dataclass(eq=False)
+class Vectors:
+    """What the cycle keeps on a level (n_dofs,) each."""
+
+    load: np.ndarray
+    solution: np.ndarray
+    kept: np.ndarray
+
+    @classmethod
+    def zeros(cls, n: int) -> Vectors:
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n))
+
+
+@dataclass(eq=False)
+class LinearCycle:
+    """V-cycles for the linear problem on any of the levels.
+
+    Parameters
+    ----------
+    levels : list of Halves
+        Coarsest first.
+    prolongations : list of csr_array
+        Between neighbours, of nodes (n_nodes, n_nodes coarse) or of dofs (n_dofs, n_dofs coarse).
+    recorder : Recorder
+        Counts passes, and notes the way.
+    sweeps : sequence of int
+        By level, smoothing before and after the coarse correction: 1 (forward, then backward; 2 passes a level) or 2
+        (symmetric both times; 3 passes).
+    """
+
+    levels: list[Halves]
+    prolongations: list[sparse.csr_array]
+    recorder: Recorder
+    sweeps: Sequence[int]
+    factors: CoarseFactors = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.factors = CoarseFactors(self.levels[0])
+        self._vectors: dict[int, Vectors] = {}
+
+    def vectors(self, number: int) -> Vectors:
+        """Load and solution of a level, made when first asked for."""
+        if number not in self._vectors:
+            self._vectors[number] = Vectors.zeros(self.levels[number].n_dofs)
+        return self._vectors[number]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of matrices, prolongations and vectors, bytes."""
+        vectors = sum(v.load.nbytes + v.solution.nbytes + v.kept.nbytes for v in self._vectors.values())
+        transfers = sum(P.data.nbytes + P.indices.nbytes + P.indptr.nbytes for P in self.prolongations)
+        return sum(level.nbytes for level in self.levels) + transfers + vectors
+
+    def solve(self, number: int) -> np.ndarray:
+        """One cycle from zero for the load of a level; returns its solution."""
+        v = self.vectors(number)
+        if number == 0:
+            self.factors.solve(v.load, v.solution)
+            self.recorder.visit(0, "solve")
+            return v.solution
+        level, nodal = self.levels[number], self.prolongations[number - 1]
+        self._before(level, v, self.sweeps[number])
+        self.recorder.visit(number, "smooth", self.sweeps[number])
+        below = self.vectors(number - 1)
+        components = level.n_dofs // nodal.shape[0]
+        restrict[components](nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
+        zero_at(below.load, self.levels[number - 1].fixed)
+        self.recorder.visit(number, "restrict")
+        correction = self.solve(number - 1)
+        add_prolonged[components](nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
+        zero_at(v.solution, level.fixed)
+        self.recorder.visit(number, "prolong")
+        self._after(level, v, self.sweeps[number])
+        self.recorder.visit(number, "smooth", self.sweeps[number])
+        self.recorder.count(1 + self.sweeps[number], level.nonzeros)
+        return v.solution
+
+    def _before(self, level: Halves, v: Vectors, sweeps: int) -> None:
+        """Smooth from zero; the residual is left in ``kept``."""
+        kernels = _SWEEPS[level.dim]
+        kernels.forward_from_zero(*level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
+        if sweeps == 1:
+            kernels.forward_residual(*level.upper_arrays, v.solution, v.kept)
+        else:
+            kernels.backward_change(*level.upper_arrays, level.inverse, v.solution, v.kept)
+            kernels.residual(*level.lower_arrays, v.kept)
+
+    def _after(self, level: Halves, v: Vectors, sweeps: int) -> None:
+        """Smooth the corrected solution."""
+        kernels = _SWEEPS[level.dim]
+        if sweeps == 1:
+            kernels.backward_full(*level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
+        else:
+            kernels.forward_full(*level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution, v.kept)
+            kernels.backward_kept(*level.upper_arrays, level.inverse, v.solution, v.kept)

@@ -1,0 +1,138 @@
+"""Obstacle: contact nodes of one level as the flat arrays that the kernels of the truncated method read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.multigrid import contact_loops, contact_status_2d, contact_status_3d
+from adaptmg.multigrid.halves import Halves
+from adaptmg.smoother.system import local_contact
+
+__all__ = ["Obstacle", "Status"]
+
+_CLASSIFY = {2: contact_status_2d.classify, 3: contact_status_3d.classify}
+
+
+@dataclass(frozen=True)
+class Status:
+    """What a look at the contact nodes finds.
+
+    Attributes
+    ----------
+    changed : int
+        Nodes whose status differs from the last look.
+    natural, reactions : float
+        Sums of squares of the natural residual and of the contact forces, N^2.
+    """
+
+    changed: int
+    natural: float
+    reactions: float
+
+
+@dataclass(eq=False)
+class Obstacle:
+    """Contact data and contact status of one level; see :mod:`adaptmg.multigrid.contact_loops`.
+
+    Attributes
+    ----------
+    dim : int
+    nodes : (n_contact,) int32 array
+    contact_of : (n_nodes,) int32 array
+        Index of a node among the contact nodes, or -1.
+    frames : (n_contact * dim * dim,) array
+    diagonal : (n_contact * dim * dim,) array
+        Cartesian diagonal blocks.
+    blocks : (n_contact * dim * (dim + 1) / 2,) array
+        Upper triangles of the local ones.
+    gap, limit, friction : (n_contact,) arrays
+    reference : (n_contact * (dim - 1),) array
+    values : (n_contact * dim,) array
+        Local unknowns.
+    codes : (n_contact,) int8 array
+    pressure : (n_contact,) array
+        p >= 0, N.
+    direction, hessian : (n_contact * (dim - 1),), (n_contact * (dim - 1)^2,) arrays
+        Of the slip, as the matrices have them.
+    """
+
+    dim: int
+    nodes: np.ndarray
+    contact_of: np.ndarray
+    frames: np.ndarray
+    diagonal: np.ndarray
+    blocks: np.ndarray
+    gap: np.ndarray
+    reference: np.ndarray
+    limit: np.ndarray
+    friction: np.ndarray
+    values: np.ndarray
+    codes: np.ndarray
+    pressure: np.ndarray
+    direction: np.ndarray
+    hessian: np.ndarray
+
+    @classmethod
+    def of(cls, problem: DiscreteProblem, level: Halves) -> Obstacle:
+        """The contact nodes of a level whose matrix is ``level``."""
+        dim, (contact, frames) = problem.dim, local_contact(problem)
+        nodes = problem.contact.nodes.astype(np.int32)
+        contact_of = np.full(problem.n_nodes, -1, dtype=np.int32)
+        contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
+        diagonal = level.diagonal.reshape(-1, dim, dim)[nodes]
+        local = np.einsum("nij,njk,nlk->nil", frames, diagonal, frames)
+        row, column = np.triu_indices(dim)
+        n = len(nodes)
+        return cls(dim, nodes, contact_of, np.ascontiguousarray(frames).reshape(-1), diagonal.reshape(-1),
+                   np.ascontiguousarray(local[:, row, column]).reshape(-1), contact.gap,
+                   contact.slip_reference.reshape(-1), contact.limit, contact.friction, np.zeros(n * dim),
+                   np.full(n, -1, dtype=np.int8), np.zeros(n), np.zeros(n * (dim - 1)), np.zeros(n * (dim - 1) ** 2))
+
+    @property
+    def node_data(self) -> tuple[np.ndarray, ...]:
+        """What the node solve reads."""
+        return self.frames, self.blocks, self.gap, self.reference, self.limit, self.friction, self.values
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
+
+    def place(self, unknowns: np.ndarray) -> None:
+        """Take over unknowns (n_dofs,) that may penetrate; they are put back onto the obstacle, in place."""
+        self.codes[:] = 0
+        self.project(unknowns)
+        self.codes[:] = -1
+
+    def look(self, defect: np.ndarray) -> Status:
+        """Update the status after a sweep; ``defect`` is f - A u (n_dofs,)."""
+        found = _CLASSIFY[self.dim](self.nodes, *self.node_data, defect, self.codes, self.pressure)
+        return Status(*found)
+
+    def renew_directions(self) -> None:
+        """Take the slip directions (3D: and the Hessian) from the present unknowns."""
+        contact_loops.directions(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference,
+                                 self.values, self.direction, self.hessian)
+
+    def truncate(self, defect: np.ndarray) -> float:
+        """Make f - A u the truncated residual, in place; returns its sum of squares at the contact nodes."""
+        return contact_loops.truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction,
+                                      self.reference, self.values, defect)
+
+    def project(self, unknowns: np.ndarray) -> int:
+        """Make a corrected iterate admissible, in place; returns the number of nodes that had to be cut."""
+        return contact_loops.project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
+                                     self.values, unknowns)
+
+    def admits(self, unknowns: np.ndarray, first: np.ndarray, second: np.ndarray, alpha: tuple[float, float]) -> bool:
+        """Whether the recombination closes no open node and reverses no slip."""
+        return contact_loops.admissible(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
+                                        self.values, first, second, alpha[0], alpha[1], unknowns)
+
+    def friction_slope(self, before: np.ndarray, alpha: float) -> float:
+        """How much the slope of sum g |slip| at alpha exceeds that at 0 on the way from local unknowns ``before``."""
+        return contact_loops.friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure,
+                                            self.reference, before, self.values, alpha)

@@ -1,0 +1,51 @@
+"""Truncated: the options of the truncated nonsmooth Newton multigrid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from adaptmg.multigrid.halves import Halves
+from adaptmg.problem import checks
+
+__all__ = ["Truncated"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truncated:
+    """Truncated nonsmooth Newton multigrid: the fast method.
+
+    Parameters
+    ----------
+    recombine : int
+        Past iterates recombined with the present one, 0 to 2.
+    coarse_sweeps : int, optional
+        Smoothing before and after the coarse correction on the coarser levels, 1 or 2; there is one symmetric sweep on
+        the finest. Default: 1 on levels whose matrix has more than 1.25 times the entries a row of the finest one
+        (Galerkin products of independent meshes, which converge as well with less), 2 on the others.
+    safe_cycles : int
+        Cycles with g frozen, symmetric truncation and a line search at most, taken while the contact status of a cold
+        start changes; twice as many whenever the residual stops falling. They make cold starts safe.
+    """
+
+    #: how much denser than the finest matrix a coarse one is that is smoothed once only
+    DENSE: ClassVar[float] = 1.25
+
+    recombine: int = 2
+    coarse_sweeps: int | None = None
+    safe_cycles: int = 20
+
+    def __post_init__(self) -> None:
+        if checks.integer("recombine", self.recombine) > 2:
+            raise ValueError(f"recombine must be 0, 1 or 2, got {self.recombine!r}")
+        if self.coarse_sweeps is not None and checks.integer("coarse_sweeps", self.coarse_sweeps, 1) > 2:
+            raise ValueError(f"coarse_sweeps must be 1 or 2, got {self.coarse_sweeps!r}")
+        checks.integer("safe_cycles", self.safe_cycles)
+
+    def sweeps(self, levels: Sequence[Halves]) -> list[int]:
+        """Sweeps on each of the levels, coarsest first."""
+        if self.coarse_sweeps is not None:
+            return [self.coarse_sweeps] * len(levels)
+        rows = [level.nonzeros / level.n_nodes for level in levels]
+        return [1 if row > self.DENSE * rows[-1] else 2 for row in rows]

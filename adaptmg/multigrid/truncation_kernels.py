@@ -1,0 +1,235 @@
+r"""Numba kernels: what the truncation of contact nodes changes in the matrices of all coarser levels.
+
+With T dropping closed normals and held tangents, S adding the Newton rows of slip
+(:math:`row_t \leftarrow row_t - \mu\,(\tau/|\tau|)\,row_n`) and H the Hessian of the friction, a coarse matrix is
+
+.. math:: P^T T (S A + H) T P = P^T A P + P^T \Delta P,\qquad \Delta = T (S A + H) T - A,
+
+and :math:`\Delta` lives in the block rows and columns of contact nodes only. A block is addressed in the halves of a
+matrix by one slot number: L first, then the diagonal, then U.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from adaptmg.multigrid.contact_loops import CLOSED, HELD, TANGENTIAL
+from adaptmg.multigrid.halves import invert_block
+
+__all__ = ["add_contributions", "changed_blocks", "collect", "count_blocks", "count_contributions",
+           "fill_contributions", "find_slot", "find_slots", "store"]
+
+
+@njit(cache=True)
+def count_blocks(nodes, l_indptr, u_indptr):
+    """An upper bound for the number of blocks in rows and columns of contact nodes."""
+    total = 0
+    for node in nodes:
+        total += 1 + 2 * (l_indptr[node + 1] - l_indptr[node] + u_indptr[node + 1] - u_indptr[node])
+    return total
+
+
+@njit(cache=True)
+def _put(size, transposed, dim, source, k, row, column, rows, columns, blocks, count):
+    rows[count], columns[count] = row, column
+    for a in range(dim):
+        for b in range(dim):
+            at = k * size + (b * dim + a if transposed else a * dim + b)
+            blocks[count * size + a * dim + b] = source[at]
+    return count + 1
+
+
+@njit(cache=True)
+def collect(dim, nodes, contact_of, l_indptr, l_indices, lower, u_indptr, u_indices, upper, diagonal, rows, columns,
+            blocks):
+    """Blocks of a symmetric matrix in rows and columns of contact nodes; ``diagonal`` has those of the contact nodes.
+
+    Returns their number.
+    """
+    size = dim * dim
+    count = 0
+    for k in range(len(nodes)):
+        i = np.int64(nodes[k])
+        count = _put(size, False, dim, diagonal, k, i, i, rows, columns, blocks, count)
+        for half in range(2):
+            indptr, indices, data = (l_indptr, l_indices, lower) if half == 0 else (u_indptr, u_indices, upper)
+            for entry in range(indptr[i], indptr[i + 1]):
+                j = np.int64(indices[entry])
+                count = _put(size, False, dim, data, entry, i, j, rows, columns, blocks, count)
+                if contact_of[j] < 0:
+                    count = _put(size, True, dim, data, entry, j, i, rows, columns, blocks, count)
+    return count
+
+
+@njit(cache=True)
+def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, friction, direction, hessian, newton, change):
+    """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen)."""
+    size = dim * dim
+    m = dim - 1
+    block, other = np.empty((dim, dim)), np.empty((dim, dim))
+    for e in range(len(rows)):
+        k, l = contact_of[rows[e]], contact_of[columns[e]]
+        for a in range(dim):
+            for b in range(dim):
+                block[a, b] = blocks[e * size + a * dim + b]
+        if k >= 0:
+            for a in range(dim):
+                for b in range(dim):
+                    other[a, b] = 0.0
+                    for c in range(dim):
+                        other[a, b] += frames[k * size + a * dim + c] * block[c, b]
+            if newton and codes[k] & CLOSED:
+                for a in range(m):
+                    for b in range(dim):
+                        other[1 + a, b] -= friction[k] * direction[m * k + a] * other[0, b]
+            block, other = other, block
+        if l >= 0:
+            for a in range(dim):
+                for b in range(dim):
+                    other[a, b] = 0.0
+                    for c in range(dim):
+                        other[a, b] += block[a, c] * frames[l * size + b * dim + c]
+            block, other = other, block
+        if k >= 0 and k == l:
+            for a in range(m):
+                for b in range(m):
+                    block[1 + a, 1 + b] += hessian[m * m * k + m * a + b]
+        if k >= 0:
+            for a in range(dim):
+                if (a == 0 and codes[k] & CLOSED) or (a > 0 and codes[k] & TANGENTIAL == HELD):
+                    for b in range(dim):
+                        block[a, b] = 0.0
+        if l >= 0:
+            for a in range(dim):
+                if (a == 0 and codes[l] & CLOSED) or (a > 0 and codes[l] & TANGENTIAL == HELD):
+                    for b in range(dim):
+                        block[b, a] = 0.0
+            for a in range(dim):
+                for b in range(dim):
+                    other[a, b] = 0.0
+                    for c in range(dim):
+                        other[a, b] += block[a, c] * frames[l * size + c * dim + b]
+            block, other = other, block
+        if k >= 0:
+            for a in range(dim):
+                for b in range(dim):
+                    other[a, b] = 0.0
+                    for c in range(dim):
+                        other[a, b] += frames[k * size + c * dim + a] * block[c, b]
+            block, other = other, block
+        for a in range(dim):
+            for b in range(dim):
+                change[e * size + a * dim + b] = block[a, b] - blocks[e * size + a * dim + b]
+
+
+@njit(cache=True)
+def count_contributions(rows, columns, indptr):
+    """Number of products P_iI P_jJ over all blocks (i, j)."""
+    total = 0
+    for e in range(len(rows)):
+        i, j = rows[e], columns[e]
+        total += (indptr[i + 1] - indptr[i]) * (indptr[j + 1] - indptr[j])
+    return total
+
+
+@njit(cache=True)
+def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices):
+    """Slot of block (row, column), -1 where the matrix has none."""
+    n = len(l_indptr) - 1
+    below = np.int64(l_indptr[n])
+    if row == column:
+        return below + row
+    if column < row:
+        low, high = np.int64(l_indptr[row]), np.int64(l_indptr[row + 1])
+        shift = np.int64(0)
+    else:
+        low, high = np.int64(u_indptr[row]), np.int64(u_indptr[row + 1])
+        shift = below + n
+    while low < high:
+        middle = (low + high) // 2
+        found = np.int64(l_indices[middle]) if column < row else np.int64(u_indices[middle])
+        if found == column:
+            return shift + middle
+        if found < column:
+            low = middle + 1
+        else:
+            high = middle
+    return np.int64(-1)
+
+
+@njit(cache=True)
+def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, slots):
+    """Slots of many blocks."""
+    for k in range(len(rows)):
+        slots[k] = find_slot(rows[k], columns[k], l_indptr, l_indices, u_indptr, u_indices)
+
+
+@njit(cache=True)
+def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indices, u_indptr, u_indices, number,
+                       source, target, weight, slots, coarse_rows, coarse_columns):
+    """Where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``.
+
+    ``number`` (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number and
+    how many products found no place in the coarse matrix.
+    """
+    count = 0
+    met = 0
+    lost = 0
+    for e in range(len(rows)):
+        i, j = rows[e], columns[e]
+        for p in range(indptr[i], indptr[i + 1]):
+            for q in range(indptr[j], indptr[j + 1]):
+                row, column = np.int64(indices[p]), np.int64(indices[q])
+                slot = find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices)
+                if slot < 0:
+                    lost += 1
+                    continue
+                if number[slot] < 0:
+                    number[slot] = met
+                    slots[met], coarse_rows[met], coarse_columns[met] = slot, row, column
+                    met += 1
+                source[count], target[count], weight[count] = e, number[slot], weights[p] * weights[q]
+                count += 1
+    return met, count, lost
+
+
+@njit(cache=True)
+def add_contributions(size, source, target, weight, fine, coarse):
+    """coarse = sum of weight * fine over the products."""
+    coarse[:] = 0.0
+    for c in range(len(source)):
+        at, to, factor = size * np.int64(source[c]), size * np.int64(target[c]), weight[c]
+        for e in range(size):
+            coarse[to + e] += factor * fine[at + e]
+
+
+@njit(cache=True)
+def store(dim, slots, rows, columns, base, change, free, below, lower, upper, diagonal, inverse):
+    """Write base + change to the halves; ``change`` is zeroed in rows and columns of fixed dofs first.
+
+    ``diagonal`` may be empty where nobody needs it.
+    """
+    size = dim * dim
+    n = len(inverse) // size
+    block, scale = np.empty(size), np.empty(dim)
+    for t in range(len(slots)):
+        i, j, slot = rows[t], columns[t], slots[t]
+        for a in range(dim):
+            for b in range(dim):
+                at = t * size + a * dim + b
+                if not (free[dim * i + a] and free[dim * j + b]):
+                    change[at] = 0.0
+                block[a * dim + b] = base[at] + change[at]
+        if slot < below:
+            for e in range(size):
+                lower[slot * size + e] = block[e]
+        elif slot < below + n:
+            for e in range(size if len(diagonal) else 0):
+                diagonal[i * size + e] = block[e]
+            for a in range(dim):
+                scale[a] = abs(base[t * size + a * dim + a])
+            invert_block(dim, block, scale, inverse, i * size)
+        else:
+            for e in range(size):
+                upper[(slot - below - n) * size + e] = block[e]

@@ -1,0 +1,234 @@
+r"""TruncatedMachine: one run of the truncated multigrid: nested start, cycles, safe cycles, stopping, fallback.
+
+The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the next coarser level proposes estimates the
+error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last
+three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with the natural residual, which every
+smoothing leaves behind, it decides when to stop, at no further pass over a matrix. Where safe cycles do not help either
+(friction of 3, say), the monotone correction takes over for the cycles that are left.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.coarse_levels import coarse_levels, nodal_prolongations
+from adaptmg.multigrid.linear_cycle import LinearCycle
+from adaptmg.multigrid.monotone import Monotone
+from adaptmg.multigrid.nested import NestedStart, project
+from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.solver.machine import Machine
+from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.status import Status
+from adaptmg.solver.truncated_watch import TruncatedWatch
+
+if TYPE_CHECKING:
+    from adaptmg.solver.multigrid import Multigrid
+
+__all__ = ["TruncatedMachine"]
+
+_LOG = logging.getLogger(__name__)
+
+
+class TruncatedMachine:
+    """One run of the truncated multigrid.
+
+    Parameters
+    ----------
+    options : Multigrid
+        With :class:`~adaptmg.multigrid.Truncated` as correction.
+    hierarchy : Hierarchy
+    run : Run
+
+    Attributes
+    ----------
+    nbytes : int
+        Memory of the arrays of the solver on all levels, with the contact data of the level last worked on.
+    """
+
+    #: complete nested starts stop after so many cycles on a level
+    COMPLETE_LIMIT = 60
+    #: times that safe cycles are tried when the residual stops falling
+    TROUBLES = 1
+
+    def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
+        self.options, self.hierarchy, self.run = options, hierarchy, run
+        self.nbytes = 0
+        with run.phase("setup"):
+            prolongations = nodal_prolongations(hierarchy)
+            levels = coarse_levels(hierarchy, prolongations)
+            self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels))
+        self.problems: list[DiscreteProblem | None] = [level.discrete for level in hierarchy.levels]
+
+    def nested_start(self, start: NestedStart) -> np.ndarray:
+        """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,), Cartesian."""
+        unknowns = np.empty(0)
+        for number in range(len(self.hierarchy) - 1):
+            if number == 0:
+                unknowns = self._solve_coarsest(start)
+            else:
+                runner = self._runner(number, unknowns)
+                with self.run.phase("start"):
+                    self._start_cycles(runner, number, start)
+                    unknowns = runner.unknowns
+                    runner.truncation.restore()
+            with self.run.phase("start"):
+                unknowns = self._prolonged(number, unknowns)
+            self.run.visit(number + 1, "start")
+        self.run.start_work_units = self.run.work_units
+        return unknowns
+
+    def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
+        """Cycles on the finest level.
+
+        Parameters
+        ----------
+        unknowns : (n_dofs,) array
+            Start, Cartesian, from the prescribed values.
+        cold : bool
+            Whether the contact status of the start means nothing.
+        """
+        number = len(self.hierarchy) - 1
+        start = unknowns.copy() if self.options.rtol == "discretisation" else None
+        runner = self._runner(number, unknowns)
+        with self.run.phase("cycles"):
+            watch = TruncatedWatch(self.problems[-1], self.options.rtol, self.run)
+            status, cycles = self._cycles(runner, watch, cold, self.options.max_cycles, start)
+        if self._may_fall_back and status in (Status.STALLED, Status.DIVERGED) and cycles < self.options.max_cycles:
+            return self._monotone(runner, cycles)
+        displacement = (runner.unknowns + self.problems[-1].fixed_values).reshape(-1, self.problems[-1].dim)
+        return Outcome(displacement, status, cycles, watch.rtol, watch.error_estimate, watch.rate)
+
+    @property
+    def _may_fall_back(self) -> bool:
+        """Whether there is something to fall back on, with a tolerance it understands."""
+        return self.hierarchy.discretised and self.options.rtol != "discretisation"
+
+    def _monotone(self, runner: TruncatedCycle, cycles: int) -> Outcome:
+        """Go on with the monotone correction: slower, but it goes further."""
+        o, problem = self.options, self.problems[-1]
+        _LOG.info("cycle %d: the truncated multigrid does not converge; going on with the monotone correction", cycles)
+        unknowns = np.where(np.isfinite(runner.unknowns), runner.unknowns, 0.0) + problem.fixed_values
+        options = replace(o, correction=Monotone(), max_cycles=o.max_cycles - cycles)
+        machine = Machine(options, self.hierarchy, self.run)
+        local = machine.problems[-1]
+        start = local.to_local(unknowns)
+        project(local, start)
+        self.run.first_cycle = cycles
+        outcome = machine.finish(start)
+        return replace(outcome, cycles=cycles + outcome.cycles)
+
+    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
+        with self.run.phase("setup"):
+            problem, levels = self.problems[number], self.cycle.levels
+            obstacle = Obstacle.of(problem, levels[number])
+            obstacle.place(unknowns)
+            runner = TruncatedCycle(self.cycle, number, obstacle, _load(problem), unknowns,
+                                    self.options.correction.recombine)
+            if number == len(levels) - 1:
+                # the last use of the diagonal blocks but on the coarsest level
+                for level in levels[1:]:
+                    level.drop_diagonal()
+            self.nbytes = self.cycle.nbytes + runner.nbytes
+            return runner
+
+    def _start_cycles(self, runner: TruncatedCycle, number: int, start: NestedStart) -> None:
+        """The cycles of a nested start on one level."""
+        if start.cycles == "complete":
+            watch = TruncatedWatch(self.problems[number], start.rtol)
+            self._cycles(runner, watch, False, self.COMPLETE_LIMIT, None)
+            return
+        for _ in range(start.cycles):
+            runner.smooth()
+            runner.look(safe=False)
+            runner.correct()
+
+    def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
+        """The coarsest level as its own coarse level: truncated Newton steps with direct solves between sweeps."""
+        problem, level = self.problems[0], self.cycle.levels[0]
+        n = level.n_nodes
+        identity = sparse.csr_array((np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)))
+        cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1))
+        unknowns = np.zeros(problem.n_dofs)
+        with self.run.phase("start"):
+            obstacle = Obstacle.of(problem, level)
+            obstacle.place(unknowns)
+            runner = TruncatedCycle(cycle, 1, obstacle, _load(problem), unknowns, self.options.correction.recombine)
+            self._cycles(runner, TruncatedWatch(problem, start.rtol), True, self.COMPLETE_LIMIT, None)
+        return runner.unknowns
+
+    def _prolonged(self, number: int, unknowns: np.ndarray) -> np.ndarray:
+        """Interpolated to the next finer level, prescribed values respected."""
+        coarse, fine = self.problems[number], self.problems[number + 1]
+        displacement = (unknowns + coarse.fixed_values).reshape(-1, coarse.dim)
+        result = (self.cycle.prolongations[number] @ displacement).reshape(-1) - fine.fixed_values
+        result[fine.fixed] = 0.0
+        return result
+
+    def _cycles(self, runner: TruncatedCycle, watch: TruncatedWatch, cold: bool, limit: int,
+                start: np.ndarray | None) -> tuple[Status, int]:
+        """Cycle until the watch is content.
+
+        Safe cycles are taken while the contact status of a cold start changes, and after trouble; each time at most so
+        many, twice as many as the time before.
+        """
+        cycles, troubles, most = 0, 0, self.options.correction.safe_cycles
+        left = most if cold else 0
+        while True:
+            runner.smooth()
+            if cycles % 4 == 0:
+                watch.size = max(runner.energy(), 0.0) ** 0.5
+            look = runner.look(safe=left > 0)
+            left = left - 1 if left > 0 and look.changed else 0
+            # an exact start has no rate to measure, and needs none
+            floor = runner.rounding() if cycles < 2 else 0.0
+            met = watch.check(look.residual, look.reactions, floor)
+            watch.record(runner, cycles, look.changed)
+            if met:
+                return Status.CONVERGED, cycles
+            if watch.diverged:
+                return Status.DIVERGED, cycles
+            if watch.stalled:
+                return Status.STALLED, cycles
+            if cycles >= limit:
+                return Status.LIMIT, cycles
+            watch.corrected(runner.correct())
+            cycles += 1
+            if left == 0 and watch.in_trouble():
+                troubles += 1
+                if troubles > self.TROUBLES:
+                    return Status.STALLED, cycles
+                most *= 2
+                left = most
+            if cycles == 1 and start is not None:
+                watch.take_discretisation_error(runner.distance(start))
+
+
+@dataclass(frozen=True)
+class _OnCoarsest:
+    """Notes everything as done on the coarsest level."""
+
+    run: Run
+
+    def count(self, passes: float, nonzeros: int) -> None:
+        """Count matrix passes."""
+        self.run.count(passes, nonzeros)
+
+    def visit(self, level: int, action: str, times: int = 1) -> None:
+        """Note smoothing and solves; what goes between the level and its copy is no transfer."""
+        if action in ("smooth", "solve"):
+            self.run.visit(0, action, times)
+
+
+def _load(problem: DiscreteProblem) -> np.ndarray:
+    """b - A u_fixed, zero at fixed dofs (n_dofs,), Cartesian."""
+    load = problem.load - problem.matrix @ problem.fixed_values if problem.fixed_values.any() else problem.load.copy()
+    load[problem.fixed] = 0.0
+    return load

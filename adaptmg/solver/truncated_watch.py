@@ -1,0 +1,143 @@
+"""TruncatedWatch: when the truncated multigrid stops, and when it is in trouble."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.solver.convergence import Convergence, energy_norm
+from adaptmg.solver.run import Run
+
+if TYPE_CHECKING:
+    from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+
+__all__ = ["TruncatedWatch"]
+
+
+class TruncatedWatch:
+    """Follows the residuals and coarse corrections of one level.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    rtol : float or "discretisation"
+        Bounds the estimated relative A-norm error; the natural residual must fall below
+        ``Convergence.RESIDUAL_FACTOR`` times it. "discretisation": see :meth:`take_discretisation_error`.
+    run : Run, optional
+        Where rows of the history go.
+
+    Attributes
+    ----------
+    size : float
+        A-norm of the unknowns.
+    residual, error_estimate : float
+        Relative, at the last check.
+    """
+
+    #: the energy of the coarse correction misses what the smoothing removes: the error is up to so many times larger
+    SAFETY = 2.0
+    #: share of the discretisation error that may remain with rtol="discretisation"
+    SHARE = 0.1
+    #: checks without a new smallest residual after which an iteration is in trouble, and after which it has stalled
+    TROUBLE, PATIENCE = 6, 60
+
+    def __init__(self, problem: DiscreteProblem, rtol: float | str, run: Run | None = None) -> None:
+        self.problem, self.run = problem, run
+        self.rtol = 0.0 if rtol == "discretisation" else rtol
+        self.size, self.residual, self.error_estimate = 0.0, np.inf, np.inf
+        self.energies: list[float] = []
+        self.residuals: list[float] = []
+        lift = problem.matrix @ problem.fixed_values if problem.fixed_values.any() else np.zeros(1)
+        self._scale = max(float(np.linalg.norm(problem.load)), float(np.linalg.norm(lift)))
+        self._since = 0
+
+    def check(self, residual: float, reactions: float, floor: float) -> bool:
+        """Take the norms of the natural residual and the reactions after a smoothing; True if it is enough.
+
+        A residual of ``Convergence.ROUNDING`` times ``floor`` cannot be bettered.
+        """
+        scale = max(self._scale, reactions)
+        self.residual = residual / scale if scale > 0 else (0.0 if residual == 0 else np.inf)
+        self.residuals.append(self.residual)
+        if residual <= Convergence.ROUNDING * floor:
+            self.error_estimate = self.residual
+            return True
+        rate = self.safe_rate
+        if self.size > 0 and rate < 1:
+            self.error_estimate = self.SAFETY * self.energies[-1] * rate / self.size
+        else:
+            self.error_estimate = np.inf
+        return self.error_estimate <= self.rtol and self.residual <= Convergence.RESIDUAL_FACTOR * self.rtol
+
+    def corrected(self, energy: float) -> None:
+        """Take the energy of a coarse correction, N m."""
+        self.energies.append(float(np.sqrt(abs(energy))))
+
+    def take_discretisation_error(self, change: float) -> None:
+        r"""Set rtol from the A-norm of what the first cycle changed in the nested start.
+
+        By orthogonality and an error that halves with the mesh size,
+        :math:`|u - u_h| = |u_h - u_{2h}|/\sqrt 3`; a tenth of it is the tolerance.
+        """
+        if self.size > 0:
+            self.rtol = self.SHARE * change / np.sqrt(3.0) / self.size
+
+    def record(self, runner: TruncatedCycle, cycle: int, changed: int) -> None:
+        """Add a row to the history."""
+        if self.run is None:
+            return
+        change = self.energies[-1] if self.energies else np.nan
+        values = {"residual": self.residual, "change": change, "error_estimate": self.error_estimate,
+                  "status_changes": float(changed)}
+        if self.run.reference is not None:
+            with self.run.untimed():
+                values["true_error"] = self._true_error(runner.unknowns)
+        self.run.record(cycle=cycle, **values)
+
+    def _true_error(self, unknowns: np.ndarray) -> float:
+        matrix = self.problem.matrix
+        exact = self.run.reference.reshape(-1) - self.problem.fixed_values
+        error = unknowns - exact
+        size = energy_norm(exact, matrix @ exact)
+        return energy_norm(error, matrix @ error) / size if size > 0 else np.nan
+
+    @property
+    def rate(self) -> float:
+        """Geometric mean of the last (at most five) ratios of energies; NaN before the second."""
+        return self._mean_ratio(5)
+
+    @property
+    def safe_rate(self) -> float:
+        """The larger of the last ratio and the mean of the last three; NaN if unknown."""
+        return max(self._mean_ratio(1), self._mean_ratio(3)) if len(self.energies) > 1 else np.nan
+
+    def _mean_ratio(self, window: int) -> float:
+        window = min(window, len(self.energies) - 1)
+        if window < 1:
+            return np.nan
+        first, last = self.energies[-1 - window], self.energies[-1]
+        if last == 0.0:
+            return 0.0
+        return float((last / first) ** (1 / window)) if first > 0 else np.inf
+
+    def in_trouble(self) -> bool:
+        """Whether the residual has reached no new minimum for a while; then the count begins anew."""
+        self._since += 1
+        window = self.residuals[-self.TROUBLE:]
+        if self._since < self.TROUBLE or window[0] > min(window[1:]):
+            return False
+        self._since = 0
+        return True
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the residual is not finite or has grown without bound."""
+        return not np.isfinite(self.residual) or self.residual > 1e6 * max(self.residuals[0], 1e-300)
+
+    @property
+    def stalled(self) -> bool:
+        """Whether the residual has reached no new minimum for ``PATIENCE`` checks."""
+        return (len(self.residuals) > self.PATIENCE
+                and int(np.argmin(self.residuals)) < len(self.residuals) - self.PATIENCE)

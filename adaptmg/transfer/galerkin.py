@@ -1,0 +1,189 @@
+r"""Galerkin coarse matrices :math:`P^T A P` of a block matrix and a nodal prolongation, row by row (Gustavson).
+
+Blocks are never expanded: a weight multiplies a block as a whole. On nested meshes the discretised coarse matrix is the
+same, and :func:`is_galerkin` finds that out with one product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+from scipy import sparse
+
+from adaptmg.transfer.aggregation import without_fixed
+
+__all__ = ["coarse_spaces", "galerkin_product", "is_galerkin"]
+
+
+@njit(cache=True)
+def _pattern(a_indptr, a_indices, b_indptr, b_indices, marker, indptr):
+    """Row pointers of the product of two patterns."""
+    marker[:] = -1
+    indptr[0] = 0
+    for i in range(len(a_indptr) - 1):
+        count = 0
+        for p in range(a_indptr[i], a_indptr[i + 1]):
+            k = a_indices[p]
+            for q in range(b_indptr[k], b_indptr[k + 1]):
+                if marker[b_indices[q]] != i:
+                    marker[b_indices[q]] = i
+                    count += 1
+        indptr[i + 1] = indptr[i] + count
+
+
+@njit(cache=True)
+def _block_times_weights(size, a_indptr, a_indices, a, p_indptr, p_indices, weights, place, indptr, indices, data):
+    """C = A P for blocks A; ``place`` (columns,) comes as -1."""
+    for i in range(len(a_indptr) - 1):
+        begin = indptr[i]
+        end = begin
+        for s in range(a_indptr[i], a_indptr[i + 1]):
+            k = a_indices[s]
+            for q in range(p_indptr[k], p_indptr[k + 1]):
+                j, weight = p_indices[q], weights[q]
+                at = place[j]
+                if at < begin:
+                    at = end
+                    place[j] = at
+                    indices[at] = j
+                    end += 1
+                    for c in range(size):
+                        data[size * at + c] = weight * a[size * s + c]
+                else:
+                    for c in range(size):
+                        data[size * at + c] += weight * a[size * s + c]
+
+
+@njit(cache=True)
+def _weights_times_block(size, r_indptr, r_indices, weights, b_indptr, b_indices, b, place, indptr, indices, data):
+    """C = R B for blocks B; ``place`` (columns,) comes as -1."""
+    for i in range(len(r_indptr) - 1):
+        begin = indptr[i]
+        end = begin
+        for s in range(r_indptr[i], r_indptr[i + 1]):
+            k, weight = r_indices[s], weights[s]
+            for q in range(b_indptr[k], b_indptr[k + 1]):
+                j = b_indices[q]
+                at = place[j]
+                if at < begin:
+                    at = end
+                    place[j] = at
+                    indices[at] = j
+                    end += 1
+                    for c in range(size):
+                        data[size * at + c] = weight * b[size * q + c]
+                else:
+                    for c in range(size):
+                        data[size * at + c] += weight * b[size * q + c]
+
+
+def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
+    """P'AP with P = nodal on every component.
+
+    Parameters
+    ----------
+    matrix : bsr_array (n_dofs, n_dofs)
+        Square blocks.
+    nodal : csr_array (n_nodes, n_nodes coarse)
+
+    Returns
+    -------
+    bsr_array (n_dofs coarse, n_dofs coarse)
+        Sorted columns; every coarse node has a diagonal block, that of a node which nothing reaches is the mean of the
+        others' diagonals.
+    """
+    dim = matrix.blocksize[0]
+    size, coarse = dim * dim, nodal.shape[1]
+    half = _product(size, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)), nodal, coarse, left=False)
+    indptr, indices, data = _product(size, half, sparse.csr_array(nodal.T), coarse, left=True)
+    shape = (coarse * dim, coarse * dim)
+    result = sparse.bsr_array((data.reshape(-1, dim, dim), indices, indptr), shape=shape).sorted_indices()
+    diagonal = result.diagonal()
+    empty = ~(diagonal > 0)
+    if empty.any():
+        fill = sparse.diags_array(np.where(empty, diagonal[~empty].mean(), 0.0))
+        result = sparse.bsr_array(result + fill, blocksize=(dim, dim)).sorted_indices()
+    return result
+
+
+def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weights: sparse.csr_array, columns: int, *,
+             left: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks (indptr, indices, data) times weights, or (``left``) weights times blocks; with so many columns."""
+    indptr, indices, data = blocks
+    place = np.full(columns, -1, dtype=np.int64)
+    arguments = ((weights.indptr, weights.indices, indptr, indices) if left
+                 else (indptr, indices, weights.indptr, weights.indices))
+    result = np.empty(len(arguments[0]), dtype=np.int64)
+    _pattern(*arguments, place, result)
+    place[:] = -1
+    found, values = np.empty(result[-1], dtype=np.int32), np.empty(result[-1] * size)
+    if left:
+        _weights_times_block(size, weights.indptr, weights.indices, weights.data, indptr, indices, data, place, result,
+                             found, values)
+    else:
+        _block_times_weights(size, indptr, indices, data, weights.indptr, weights.indices, weights.data, place, result,
+                             found, values)
+    return result.astype(np.int32), found, values
+
+
+def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array,
+                tolerance: float = 1e-9) -> bool:
+    """Whether ``coarse`` is P'AP, seen on one pseudo-random vector, relative to the size of what is compared."""
+    dim = matrix.blocksize[0]
+    probe = np.random.default_rng(0).standard_normal((nodal.shape[1], dim))
+    product = nodal.T @ (matrix @ (nodal @ probe).reshape(-1)).reshape(-1, dim)
+    difference = product.reshape(-1) - coarse @ probe.reshape(-1)
+    return bool(np.abs(difference).max() <= tolerance * np.abs(product).max())
+
+
+def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[Any]
+                  ) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
+    """Check prolongations against a matrix and form the Galerkin matrices.
+
+    Parameters
+    ----------
+    matrix : bsr_array (n_dofs, n_dofs)
+    fixed : (n_dofs,) bool array
+    prolongations : sequence of sparse matrices
+        Coarse to fine, all of nodes or all of dofs.
+
+    Returns
+    -------
+    prolongations : list of csr_array
+    matrices : list of bsr_array
+        Coarsest first, without the finest; blocks of size 1 where the prolongations are of dofs. A coarse dof that
+        nothing free reaches has a diagonal entry only.
+    """
+    given = []
+    for k, P in enumerate(prolongations):
+        if not sparse.issparse(P):
+            raise TypeError(f"prolongations[{k}] must be a scipy sparse matrix, got {type(P).__name__}")
+        P = sparse.csr_array(P, dtype=np.float64)
+        P.sum_duplicates()
+        if not np.isfinite(P.data).all():
+            raise ValueError(f"prolongations[{k}] must be finite")
+        given.append(P)
+    if not given:
+        raise ValueError("prolongations is empty: give at least one, or use Hierarchy.single")
+    dim, n = matrix.blocksize[0], matrix.shape[0]
+    if given[-1].shape[0] not in (n, n // dim):
+        raise ValueError(f"prolongations[{len(given) - 1}] must have {n // dim} rows (nodes) or {n} (dofs), got "
+                         f"{given[-1].shape[0]}")
+    of_dofs = given[-1].shape[0] == n
+    current = without_fixed(matrix, fixed)
+    if of_dofs:
+        current = sparse.bsr_array(sparse.csr_array(current), blocksize=(1, 1))
+    matrices: list[sparse.bsr_array] = []
+    rows = given[-1].shape[0]
+    for k in range(len(given) - 1, -1, -1):
+        P = given[k]
+        if P.shape[0] != rows or P.shape[1] >= rows:
+            raise ValueError(f"prolongations[{k}] must have {rows} rows and fewer columns, got {P.shape}: they go from "
+                             "coarse to fine")
+        rows = P.shape[1]
+        current = galerkin_product(current, P)
+        matrices.insert(0, current)
+    return given, matrices

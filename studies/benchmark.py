@@ -1,0 +1,274 @@
+"""The fast solver against linear solvers on the same mesh: cycles, work, seconds by phase, memory, scaling.
+
+Both sides are stopped at a true relative energy error of 1e-8, each of its own problem: ours of the contact problem
+with friction, the rivals of the linear problem in which all contact dofs are fixed ('glued'). Our seconds hold the
+nested start; set-up (splitting and coarse matrices) and transfers are listed apart and in a ratio of their own. A first
+run learns how many cycles or iterations that takes; timed runs then do exactly so many, in turns, medians are kept.
+The exact solution of a contact problem is our own at an estimated error of 1e-13, on grids small enough checked against
+the active set method with direct solves. Work: passes by nonzeros touched over those of the finest matrix (a sweep that
+reads one triangle is half a pass); 'full passes' counts every sweep and residual as a whole pass.
+
+    python studies/benchmark.py [--quick] [--out DIR]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from statistics import median
+from typing import Any
+
+import common
+import linear_rivals as rivals
+import numpy as np
+import pandas as pd
+from matplotlib import pyplot as plt
+
+import adaptmg as am
+from adaptmg.plot.style import styled
+from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.truncated_machine import TruncatedMachine
+
+TOLERANCE = 1e-8
+
+#: family -> sizes: divisions of the finest grid, or halvings of the coarsest mesh
+SIZES = {"nested 2D": (128, 256, 512, 724, 1024), "nested 3D": (16, 32, 64), "independent 2D": (4, 5, 6),
+         "independent 3D": (2, 3)}
+QUICK = {"nested 2D": (32, 64), "nested 3D": (8,), "independent 2D": (2,), "independent 3D": (1,)}
+#: nodes up to which each check or rival is run
+ACTIVE_SET, CHOLESKY, ALL_SETTINGS, SINGLE_GRID = 20_000, 300_000, 70_000, 1_200
+FRICTION = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0)
+
+
+@lru_cache(maxsize=1)
+def grids(family: str, size: int, friction: float) -> am.Hierarchy:
+    """A hierarchy of the GRECO bar or block."""
+    law = am.Coulomb(friction) if friction > 0 else am.Frictionless()
+    if family == "nested 2D":
+        return am.Hierarchy.uniform(am.cases.greco_bar(law=law), _halved(size, 4))
+    if family == "nested 3D":
+        return am.Hierarchy.uniform(am.cases.greco_block(law=law, plane_strain=False), _halved(size, 2))
+    if family == "independent 2D":
+        return am.Hierarchy.graded(am.cases.greco_bar(law=law), [16e-3 / 2**k for k in range(size + 1)], 2.0)
+    return am.Hierarchy.graded(am.cases.greco_block(law=law, plane_strain=False),
+                               [16e-3 / 2**k for k in range(size + 1)], 2.0)
+
+
+def _halved(size: int, smallest: int) -> list[int]:
+    chain = [size]
+    while chain[0] % 2 == 0 and chain[0] // 2 >= smallest:
+        chain.insert(0, chain[0] // 2)
+    return chain
+
+
+def run_ours(hierarchy: am.Hierarchy, rtol: float, max_cycles: int = 100, reference: np.ndarray | None = None
+             ) -> tuple[Run, Outcome, int]:
+    """One run, without the checks around it; the record, the outcome, bytes of the solver's arrays."""
+    solver = am.FullMultigrid(correction=am.Truncated(), rtol=rtol, max_cycles=max_cycles)
+    run = Run(unit=hierarchy.finest.matrix.nnz, reference=reference)
+    machine = TruncatedMachine(solver, hierarchy, run)
+    outcome = machine.finish(machine.nested_start(solver.start), cold=False)
+    return run, outcome, machine.nbytes
+
+
+def full_passes(run: Run, hierarchy: am.Hierarchy) -> float:
+    """Every sweep, and every residual on a coarser level, as a whole pass over the discretised matrix of its level."""
+    finest = len(hierarchy) - 1
+    total = 0.0
+    for level, action, times in run.path:
+        passes = times if action == "smooth" else 1 if action == "restrict" and level < finest else 0
+        total += passes * hierarchy[level].matrix.nnz
+    return total / run.unit
+
+
+@dataclass(frozen=True)
+class Needed:
+    """What the tolerance takes."""
+
+    cycles: int
+    start_error: float
+    row: dict[str, float]
+    run: Run
+    nbytes: int
+    status: str
+    rate: float
+
+
+def needed(hierarchy: am.Hierarchy) -> Needed:
+    """Cycles to the true error of 1e-8."""
+    _, exact, _ = run_ours(hierarchy, 1e-13)
+    if hierarchy.finest.n_nodes <= ACTIVE_SET:
+        checked = am.solve(hierarchy, am.ActiveSet(rtol=1e-12, nested_start=True)).displacement
+        difference = np.abs(checked - exact.displacement).max() / np.abs(checked).max()
+        if not difference <= 1e-9:
+            raise RuntimeError(f"the active set solution differs by {difference:.1e}")
+    run, outcome, nbytes = run_ours(hierarchy, 1e-10, reference=exact.displacement)
+    below = [row for row in run.history if row["true_error"] <= TOLERANCE]
+    if not below:
+        raise RuntimeError(f"the error stays at {run.history[-1]['true_error']:.1e}: {outcome.status.name}")
+    return Needed(int(below[0]["cycle"]), run.history[0]["true_error"], below[0], run, nbytes, outcome.status.name,
+                  outcome.rate)
+
+
+def measure(family: str, size: int, friction: float, repetitions: int, linear: bool) -> dict[str, Any]:
+    """One row."""
+    hierarchy = grids(family, size, friction)
+    found = needed(hierarchy)
+    n, dofs = hierarchy.finest.n_nodes, hierarchy.finest.matrix.shape[0]
+    row: dict[str, Any] = {"nodes": n, "levels": len(hierarchy), "cycles": found.cycles, "rate": found.rate,
+                           "work": found.row["work_units"], "start_work": found.run.start_work_units,
+                           "start_error": found.start_error, "bytes_per_dof": found.nbytes / dofs}
+    calls: dict[str, Any] = {"ours": lambda: _time_ours(hierarchy, max(found.cycles, 1))}
+    problem = rivals.glued(hierarchy) if linear else None
+    if problem is not None and family.startswith("nested"):
+        iterations = rivals.iterations_needed(problem, rivals.geometric_preconditioner(problem)[0])
+        calls["mgcg"] = lambda: _time_linear(problem, lambda: rivals.geometric_preconditioner(problem)[0], iterations)
+    if problem is not None:
+        names = list(rivals.SETTINGS) if n <= ALL_SETTINGS else ["defaults"]
+        for name in names:
+            count = rivals.iterations_needed(problem, rivals.pyamg_preconditioner(problem, name))
+            calls[f"pyamg {name}"] = lambda name=name, count=count: _time_linear(
+                problem, lambda: rivals.pyamg_preconditioner(problem, name), count)
+    seconds: dict[str, list[dict[str, float]]] = {name: [] for name in calls}
+    for k in range(repetitions):
+        for name, call in calls.items():
+            # the slow rivals need fewer turns for a stable median
+            if name in ("ours", "mgcg") or k < 3:
+                seconds[name].append(call())
+    times = {name: {key: median(one[key] for one in each) for key in each[0]} for name, each in seconds.items()}
+    own = times["ours"]
+    row |= {"full_passes": own["full_passes"], "solve_s": own["solve"], "setup_s": own["setup"]}
+    row |= {f"{name}_s": hierarchy.timings[name] for name in ("mesh", "assembly", "transfer")}
+    if problem is not None:
+        row |= _ratios(times, row, hierarchy, problem)
+    return row
+
+
+def _time_ours(hierarchy: am.Hierarchy, cycles: int) -> dict[str, float]:
+    # the tolerance is out of reach, so that exactly so many cycles are done
+    run, _, _ = run_ours(hierarchy, 1e-300, cycles)
+    return {"setup": run.timings["setup"], "solve": run.timings["start"] + run.timings["cycles"],
+            "full_passes": full_passes(run, hierarchy)}
+
+
+def _time_linear(problem: rivals.Glued, build: Any, iterations: int) -> dict[str, float]:
+    timed = rivals.time_iterative(problem, build, iterations)
+    return {"iterations": timed.iterations, "setup": timed.setup, "solve": timed.solve,
+            "total": timed.setup + timed.solve}
+
+
+def _ratios(times: dict[str, dict[str, float]], row: dict[str, Any], hierarchy: am.Hierarchy, problem: rivals.Glued
+            ) -> dict[str, float]:
+    """Our seconds over those of the rivals."""
+    own, whole = row["solve_s"], row["solve_s"] + row["setup_s"] + row["transfer_s"]
+    settings = {name: one for name, one in times.items() if name.startswith("pyamg ")}
+    best = min(settings, key=lambda name: settings[name]["total"])
+    default = settings["pyamg defaults"]
+    result: dict[str, Any] = {
+        "pyamg_iterations": default["iterations"], "pyamg_setup_s": default["setup"], "pyamg_solve_s": default["solve"],
+        "over_pyamg": own / default["total"], "with_setup_over_pyamg": whole / default["total"],
+        "best_setting": best.removeprefix("pyamg "), "over_best_pyamg": own / settings[best]["total"]}
+    if "mgcg" in times:
+        result |= {"mgcg_iterations": times["mgcg"]["iterations"], "mgcg_solve_s": times["mgcg"]["solve"],
+                   "over_mgcg": own / times["mgcg"]["solve"]}
+    limit = CHOLESKY if problem.hierarchy.finest.discrete.dim == 2 else CHOLESKY // 6
+    if row["nodes"] <= limit and hierarchy.finest.mesh.source is not None:
+        factorised = rivals.time_cholesky(hierarchy, problem.fixed[-1])
+        result |= {"cholesky_s": factorised.setup + factorised.solve,
+                   "over_cholesky": own / (factorised.setup + factorised.solve)}
+    return result
+
+
+METHODS = {
+    "truncated": lambda: am.FullMultigrid(correction=am.Truncated()),
+    "monotone": lambda: am.FullMultigrid(correction=am.Monotone()),
+    "active set, direct": lambda: am.ActiveSet(rtol=TOLERANCE),
+    "active set, direct, nested start": lambda: am.ActiveSet(rtol=TOLERANCE, nested_start=True),
+    "active set, pyamg, nested start": lambda: am.ActiveSet(linear=am.AMG(), rtol=TOLERANCE, nested_start=True),
+    "single grid, omega 1": lambda: am.SingleGrid(),
+    "single grid, omega 1.9": lambda: am.SingleGrid(omega=1.9),
+    "single grid, omega 1.5, condensed": lambda: am.SingleGrid(omega=1.5, condensed=True),
+}
+
+
+def contact_method(size: int, method: str) -> dict[str, Any]:
+    """A method for the same contact problem, to an estimated error of 1e-8; the better of two runs."""
+    hierarchy = grids("nested 2D", size, 1.0)
+    if "single" in method and hierarchy.finest.n_nodes > SINGLE_GRID:
+        return {"nodes": hierarchy.finest.n_nodes, "outcome": "not run"}
+    results = [am.solve(hierarchy, METHODS[method](), throw=False) for _ in range(2)]
+    last = results[-1]
+    return {"nodes": hierarchy.finest.n_nodes, "cycles": last.cycles, "work": last.work_units,
+            "s": min(sum(r.timings.values()) for r in results), "residual": last.residual,
+            "outcome": last.status.name}
+
+
+def exponent(nodes: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
+    """Exponent of values ~ nodes^e with its standard error (NaN with fewer than three)."""
+    x, y = np.log(np.asarray(nodes, float)), np.log(np.asarray(values, float))
+    if len(x) < 2:
+        return np.nan, np.nan
+    slope, offset = np.polyfit(x, y, 1)
+    spread = np.sum((y - slope * x - offset) ** 2) / max(len(x) - 2, 1) / np.sum((x - x.mean()) ** 2)
+    return float(slope), float(np.sqrt(spread)) if len(x) > 2 else np.nan
+
+
+@styled
+def _figure(rows: pd.DataFrame) -> common.Figure:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6))
+    for family, part in rows.groupby("family", sort=False):
+        left.semilogx(part["nodes"], part["work"], "o-", label=family)
+        right.loglog(part["nodes"], part["solve_s"], "o-", label=family)
+        right.loglog(part["nodes"], part["pyamg_setup_s"] + part["pyamg_solve_s"], "x--", color="0.6")
+    left.set(xlabel="nodes", ylabel="work units to 1e-8", ylim=(0, None))
+    right.set(xlabel="nodes", ylabel="s (grey: pyamg on the glued problem)")
+    left.legend()
+    caption = "Work does not grow with the mesh; seconds beside pyamg's for one linear solve."
+    return common.Figure("benchmark", figure, caption)
+
+
+def run(context: common.Context) -> common.Section:
+    """All tables."""
+    run_ours(grids("nested 2D", 16, 1.0), TOLERANCE)
+    run_ours(grids("nested 3D", 4, 1.0), TOLERANCE)
+    sizes, repetitions = (QUICK, 2) if context.quick else (SIZES, 5)
+    parts, friction = [], []
+    for family, each in sizes.items():
+        parts.append(context.study(measure, {"family": [family], "size": list(each), "friction": [1.0]},
+                                   repetitions=repetitions, linear=True))
+        middle = each[0] if context.quick else each[min(1, len(each) - 1)]
+        friction.append(context.study(measure, {"family": [family], "size": [middle], "friction": list(FRICTION)},
+                                      repetitions=1, linear=False))
+    rows = pd.concat(parts, ignore_index=True)
+    scaling = []
+    for family, part in rows.groupby("family", sort=False):
+        part = part[part["nodes"] >= 10_000] if not context.quick else part
+        for name in ("work", "solve_s"):
+            # work units are per unknown: their product with the nodes is the work
+            total = part[name] * (part["nodes"] if name == "work" else 1.0)
+            slope, error = exponent(part["nodes"], total)
+            scaling.append({"family": family, "quantity": name, "exponent": slope, "standard_error": error})
+    against = context.study(contact_method, {"size": [16, 32] if context.quick else [32, 64, 128],
+                                             "method": list(METHODS)})
+    work = ["family", "nodes", "levels", "cycles", "rate", "work", "full_passes", "start_work", "start_error",
+            "bytes_per_dof"]
+    seconds = ["family", "nodes", "mesh_s", "assembly_s", "transfer_s", "setup_s", "solve_s", "pyamg_iterations",
+               "pyamg_setup_s", "pyamg_solve_s", "over_pyamg", "with_setup_over_pyamg", "best_setting",
+               "over_best_pyamg", "over_mgcg", "over_cholesky"]
+    sweep = pd.concat(friction, ignore_index=True)[["family", "nodes", "friction", "cycles", "rate", "work"]]
+    items: list[common.Table | common.Figure] = [
+        common.Table("benchmark_work", rows[work], "Work to a true energy error of 1e-8, friction 1."),
+        common.Table("benchmark_seconds", rows.reindex(columns=seconds),
+                     "Seconds, one thread, and ratios: ours over theirs."),
+        common.Table("benchmark_scaling", pd.DataFrame(scaling), "Exponents of nodes."),
+        common.Table("benchmark_friction", sweep, "Friction."),
+        common.Table("benchmark_methods", against[["nodes", "method", "cycles", "work", "s", "residual", "outcome"]],
+                     "Methods for the contact problem, each to its own estimated error of 1e-8."),
+        _figure(rows),
+    ]
+    return common.Section("The fast solver", __doc__.split("\n\n")[1], items)
+
+
+if __name__ == "__main__":
+    common.main(run, __doc__.split("\n")[0])

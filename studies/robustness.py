@@ -1,0 +1,116 @@
+"""A campaign of random contact problems: does the default solver solve them, and does it say so when it does not?
+
+Bar and block with random pressures and shear, laws, friction up to 2, gap shapes, nested and independent meshes; each
+from the nested start and from zero. Solved means: status CONVERGED and natural residual below 1e-8 of the forces.
+
+    python studies/robustness.py [--quick] [--out DIR]
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from common import Context, Section, Table, main
+
+import adaptmg as am
+
+CASES, QUICK_CASES = 320, 12
+RTOL = 1e-9
+RESIDUAL = 1e-8
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A gap that undulates; a class, so that problems can be pickled."""
+
+    amplitude: float
+    waves: float
+    phase: float
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Gaps (n,), m."""
+        angle = 2 * np.pi * self.waves * points / 40e-3
+        height = np.sin(angle[:, 0] + self.phase)
+        if points.shape[1] == 3:
+            height = height * np.cos(angle[:, 1])
+        return self.amplitude * (1 + height)
+
+
+def random_grids(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+    """A random problem on random meshes, and what it is."""
+    rng = np.random.default_rng(seed)
+    dim = 3 if rng.random() < 0.35 else 2
+    friction = float(rng.choice([0.1, 0.3, 0.7, 1.0, 1.5, 2.0]))
+    coulomb = am.Coulomb(friction)
+    law = [coulomb, coulomb, coulomb, am.Tresca(float(10 ** rng.uniform(6.5, 8))), am.Frictionless()][rng.integers(5)]
+    loads = {"top_pressure": float(rng.uniform(1e7, 1e8)), "side_pressure": float(rng.uniform(-1e8, 4e8))}
+    if dim == 2:
+        problem = am.cases.greco_bar(law=law, **loads)
+    else:
+        problem = am.cases.greco_block(law=law, plane_strain=bool(rng.random() < 0.3), **loads)
+    amplitude = float(rng.choice([0, 0, 1e-6, 1e-5, 5e-5]))
+    if amplitude > 0:
+        wave = Wave(amplitude, float(rng.uniform(0.5, 3)), float(rng.uniform(0, 2 * np.pi)))
+        problem = replace(problem, contact=am.Contact("bottom", am.GapFunction(wave)), reference={})
+    if rng.random() < 0.5:
+        shear = am.Traction("top", (*(float(t) for t in rng.uniform(-5e7, 5e7, dim - 1)), 0.0))
+        problem = replace(problem, loads=(*problem.loads, shear), reference={})
+    nested = bool(rng.random() < 2 / 3)
+    if nested:
+        chains = ([(4, 8, 16, 32), (4, 8, 16, 32, 64), (3, 6, 12, 24, 48)] if dim == 2
+                  else [(2, 4, 8), (2, 4, 8, 16), (3, 6, 12)])
+        hierarchy = am.Hierarchy.uniform(problem, chains[rng.integers(3)])
+    else:
+        sizes = (16e-3, 8e-3, 4e-3, 2e-3) if dim == 2 else (20e-3, 10e-3, 5e-3)
+        hierarchy = am.Hierarchy.graded(problem, sizes, float(rng.choice([1, 2, 4])))
+    what = {"dim": dim, "nested": nested, "law": type(law).__name__, "friction": friction, "amplitude": amplitude,
+            "nodes": hierarchy.finest.n_nodes, **loads}
+    return what, hierarchy
+
+
+def solve_case(seed: int) -> dict[str, Any]:
+    """One case from both starts."""
+    row, hierarchy = random_grids(seed)
+    solvers = {"nested": am.FullMultigrid(correction=am.Truncated(), rtol=RTOL),
+               "cold": am.Multigrid(correction=am.Truncated(), rtol=RTOL)}
+    for name, solver in solvers.items():
+        try:
+            with warnings.catch_warnings():
+                # friction so large that the solution may not be unique is what the campaign is about
+                warnings.simplefilter("ignore", RuntimeWarning)
+                result = am.solve(hierarchy, solver, throw=False)
+        except ValueError as error:
+            # the load may push the body off its contact: refused before any work, which is a right answer
+            row |= {f"{name}_status": "REFUSED", f"{name}_cycles": 0, f"{name}_residual": np.nan,
+                    "why": str(error)[:80]}
+            continue
+        row |= {f"{name}_status": result.status.name, f"{name}_cycles": result.cycles,
+                f"{name}_residual": result.residual}
+    return row
+
+
+def run(context: Context) -> Section:
+    """The campaign."""
+    rows = context.study(solve_case, {"seed": list(range(QUICK_CASES if context.quick else CASES))})
+    summary = []
+    for name in ("nested", "cold"):
+        status, cycles, residual = rows[f"{name}_status"], rows[f"{name}_cycles"], rows[f"{name}_residual"]
+        converged = status == "CONVERGED"
+        summary.append({"start": name, "cases": len(rows), "refused": int((status == "REFUSED").sum()),
+                        "solved": int((converged & (residual <= RESIDUAL)).sum()),
+                        "reported_failure": int((~converged & (status != "REFUSED")).sum()),
+                        "silent_failure": int((converged & ~(residual <= RESIDUAL)).sum()),
+                        "median_cycles": float(cycles[converged].median()), "most_cycles": int(cycles.max())})
+    columns = ["seed", "dim", "nested", "law", "friction", "nodes", "nested_status", "nested_cycles", "nested_residual",
+               "cold_status", "cold_cycles", "cold_residual"]
+    return Section("Random contact problems", __doc__.split("\n\n")[1],
+                   [Table("robustness", pd.DataFrame(summary), "Outcomes."),
+                    Table("robustness_cases", rows[columns], "Every case.")])
+
+
+if __name__ == "__main__":
+    main(run, __doc__.split("\n")[0])

@@ -1,0 +1,59 @@
+"""The benchmark and the robustness campaign: they run, and what they measure holds."""
+
+import numpy as np
+import pytest
+from study_scripts import load
+
+common = load("common")
+rivals = load("linear_rivals")
+benchmark = load("benchmark")
+robustness = load("robustness")
+
+
+def test_exponent_of_a_power():
+    nodes = np.array([1e3, 1e4, 1e5])
+    slope, error = benchmark.exponent(nodes, 3 * nodes**1.02)
+    assert slope == pytest.approx(1.02) and error == pytest.approx(0, abs=1e-12)
+    assert np.isnan(benchmark.exponent([10], [1])[0])
+
+
+def test_a_row_of_the_benchmark():
+    row = benchmark.measure("nested 2D", 16, 1.0, 1, True)
+    assert row["nodes"] == 289 and row["cycles"] <= 12 and row["work"] < row["full_passes"]
+    assert 0 < row["start_work"] < row["work"]
+    assert row["over_mgcg"] > 0 and row["over_pyamg"] > 0 and row["best_setting"] in rivals.SETTINGS
+
+
+def test_full_passes_by_hand():
+    hierarchy = benchmark.grids("nested 2D", 16, 1.0)
+    record, outcome, _ = benchmark.run_ours(hierarchy, 1e-8)
+    coarse, fine = (level.matrix.nnz for level in hierarchy.levels[1:])
+    middle_and_finest = 2 * (outcome.cycles + 1) + 5 * outcome.cycles * coarse / fine
+    start = 2 * coarse / fine
+    assert benchmark.full_passes(record, hierarchy) >= middle_and_finest + start
+    assert benchmark.full_passes(record, hierarchy) <= middle_and_finest + start + 2
+
+
+def test_rivals_reach_the_tolerance():
+    problem = rivals.glued(benchmark.grids("nested 2D", 16, 1.0))
+    exact = np.linalg.solve(problem.matrix.toarray(), problem.load)
+    for precondition in (rivals.geometric_preconditioner(problem)[0], rivals.pyamg_preconditioner(problem, "defaults")):
+        count = rivals.iterations_needed(problem, precondition)
+        x, _ = rivals.conjugate_gradients(problem.matrix, problem.load, precondition, count)
+        error = x - exact
+        assert error @ problem.matrix @ error <= 1.01e-16 * (exact @ problem.matrix @ exact)
+        assert count < 40
+
+
+def test_random_cases_are_solved():
+    for seed in range(4):
+        row = robustness.solve_case(seed)
+        assert row["nested_status"] == row["cold_status"] == "CONVERGED"
+        assert max(row["nested_residual"], row["cold_residual"]) <= robustness.RESIDUAL
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", [benchmark, robustness], ids=["benchmark", "robustness"])
+def test_quick_runs(script, tmp_path):
+    section = script.run(common.Context(True, tmp_path))
+    assert len(section.items) >= 2
