@@ -131,11 +131,9 @@ def measure(family: str, size: int, friction: float, repetitions: int, linear: b
             calls[f"pyamg {name}"] = lambda name=name, count=count: _time_linear(
                 problem, lambda: rivals.pyamg_preconditioner(problem, name), count)
     seconds: dict[str, list[dict[str, float]]] = {name: [] for name in calls}
-    for k in range(repetitions):
+    for _ in range(repetitions):
         for name, call in calls.items():
-            # the slow rivals need fewer turns for a stable median
-            if name in ("ours", "mgcg") or k < 3:
-                seconds[name].append(call())
+            seconds[name].append(call())
     times = {name: {key: median(one[key] for one in each) for key in each[0]} for name, each in seconds.items()}
     own = times["ours"]
     row |= {"full_passes": own["full_passes"], "solve_s": own["solve"], "setup_s": own["setup"]}

@@ -19,6 +19,8 @@ from common import Context, Section, Table, main
 import adaptmg as am
 
 CASES, QUICK_CASES = 320, 12
+#: seeds from here on were not looked at while the safeguards of the solver were made
+FIRST_SEED = 1000
 RTOL = 1e-9
 RESIDUAL = 1e-8
 
@@ -95,7 +97,8 @@ def solve_case(seed: int) -> dict[str, Any]:
 
 def run(context: Context) -> Section:
     """The campaign."""
-    rows = context.study(solve_case, {"seed": list(range(QUICK_CASES if context.quick else CASES))})
+    count = QUICK_CASES if context.quick else CASES
+    rows = context.study(solve_case, {"seed": list(range(FIRST_SEED, FIRST_SEED + count))})
     summary = []
     for name in ("nested", "cold"):
         status, cycles, residual = rows[f"{name}_status"], rows[f"{name}_cycles"], rows[f"{name}_residual"]
