@@ -25,9 +25,10 @@ def draw() -> Figure:
     smoother = am.ProjectedGaussSeidel(order="backward")
     full = am.FullMultigrid(correction=am.Monotone(), smoother=smoother)
     runs = {"one grid": am.solve(grids, am.SingleGrid(rtol=1e-7), reference=exact, throw=False),
-            "multigrid, zero start": am.solve(grids, am.Multigrid(correction=am.Monotone(), smoother=smoother),
-                                              reference=exact),
-            "full multigrid": am.solve(grids, full, reference=exact)}
+            "monotone, zero start": am.solve(grids, am.Multigrid(correction=am.Monotone(), smoother=smoother),
+                                             reference=exact),
+            "monotone, nested start": am.solve(grids, full, reference=exact),
+            "truncated (default)": am.solve(grids, am.FullMultigrid(), reference=exact)}
     figure = plt.figure(figsize=(13, 7.2), layout="constrained")
     above, below = figure.subfigures(2, 1)
     left, right = above.subfigures(1, 2, width_ratios=(1.2, 2.2))
@@ -39,11 +40,11 @@ def draw() -> Figure:
         ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes")
         ax.set_axis_off()
     left, right = below.subfigures(1, 2)
-    am.plot.contact(runs["full multigrid"], left.subplots(2, 1, sharex=True))
+    am.plot.contact(runs["truncated (default)"], left.subplots(2, 1, sharex=True))
     ax = right.subplots()
     am.plot.history(runs, ax=ax)
     ax.set_xscale("log")
-    ax.legend(loc="lower left")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4, fontsize=8, columnspacing=1.0)
     ax.set_title(f"{grids.finest.mesh.n_nodes} nodes: true error against work")
     return figure
 

@@ -16,6 +16,8 @@ from common import Context, Section, Table, show
 
 STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "adaptive_vs_uniform", "transfer_operators",
            "amg_comparison", "kernels")
+#: run only where they are named: minutes on large grids, and a campaign of hundreds of problems
+LARGE = ("benchmark", "robustness")
 TITLE = "adaptmg: multigrid for frictional contact"
 SUMMARY = """The three tables of 'Multigrid in Structure Assembling Problem' beside ours, adaptive against uniform
 meshes, transfers between meshes that are not nested, and algebraic multigrid on the same matrices.
@@ -30,15 +32,16 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
                                      epilog="example: python studies/reproduce.py --quick --out /tmp/report")
-    parser.add_argument("studies", nargs="*", metavar="STUDY", help=f"some of: {', '.join(STUDIES)} (default: all)")
+    parser.add_argument("studies", nargs="*", metavar="STUDY",
+                        help=f"some of: {', '.join(STUDIES + LARGE)} (default: all but the last two)")
     parser.add_argument("--quick", action="store_true", help="smaller grids: under a minute")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
                         help="where report.html, CSV files, pictures and the store go (default: results)")
     parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")
     arguments = parser.parse_args()
-    unknown = sorted(set(arguments.studies) - set(STUDIES))
+    unknown = sorted(set(arguments.studies) - set(STUDIES + LARGE))
     if unknown:
-        parser.error(f"unknown study {', '.join(unknown)}; there are {', '.join(STUDIES)}")
+        parser.error(f"unknown study {', '.join(unknown)}; there are {', '.join(STUDIES + LARGE)}")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     out = arguments.out / "quick" if arguments.quick else arguments.out
     if arguments.fresh:
