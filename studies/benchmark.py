@@ -33,7 +33,7 @@ from adaptmg.solver.truncated_machine import TruncatedMachine
 TOLERANCE = 1e-8
 
 #: family -> sizes: divisions of the finest grid, or halvings of the coarsest mesh
-SIZES = {"nested 2D": (128, 256, 512, 724, 1024), "nested 3D": (16, 32, 64), "independent 2D": (4, 5, 6),
+SIZES = {"nested 2D": (128, 192, 256, 384, 512, 768, 1024), "nested 3D": (16, 32, 64), "independent 2D": (4, 5, 6),
          "independent 3D": (2, 3)}
 QUICK = {"nested 2D": (32, 64), "nested 3D": (8,), "independent 2D": (2,), "independent 3D": (1,)}
 #: nodes up to which each check or rival is run

@@ -21,6 +21,9 @@ from numba import njit
 import adaptmg as am
 from adaptmg.discretisation.elasticity import stiffness
 from adaptmg.mesh import MeshArrays, structured
+from adaptmg.multigrid import projected_sweeps_2d, projected_sweeps_3d
+from adaptmg.multigrid.halves import split
+from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.smoother import kernels_2d, kernels_3d
 from adaptmg.smoother.system import LocalSystem
 from adaptmg.transfer import PointLocator
@@ -85,10 +88,33 @@ def sweep_calls(system: LocalSystem) -> dict[str, tuple[Callable[[], object], in
             "residual": (lambda: kernels.residual(*matrix, load, unknowns, result), read + result.nbytes)}
 
 
+def half_sweep_calls(dim: int, divisions: int) -> dict[str, tuple[Callable[[], object], int]]:
+    """The half-pass sweeps of the truncated multigrid on the bar or block: name -> (call, bytes moved)."""
+    problem = am.cases.greco_bar() if dim == 2 else am.cases.greco_block()
+    discrete = am.discretise(problem, structured(problem.domain, divisions))
+    level = split(discrete.matrix, discrete.fixed)
+    obstacle = Obstacle.of(discrete, level)
+    sweeps = projected_sweeps_2d if dim == 2 else projected_sweeps_3d
+    load, unknowns, kept = np.array(discrete.load), np.zeros(discrete.n_dofs), np.zeros(discrete.n_dofs)
+    lower, upper = (sum(array.nbytes for array in arrays) for arrays in (level.lower_arrays, level.upper_arrays))
+    nodal = level.inverse.nbytes + obstacle.contact_of.nbytes
+
+    def backward() -> None:
+        sweeps.backward(*level.lower_arrays, *level.upper_arrays, level.inverse, load, obstacle.contact_of,
+                        *obstacle.node_data, unknowns, kept)
+
+    def forward() -> None:
+        sweeps.forward(*level.lower_arrays, level.inverse, obstacle.diagonal, obstacle.contact_of, *obstacle.node_data,
+                       unknowns, kept)
+
+    return {"backward, L and U": (backward, lower + upper + nodal + load.nbytes + 3 * unknowns.nbytes),
+            "forward, L with residual": (forward, lower + nodal + 4 * unknowns.nbytes)}
+
+
 def bandwidth(dim: int, divisions: int, repeats: int) -> pd.DataFrame:
     """Each kernel of the smoother on one mesh."""
     system, arrays = elastic_system(dim, divisions), np.ones((3, TRIAD_LENGTH))
-    calls = sweep_calls(system)
+    calls = sweep_calls(system) | half_sweep_calls(dim, divisions)
     memory, *seconds = best_times([lambda: triad(*arrays, 0.5), *(call for call, _ in calls.values())], repeats)
     triad_speed = arrays.nbytes / memory
     return pd.DataFrame([

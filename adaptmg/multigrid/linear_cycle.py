@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg, sparse
+from scipy.sparse.linalg import splu
 
 from adaptmg.multigrid import half_sweeps_1d, half_sweeps_2d, half_sweeps_3d
 from adaptmg.multigrid.coarse_transfer import add_prolonged, restrict, zero_at
@@ -19,7 +20,8 @@ _SWEEPS = {1: half_sweeps_1d, 2: half_sweeps_2d, 3: half_sweeps_3d}
 
 
 class CoarseFactors:
-    """Dense LU factors of the coarsest matrix; a singular one is shifted by a small part of its diagonal.
+    """LU factors of the coarsest matrix, dense or sparse by its size; a singular one is shifted by a small part of its
+    diagonal.
 
     Parameters
     ----------
@@ -28,29 +30,49 @@ class CoarseFactors:
 
     #: a pivot below this times the largest means singular, and the shift that mends it, over the diagonal
     SINGULAR, SHIFT = 1e-13, 1e-6
+    #: dofs up to which dense factors are quicker
+    DENSE = 1500
 
     def __init__(self, level: Halves) -> None:
         self.level = level
         scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
-        self._factors: tuple[np.ndarray, np.ndarray] | None = None
+        self._solve: Callable[[np.ndarray], np.ndarray] | None = None
 
     def renew(self) -> None:
         """Factorise the matrix as it is now."""
-        matrix = self.level.matrix().toarray()
-        empty = ~matrix.any(axis=1)
-        matrix[empty, empty] = self._scale[empty]
-        # LAPACK itself: scipy's wrapper warns of what is mended here
-        factors, pivots, _ = linalg.lapack.dgetrf(matrix)
-        sizes = np.abs(factors.diagonal())
-        if not sizes.min() > self.SINGULAR * sizes.max():
-            matrix[np.diag_indices_from(matrix)] += self.SHIFT * self._scale
-            factors, pivots, _ = linalg.lapack.dgetrf(matrix)
-        self._factors = factors, pivots
+        matrix = sparse.csr_array(self.level.matrix())
+        empty = np.asarray(abs(matrix).sum(axis=1)).reshape(-1) == 0
+        matrix = matrix + sparse.diags_array(np.where(empty, self._scale, 0.0))
+        factorise = _dense_factors if matrix.shape[0] <= self.DENSE else _sparse_factors
+        self._solve = factorise(matrix, self.SINGULAR)
+        if self._solve is None:
+            self._solve = factorise(matrix + sparse.diags_array(self.SHIFT * self._scale), 0.0)
 
     def solve(self, load: np.ndarray, result: np.ndarray) -> None:
         """Solve into ``result`` (n_dofs,)."""
-        result[:] = linalg.lapack.dgetrs(*self._factors, load)[0]
+        result[:] = self._solve(load)
+
+
+def _dense_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Solves with a matrix, or None if a pivot is below ``singular`` times the largest."""
+    # LAPACK itself: scipy's wrapper warns of what the caller mends
+    factors, pivots, _ = linalg.lapack.dgetrf(matrix.toarray())
+    sizes = np.abs(factors.diagonal())
+    if singular and not sizes.min() > singular * sizes.max():
+        return None
+    return lambda load: linalg.lapack.dgetrs(factors, pivots, load)[0]
+
+
+def _sparse_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
+    """As :func:`_dense_factors`, by SuperLU."""
+    try:
+        factors = splu(sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A")
+    except RuntimeError:
+        # an exactly vanishing pivot
+        return None
+    sizes = np.abs(factors.U.diagonal())
+    return None if singular and not sizes.min() > singular * sizes.max() else factors.solve
 
 
 @dataclass(eq=False)

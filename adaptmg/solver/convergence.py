@@ -64,6 +64,8 @@ class Convergence:
     RESIDUAL_FACTOR = 10.0
     #: a natural residual of so many units of rounding of the terms it sums cannot be bettered
     ROUNDING = 8 * np.finfo(float).eps
+    #: largest relative residual that rounding excuses
+    ROUNDING_LIMIT = 1e-9
     #: checks without a new smallest change after which an iteration counts as stalled
     PATIENCE = 60
 
@@ -85,7 +87,9 @@ class Convergence:
             self.changes.append(energy_norm(unknowns - self._unknowns, self._defect - defect))
             self.error_estimate = self._estimate()
         self._unknowns, self._defect = unknowns.copy(), defect.copy()
-        if size <= self.ROUNDING * euclidean_norm(self._diagonal * unknowns):
+        floor = self.ROUNDING * euclidean_norm(self._diagonal * unknowns)
+        # a large residual at the level of rounding is that of unknowns that have run away
+        if size <= floor and self.residual <= self.ROUNDING_LIMIT:
             # an exact start has no rate to measure, and needs none
             self.error_estimate = self.residual
             return True

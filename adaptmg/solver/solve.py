@@ -13,11 +13,12 @@ import numpy as np
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import LocalProblem, local_system
+from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.finish import contact_result, relative_residual
 from adaptmg.solver.result import Result
-from adaptmg.solver.run import Run, Solver
+from adaptmg.solver.run import Outcome, Run, Solver
 from adaptmg.solver.statics import check_statics
-from adaptmg.solver.status import NotConverged
+from adaptmg.solver.status import NotConverged, Status
 
 __all__ = ["label", "solve", "versions"]
 
@@ -72,11 +73,13 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     displacement = np.asarray(outcome.displacement).reshape(discrete.n_nodes, discrete.dim)
     unknowns = local.to_local(displacement)
     reaction = (discrete.matrix @ displacement.reshape(-1) - discrete.load).reshape(displacement.shape)
+    residual = relative_residual(local, unknowns)
+    status = _confirmed(outcome, residual)
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
-    result = Result(displacement=displacement, reaction=reaction, status=outcome.status, cycles=outcome.cycles,
+    result = Result(displacement=displacement, reaction=reaction, status=status, cycles=outcome.cycles,
                     contact=contact_result(local, unknowns, displacement, reaction), work_units=run.work_units,
-                    residual=relative_residual(local, unknowns), error_estimate=outcome.error_estimate,
+                    residual=residual, error_estimate=outcome.error_estimate,
                     rate=outcome.rate, rtol=outcome.rtol, history=history, timings=run.timings, path=run.path,
                     levels=grids.table(), problem_name=_problem_name(grids), solver_name=label(solver),
                     mesh=grids.finest.mesh, start_work_units=run.start_work_units, versions=versions())
@@ -96,6 +99,15 @@ def label(option: object) -> str:
         if item.repr and (default is MISSING or value != default):
             shown.append(f"{item.name}={label(value)}")
     return f"{type(option).__name__}({', '.join(shown)})"
+
+
+def _confirmed(outcome: Outcome, residual: float) -> Status:
+    """The status of a solver, unless the residual of what it returned, computed here anew, contradicts it."""
+    wanted = max(Convergence.RESIDUAL_FACTOR * outcome.rtol, Convergence.ROUNDING_LIMIT)
+    # twice: solvers sum the same numbers in another order
+    if outcome.status.ok and not residual <= 2 * wanted:
+        return Status.DIVERGED if not residual < 1 else Status.STALLED
+    return outcome.status
 
 
 def _warn_of_large_friction(local: LocalProblem) -> None:

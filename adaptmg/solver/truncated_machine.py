@@ -102,7 +102,7 @@ class TruncatedMachine:
             watch = TruncatedWatch(self.problems[-1], self.options.rtol, self.run)
             status, cycles = self._cycles(runner, watch, cold, self.options.max_cycles, start)
         if self._may_fall_back and status in (Status.STALLED, Status.DIVERGED) and cycles < self.options.max_cycles:
-            return self._monotone(runner, cycles)
+            return self._monotone(runner, watch, cycles)
         displacement = (runner.unknowns + self.problems[-1].fixed_values).reshape(-1, self.problems[-1].dim)
         return Outcome(displacement, status, cycles, watch.rtol, watch.error_estimate, watch.rate)
 
@@ -111,11 +111,12 @@ class TruncatedMachine:
         """Whether there is something to fall back on, with a tolerance it understands."""
         return self.hierarchy.discretised and self.options.rtol != "discretisation"
 
-    def _monotone(self, runner: TruncatedCycle, cycles: int) -> Outcome:
-        """Go on with the monotone correction: slower, but it goes further."""
+    def _monotone(self, runner: TruncatedCycle, watch: TruncatedWatch, cycles: int) -> Outcome:
+        """Go on with the monotone correction: slower, but it goes further. Iterates that ran away are given up."""
         o, problem = self.options, self.problems[-1]
         _LOG.info("cycle %d: the truncated multigrid does not converge; going on with the monotone correction", cycles)
-        unknowns = np.where(np.isfinite(runner.unknowns), runner.unknowns, 0.0) + problem.fixed_values
+        better = watch.residual < watch.residuals[0] and not watch.diverged
+        unknowns = (runner.unknowns if better else 0.0) + problem.fixed_values
         options = replace(o, correction=Monotone(), max_cycles=o.max_cycles - cycles)
         machine = Machine(options, self.hierarchy, self.run)
         local = machine.problems[-1]

@@ -49,6 +49,7 @@ class TruncatedWatch:
         self.size, self.residual, self.error_estimate = 0.0, np.inf, np.inf
         self.energies: list[float] = []
         self.residuals: list[float] = []
+        self._first = self._last = np.nan
         lift = problem.matrix @ problem.fixed_values if problem.fixed_values.any() else np.zeros(1)
         self._scale = max(float(np.linalg.norm(problem.load)), float(np.linalg.norm(lift)))
         self._since = 0
@@ -61,7 +62,10 @@ class TruncatedWatch:
         scale = max(self._scale, reactions)
         self.residual = residual / scale if scale > 0 else (0.0 if residual == 0 else np.inf)
         self.residuals.append(self.residual)
-        if residual <= Convergence.ROUNDING * floor:
+        self._last = residual
+        if len(self.residuals) == 1:
+            self._first = residual
+        if residual <= Convergence.ROUNDING * floor and self.residual <= Convergence.ROUNDING_LIMIT:
             self.error_estimate = self.residual
             return True
         rate = self.safe_rate
@@ -88,7 +92,7 @@ class TruncatedWatch:
         """Add a row to the history."""
         if self.run is None:
             return
-        change = self.energies[-1] if self.energies else np.nan
+        change = self.energies[-1] / self.size if self.energies and self.size > 0 else np.nan
         values = {"residual": self.residual, "change": change, "error_estimate": self.error_estimate,
                   "status_changes": float(changed)}
         if self.run.reference is not None:
@@ -133,8 +137,11 @@ class TruncatedWatch:
 
     @property
     def diverged(self) -> bool:
-        """Whether the residual is not finite or has grown without bound."""
-        return not np.isfinite(self.residual) or self.residual > 1e6 * max(self.residuals[0], 1e-300)
+        """Whether the residual is not finite or has grown without bound.
+
+        Its absolute norm is what counts: reactions, to which it is related elsewhere, grow with it.
+        """
+        return not np.isfinite(self.residual) or self._last > 1e6 * max(self._first, 1e-300)
 
     @property
     def stalled(self) -> bool:
