@@ -1,7 +1,8 @@
 """A campaign of random contact problems: does the default solver solve them, and does it say so when it does not?
 
-Bar and block with random pressures and shear, laws, friction up to 2, gap shapes, nested and independent meshes; each
-from the nested start and from zero. Solved means: status CONVERGED and natural residual below 1e-8 of the forces.
+Bar and block with random pressures and shear, laws, friction up to 2, gap shapes, nested and independent meshes, some
+held by contact alone; each from the nested start and from zero. A body that contact cannot hold is refused. Solved
+means: status CONVERGED and natural residual below 1e-8 of the forces.
 
     python studies/robustness.py [--quick] [--out DIR]
 """
@@ -62,6 +63,11 @@ def random_grids(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
         shear = am.Traction("top", (*(float(t) for t in rng.uniform(-5e7, 5e7, dim - 1)), 0.0))
         problem = replace(problem, loads=(*problem.loads, shear), reference={})
     nested = bool(rng.random() < 2 / 3)
+    floating = bool(rng.random() < 0.15)
+    if floating:
+        # held by contact alone: the side pressure acts on both sides, up to a part that friction can take
+        balance = am.Pressure("right", loads["side_pressure"] - float(rng.uniform(0, 0.05)) * loads["top_pressure"])
+        problem = replace(problem, supports=(), loads=(*problem.loads, balance), reference={})
     if nested:
         chains = ([(4, 8, 16, 32), (4, 8, 16, 32, 64), (3, 6, 12, 24, 48)] if dim == 2
                   else [(2, 4, 8), (2, 4, 8, 16), (3, 6, 12)])
@@ -69,7 +75,8 @@ def random_grids(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
     else:
         sizes = (16e-3, 8e-3, 4e-3, 2e-3) if dim == 2 else (20e-3, 10e-3, 5e-3)
         hierarchy = am.Hierarchy.graded(problem, sizes, float(rng.choice([1, 2, 4])))
-    what = {"dim": dim, "nested": nested, "law": type(law).__name__, "friction": friction, "amplitude": amplitude,
+    what = {"dim": dim, "nested": nested, "floating": floating, "law": type(law).__name__, "friction": friction,
+            "amplitude": amplitude,
             "nodes": hierarchy.finest.n_nodes, **loads}
     return what, hierarchy
 
@@ -108,7 +115,8 @@ def run(context: Context) -> Section:
                         "reported_failure": int((~converged & (status != "REFUSED")).sum()),
                         "silent_failure": int((converged & ~(residual <= RESIDUAL)).sum()),
                         "median_cycles": float(cycles[converged].median()), "most_cycles": int(cycles.max())})
-    columns = ["seed", "dim", "nested", "law", "friction", "nodes", "nested_status", "nested_cycles", "nested_residual",
+    columns = ["seed", "dim", "nested", "floating", "law", "friction", "nodes", "nested_status", "nested_cycles",
+               "nested_residual",
                "cold_status", "cold_cycles", "cold_residual"]
     return Section("Random contact problems", __doc__.split("\n\n")[1],
                    [Table("robustness", pd.DataFrame(summary), "Outcomes."),
