@@ -76,8 +76,7 @@ def random_grids(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
         sizes = (16e-3, 8e-3, 4e-3, 2e-3) if dim == 2 else (20e-3, 10e-3, 5e-3)
         hierarchy = am.Hierarchy.graded(problem, sizes, float(rng.choice([1, 2, 4])))
     what = {"dim": dim, "nested": nested, "floating": floating, "law": type(law).__name__, "friction": friction,
-            "amplitude": amplitude,
-            "nodes": hierarchy.finest.n_nodes, **loads}
+            "amplitude": amplitude, "nodes": hierarchy.finest.n_nodes, **loads}
     return what, hierarchy
 
 
