@@ -18,7 +18,7 @@ class Status(Enum):
     LIMIT = ("the limit on cycles or sweeps was reached before the tolerance: raise it, take a better start "
              "(FullMultigrid), more smoothing, or a looser rtol")
     STALLED = ("the iterates stopped changing but the contact conditions are not met to the tolerance: take "
-               "am.Monotone() (the frozen choices of the paper's correction are known to stall)")
+               "am.Monotone() (the frozen choices of the paper's correction are known to stall), or am.ActiveSet()")
     CYCLING = ("the contact status repeats without converging: reduce the friction or the load step, start from a "
                "nested iteration, or solve with am.Multigrid()")
     DIVERGED = ("the iterates grow without bound: check supports and loads (am.solve checks rigid motions), take "
