@@ -6,16 +6,20 @@ Find u with :math:`A u - b = r`, r = 0 but at fixed dofs and at contact nodes, w
 .. math:: u_n \le g_0,\quad p \ge 0,\quad p\,(g_0 - u_n) = 0,\qquad |f_t| \le s + \mu p,
 
 and :math:`f_t` is opposite to the slip :math:`u_t - u_t^{\mathrm{previous}}` wherever that is not zero.
-Degree of freedom ``dim * node + component``.
+Degree of freedom ``dim * node + component``. With a :class:`~adaptmg.coupling.Coupling` between bodies all this is
+meant in relative coordinates: :meth:`DiscreteProblem.coupled` makes them.
 """
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
+from adaptmg.coupling import Coupling
 from adaptmg.problem.laws import Law
 
 __all__ = ["ContactNodes", "DiscreteProblem"]
@@ -56,6 +60,8 @@ class ContactNodes:
         Index of the contact boundary of each node, for resultants; default 0.
     names : tuple of str
         Names of the contact boundaries.
+    masters : tuple of str, optional
+        For each of ``names`` the boundary of another body that it may touch; "" (the default) is a rigid obstacle.
     """
 
     nodes: np.ndarray
@@ -66,6 +72,7 @@ class ContactNodes:
     allow_interference: bool = False
     boundary: np.ndarray | None = None
     names: tuple[str, ...] = ("contact",)
+    masters: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         nodes = np.asarray(self.nodes)
@@ -100,8 +107,13 @@ class ContactNodes:
         boundary = _array("boundary", boundary, (n,), np.int64)
         if boundary.min() < 0 or boundary.max() >= len(self.names):
             raise ValueError(f"boundary must index names ({len(self.names)} given), got {boundary.max()}")
+        names = tuple(self.names)
+        masters = ("",) * len(names) if self.masters is None else tuple(self.masters)
+        if len(masters) != len(names):
+            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
         for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
-                            ("slip_reference", reference), ("boundary", boundary), ("names", tuple(self.names))):
+                            ("slip_reference", reference), ("boundary", boundary), ("names", names),
+                            ("masters", masters)):
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
@@ -138,6 +150,10 @@ class DiscreteProblem:
         Rigid-body modes of the free body; made from ``coordinates`` where not given.
     name : str
         For tables.
+    coupling : Coupling, optional
+        Says that all of the above is in relative coordinates; see :meth:`coupled`.
+    bodies : mapping of str to (n,) int arrays, optional
+        Nodes of each body by name, for messages.
     """
 
     matrix: sparse.bsr_array
@@ -149,6 +165,69 @@ class DiscreteProblem:
     coordinates: np.ndarray | None = None
     near_nullspace: np.ndarray | None = None
     name: str = "discrete problem"
+    coupling: Coupling | None = None
+    bodies: Mapping[str, np.ndarray] | None = None
+
+    @classmethod
+    def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law,
+                contact: ContactNodes, weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
+                coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | None = None,
+                name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None
+                ) -> DiscreteProblem:
+        """Several bodies in contact, from their uncoupled matrix and load.
+
+        Parameters
+        ----------
+        matrix, load, fixed, law, contact, fixed_values, coordinates, near_nullspace, name, bodies
+            As of the class, in displacements. ``contact`` are the slave nodes; their gaps and slips are relative.
+            ``near_nullspace`` should hold the rigid-body modes of every body (one column a body and mode); with
+            ``coordinates`` alone the bodies move together in it.
+        weights : (n_nodes, n_nodes) sparse
+            W: in the rows of slave nodes the nodes that they face, row sums 1.
+
+        Returns
+        -------
+        DiscreteProblem
+            In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
+        """
+        coupling = Coupling(weights, np.asarray(fixed))
+        if near_nullspace is None and coordinates is not None:
+            near_nullspace = rigid_body_modes(np.asarray(coordinates, dtype=np.float64))
+        blocks = sparse.bsr_array(matrix, blocksize=(coupling.dim, coupling.dim))
+        return cls(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
+                   load=coupling.relative_forces(np.asarray(load, dtype=np.float64)), fixed_values=fixed_values,
+                   coordinates=coordinates, name=name, coupling=coupling, bodies=bodies,
+                   near_nullspace=None if near_nullspace is None else coupling.relative(near_nullspace))
+
+    def physical(self, unknowns: np.ndarray) -> np.ndarray:
+        """Displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: the same without a coupling."""
+        flat = np.asarray(unknowns, dtype=np.float64).reshape(-1)
+        return (flat if self.coupling is None else self.coupling.physical(flat)).reshape(-1, self.dim)
+
+    def relative(self, displacement: np.ndarray) -> np.ndarray:
+        """Unknowns (n_nodes, dim) of a displacement, m: the inverse of :meth:`physical`."""
+        flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
+        return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(-1, self.dim)
+
+    def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
+        """The same bodies under other data (a load step): nothing else is checked or copied again.
+
+        Parameters
+        ----------
+        load, fixed_values : (n_dofs,) arrays
+            N and m, in the coordinates of this problem (with a coupling relative ones).
+        slip_reference : (n_contact, dim) array
+            Displacement against which slip is measured, m; between bodies relative to the other body.
+        """
+        contact, result = copy.copy(self.contact), copy.copy(self)
+        reference = _array("slip_reference", slip_reference, contact.normals.shape)
+        object.__setattr__(contact, "slip_reference", reference)
+        values = _array("fixed_values", fixed_values, (self.n_dofs,))
+        values = _array("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
+        for name, value in (("load", _array("load", load, (self.n_dofs,))), ("fixed_values", values),
+                            ("contact", contact)):
+            object.__setattr__(result, name, value)
+        return result
 
     def __post_init__(self) -> None:
         if not isinstance(self.contact, ContactNodes):
@@ -177,6 +256,8 @@ class DiscreteProblem:
             arrays["near_nullspace"] = rigid_body_modes(arrays["coordinates"])
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
+        if self.coupling is not None and not np.array_equal(self.coupling.fixed, arrays["fixed"]):
+            raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
         self._check_fixed_at_contact()
         for name, bound in zip(("limit", "friction"), self.law.bounds(len(self.contact)), strict=True):
             if not (np.isfinite(bound).all() and (bound >= 0).all()):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,9 @@ class Level:
         Largest local ratio of mesh sizes, next coarser over this; NaN if unknown.
     galerkin : bsr_array or None
         The matrix of a coarse space without a discrete problem.
+    surface_prolongation : csr_array or None
+        With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for corrections that need
+        it (:mod:`adaptmg.transfer.between_levels`).
     """
 
     discrete: DiscreteProblem | None
@@ -44,6 +47,12 @@ class Level:
     prolongation: sparse.csr_array | None = None
     mesh_ratio: float = float("nan")
     galerkin: sparse.bsr_array | None = None
+    surface_prolongation: sparse.csr_array | None = None
+
+    @property
+    def contact_prolongation(self) -> sparse.csr_array | None:
+        """The form of the prolongation for corrections that carry constraints to the coarse contact nodes."""
+        return self.prolongation if self.surface_prolongation is None else self.surface_prolongation
 
     @property
     def matrix(self) -> sparse.bsr_array:
@@ -123,7 +132,7 @@ class Hierarchy:
         return cls((Level(discrete),), origin="one level")
 
     @classmethod
-    def uniform(cls, problem: ContactProblem, divisions: Sequence[int | tuple[int, ...]],
+    def uniform(cls, problem: ContactProblem, divisions: Sequence[int | tuple[int, ...] | Mapping[str, Any]],
                 diagonal: str = "right") -> Hierarchy:
         """Structured grids of a rectangle or box.
 
@@ -131,8 +140,9 @@ class Hierarchy:
         ----------
         problem : ContactProblem
             With a Rectangle or Box as domain.
-        divisions : sequence of int or tuple of int
-            Cells along the sides, coarse to fine; nested where each divides the next.
+        divisions : sequence of int, tuple of int or mapping
+            Cells along the sides, coarse to fine; nested where each divides the next. Of several bodies also body
+            name -> cells.
         diagonal : {"right", "left", "alternating"}
             How squares are cut (2D).
         """
@@ -142,10 +152,11 @@ class Hierarchy:
         begin = time.perf_counter()
         meshes = [structured(problem.domain, n, diagonal=diagonal) for n in divisions]
         seconds = time.perf_counter() - begin
-        return cls._build(problem, meshes, None, f"uniform {', '.join(map(str, divisions))}", seconds)
+        return cls._build(problem, meshes, None, f"uniform {', '.join(map(_label, divisions))}", seconds)
 
     @classmethod
-    def graded(cls, problem: ContactProblem, sizes: Sequence[float], contact_ratio: float = 1.0,
+    def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]],
+               contact_ratio: float | Mapping[str, float] = 1.0,
                transfer: Transfer | None = None, contact_rows: bool = True) -> Hierarchy:
         """Independent (non-nested) Netgen meshes, graded towards the contact boundaries.
 
@@ -153,10 +164,10 @@ class Hierarchy:
         ----------
         problem : ContactProblem
             With a domain.
-        sizes : sequence of float
-            Element size away from contact, coarse to fine, m.
-        contact_ratio : float
-            Size away from contact over size at contact, >= 1.
+        sizes : sequence of float or mapping
+            Element size away from contact, coarse to fine, m; of several bodies also body name -> size.
+        contact_ratio : float or mapping
+            Size away from contact over size at contact, >= 1; of several bodies also body name -> ratio.
         transfer : Transfer, optional
             Default :class:`adaptmg.transfer.Interpolation`.
         contact_rows : bool
@@ -166,9 +177,9 @@ class Hierarchy:
 
         _need_domain(problem)
         begin = time.perf_counter()
-        meshes = [graded(problem.domain, size, problem.contact_boundaries, contact_ratio) for size in sizes]
+        meshes = [graded(problem.domain, size, problem.pair_boundaries, contact_ratio) for size in sizes]
         seconds = time.perf_counter() - begin
-        origin = f"graded {', '.join(f'{s:g}' for s in sizes)} m, ratio {contact_ratio:g} at contact"
+        origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
         return cls._build(problem, meshes, transfer, origin, seconds, contact_rows)
 
     @classmethod
@@ -187,7 +198,7 @@ class Hierarchy:
         begin = time.perf_counter()
         first = as_mesh(coarsest)
         problem.check_boundaries(first.boundaries)
-        meshes = refine_near(first, problem.contact_boundaries, checks.integer("levels", levels, 1))
+        meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
         seconds = time.perf_counter() - begin
         return cls._build(problem, meshes, None, f"bisected near contact {levels} times", seconds)
 
@@ -268,6 +279,7 @@ class Hierarchy:
                mesh_seconds: float, contact_rows: bool = True) -> Hierarchy:
         from adaptmg.discretisation.discretise import discretise
         from adaptmg.transfer import Interpolation, mesh_ratio
+        from adaptmg.transfer.between_levels import between_levels
 
         if not meshes:
             raise ValueError("no meshes: give at least one, coarse to fine")
@@ -280,7 +292,8 @@ class Hierarchy:
         assembled = time.perf_counter()
         levels = [Level(discretes[0], meshes[0])]
         for k in range(1, len(meshes)):
-            levels.append(_transferred(transfer, levels[-1], meshes[k], discretes[k], contact_rows))
+            found = between_levels(transfer, meshes[k - 1], meshes[k], discretes[k - 1], discretes[k], contact_rows)
+            levels.append(Level(discretes[k], meshes[k], found.prolongation, surface_prolongation=found.surface))
         transferred = time.perf_counter()
         levels[1:] = [replace(fine, mesh_ratio=mesh_ratio(coarse.mesh, fine.mesh)) for coarse, fine in pairwise(levels)]
         timings = {"mesh": mesh_seconds, "assembly": assembled - begin, "transfer": transferred - assembled,
@@ -330,21 +343,8 @@ def _check_coarse_to_fine(meshes: list[MeshArrays]) -> None:
         raise ValueError(f"meshes must go from coarse to fine; they have {sizes} nodes")
 
 
-def _transferred(transfer: Transfer, coarse: Level, mesh: MeshArrays, discrete: DiscreteProblem,
-                 contact_rows: bool) -> Level:
-    """A finer level with its prolongation; contact nodes interpolate along the coarse contact boundary."""
-    from adaptmg.transfer import surface_interpolation, with_contact_rows
-
-    nodal = sparse.csr_array(transfer.build(coarse.mesh, mesh))
-    wanted = (mesh.n_nodes, coarse.mesh.n_nodes)
-    if nodal.shape != wanted:
-        raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
-                         f"got {nodal.shape}")
-    if not np.isfinite(nodal.data).all():
-        raise ValueError(f"transfer.build of {transfer!r} returned entries that are not finite")
-    contact = discrete.contact
-    for index, name in enumerate(contact.names if contact_rows else ()):
-        nodes = contact.nodes[contact.boundary == index]
-        rows = surface_interpolation(coarse.mesh, mesh, coarse.mesh.boundary_facets(name), nodes)
-        nodal = with_contact_rows(nodal, nodes, rows)
-    return Level(discrete, mesh, nodal)
+def _label(value: Any) -> str:
+    """A size, a ratio or divisions in words: a number, some, or by body."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{body}: {_label(part)}" for body, part in value.items()) + "}"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -134,7 +134,7 @@ def test_sized_in_3d():
     ((SQUARE, 1e-6), ValueError, "nodes .at most 5e"),
     ((SQUARE, 1e-3, "bottom", 1e7), ValueError, "nodes .at most 5e"),
     ((BOX, 1e-3, "bottom", 100), ValueError, "nodes .at most 2e"),
-    (("square", 1), TypeError, "must be a Rectangle, a Polygon or a Box"),
+    (("square", 1), TypeError, "must be a Rectangle, a Polygon, an Outline, a Box or"),
 ])
 def test_bad_input(arguments, error, message):
     with pytest.raises(error, match=message):

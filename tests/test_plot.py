@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from made import cube, result_on, square
 from matplotlib.colors import to_rgba
+from matplotlib.quiver import Quiver
+from test_plot_bodies import two_bodies
 
 import adaptmg as am
 from adaptmg import plot
 from adaptmg.plot.contact_zone import STATE_COLORS
+from adaptmg.plot.curves import curves_of
 from adaptmg.plot.line import lines_of
-from adaptmg.plot.stress import von_mises
 from adaptmg.plot.style import number, scaled
 from adaptmg.smoother.state import OPEN, SLIP, STICK
 
@@ -69,6 +73,70 @@ def test_problem_arrows_are_proportional_to_the_tractions():
     lengths = [np.hypot(q.U, q.V) for q in figure.axes[0].findobj(lambda a: type(a).__name__ == "Quiver")]
     assert sorted(round(float(x[0] / lengths[0][0]), 6) for x in lengths) in ([1.0, 3.0], [round(1 / 3, 6), 1.0])
     assert all(np.ptp(x) < 1e-9 for x in lengths)
+
+
+def dovetail() -> am.ContactProblem:
+    tongue = am.Outline(vertices=((0, 0), (0.02, 0), (0.01, 0.01), (0.01, 0.03), (0, 0.03)),
+                        boundaries=("foot", "flank", "neck", "top", "axis"), arcs={1: (0.01, 0)})
+    block = am.Rectangle(width=0.03, height=0.02, origin=(0.0, -0.02))
+    steel = am.PlaneStrain(young=2e11, poisson=0.3)
+    return am.ContactProblem(
+        material={"tongue": steel, "block": steel}, law=am.Coulomb(0.2), name="an assembly",
+        domain=am.Assembly(parts={"tongue": tongue, "block": block}),
+        contact=(am.ContactPair("tongue.foot", "block.top"), am.Contact("block.right", am.Plane((0.0301, 0), (-1, 0)))),
+        loads=(am.Pressure("tongue.flank", 1e8), am.BodyForce((0, -7e4), body="block"),
+               am.InitialStrain("tongue", (0, -1e-3))),
+        supports=(am.Support("block.bottom", y=0), am.Support("tongue.axis", x=0)))
+
+
+def test_problem_draws_assemblies():
+    shown = words(plot.problem(dovetail()))
+    for text in ("an assembly", "tongue", "block", "'tongue.foot' on 'block.top'", "Coulomb friction 0.2",
+                 "p = 100 MPa", "body force 70 kN/m³ in 'block'", "initial strain of 'tongue'",
+                 "$\\varepsilon_y$ = -0.001", "$u_y$ = 0", "30 mm", "gap drawn"):
+        assert text in shown
+    turned = dataclasses.replace(dovetail(), material=am.Axisymmetric(young=2e11, poisson=0.3))
+    shown = words(plot.problem(turned))
+    assert "r = 0 to 30 mm" in shown and "$u_z$ = 0" in shown and "$u_r$ = 0" in shown
+
+
+def test_pressure_on_an_arc_acts_along_its_normal():
+    figure = plot.problem(dovetail())
+    quivers = figure.axes[0].findobj(Quiver)
+    (arc,) = [q for q in quivers if np.ptp(np.degrees(np.arctan2(q.V, q.U))) > 10]
+    tips = np.stack([arc.X + arc.U, arc.Y + arc.V], 1) - [10.0, 0.0]
+    np.testing.assert_allclose(np.linalg.norm(tips, axis=1), 10.0, rtol=1e-3)
+    directions = -np.stack([arc.U, arc.V], 1) / np.hypot(arc.U, arc.V)[:, None]
+    np.testing.assert_allclose(directions, tips / np.linalg.norm(tips, axis=1)[:, None], atol=0.03)
+
+
+def test_curves_follow_their_boundaries():
+    outline = dovetail().domain.parts["tongue"]
+    curves = curves_of(outline)
+    assert set(curves) == set(outline.boundaries) and all(len(found) == 1 for found in curves.values())
+    for name, length in zip(outline.boundaries, outline.lengths, strict=True):
+        assert curves[name][0].length == pytest.approx(length, rel=1e-3)
+    square_curves = curves_of(am.Polygon(vertices=((0, 0), (1, 0), (1, 1), (0, 1)), boundaries=("a", "b", "a", "b")))
+    assert [len(found) for found in square_curves.values()] == [2, 2]
+    circle = curves_of(am.Outline(vertices=((1, 0), (-0.5, 0.75**0.5), (-0.5, -(0.75**0.5))), boundaries=("rim",) * 3,
+                                  arcs={k: (0, 0) for k in range(3)}))
+    assert circle["rim"][0].length == pytest.approx(2 * np.pi, rel=1e-3)
+
+
+def test_problem_draws_solids_on_a_mesh():
+    material = {"upper": am.Solid(young=2e11, poisson=0.3), "lower": am.Solid(young=2e11, poisson=0.3)}
+    posed = am.ContactProblem(
+        material=material, law=am.Frictionless(), contact=am.ContactPair("upper.bottom", "lower.bottom"), name="solids",
+        loads=(am.Pressure("upper.rest", 2e7), am.InitialStrain("upper", (0, 0, -1e-3))),
+        supports=(am.Support("lower.rest", z=0),))
+    shown = words(plot.problem(posed, mesh=two_bodies(3, 4, 3).mesh, explode=0.3))
+    for text in ("contact on 'upper.bottom'", "its master 'lower.bottom'", "pressure 20 MPa on 'upper.rest'", "lower",
+                 "$u_z$ = 0 on 'lower.rest'", "initial strain (0, 0, -0.001) in 'upper'", "frictionless contact"):
+        assert text in shown
+    with pytest.raises(ValueError, match="no domain"):
+        plot.problem(posed)
+    with pytest.raises(ValueError, match="does not exist"):
+        plot.problem(posed, mesh=cube(1))
 
 
 def test_contact_draws_the_values_in_the_units_it_names():
@@ -157,22 +225,6 @@ def test_deformed_refuses_what_it_cannot_draw():
         plot.deformed(PLANE, float("nan"))
     with pytest.raises(ValueError, match="three-dimensional"):
         plot.deformed(SOLID, ax=plt.subplots()[1])
-
-
-def test_von_mises_is_the_uniaxial_stress():
-    young, poisson, strain = 2e11, 0.3, 1e-4
-    x = cube(2).points
-    u = strain * np.stack([x[:, 0], -poisson * x[:, 1], -poisson * x[:, 2]], 1)
-    np.testing.assert_allclose(von_mises(cube(2), u, am.Solid(young=young, poisson=poisson)), young * strain)
-    x = square(3).points
-    u = strain * np.stack([x[:, 0], -poisson * x[:, 1]], 1)
-    np.testing.assert_allclose(von_mises(square(3), u, am.PlaneStress(young=young, poisson=poisson)), young * strain)
-    # plane strain: e_zz = 0, by the three-dimensional law
-    flat = am.PlaneStrain(young=young, poisson=poisson)
-    box = cube(1).points
-    solid = von_mises(cube(1), strain * np.stack([box[:, 0], 0 * box[:, 1], 0 * box[:, 2]], 1),
-                      am.Solid(young=young, poisson=poisson))
-    np.testing.assert_allclose(von_mises(square(2), strain * square(2).points * [1, 0], flat), solid[0])
 
 
 def test_history_draws_what_was_recorded():

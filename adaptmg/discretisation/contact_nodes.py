@@ -1,51 +1,82 @@
-r"""Contact nodes: normals, lumped boundary masses and gaps of the nodes that may touch an obstacle.
+r"""Contact nodes: normals, lumped boundary masses and gaps of the nodes that may touch an obstacle or another body.
 
 With the area vectors :math:`a_F` of the facets F of the contact boundary at node i,
 
-.. math:: n_i = \sum_F a_F \Big/ \Big|\sum_F a_F\Big|, \qquad w_i = \tfrac1d \sum_F |a_F|,
+.. math:: n_i = \sum_F a_F \Big/ \Big|\sum_F a_F\Big|, \qquad w_i = \sum_F \int_F \varphi_i ,
 
-the area-weighted average normal and the row sum of the boundary mass matrix. A node on two contact boundaries belongs
-to the one named first: its normal is averaged, and its obstacle taken, there; facets of the other boundary count in
-its mass by the part that faces the same way, :math:`\tfrac1d \max(0, a_F \cdot n_i)`.
+the area-weighted average normal and, in front of a rigid obstacle, the row sum of the boundary mass matrix (in
+axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.discretisation.pair_nodes`.
+
+A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it faces is found,
+there. In front of obstacles, facets of the other boundary count in its mass by the part that faces the same way. In a
+pair it carries no multiplier of the pair named later: that pair's multipliers beside it take over its part, and it
+follows as a plain node.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy import sparse
 
 from adaptmg.discrete import ContactNodes
-from adaptmg.discretisation.facets import area_vectors, named_facets
+from adaptmg.discretisation.facets import area_vectors, named_facets, shape_integrals
+from adaptmg.discretisation.pair_nodes import pair_interface
 from adaptmg.discretisation.supports import fixed_dofs
+from adaptmg.discretisation.surface_normals import surface_normals
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.problem.pairs import ContactPair
 
-__all__ = ["contact_nodes"]
+__all__ = ["contact_data", "contact_nodes"]
 
 _ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
-_SYMMETRY_TILT = np.cos(np.pi / 6)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The nodes of one contact boundary: arrays over them, and what they follow (n, n_nodes) if that is a body."""
+
+    nodes: np.ndarray
+    normals: np.ndarray
+    weights: np.ndarray
+    gaps: np.ndarray
+    coupling: sparse.csr_array | None = None
 
 
 def contact_nodes(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
                   ) -> ContactNodes:
-    """Nodes of the contact boundaries, in ascending order.
+    """The contact nodes alone; see :func:`contact_data`."""
+    return contact_data(problem, mesh, slip_reference=slip_reference)[0]
+
+
+def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
+                 ) -> tuple[ContactNodes, sparse.csr_array | None]:
+    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow.
 
     Parameters
     ----------
     problem : ContactProblem
     mesh : MeshArrays
     slip_reference : (n_nodes, dim) array, optional
-        Displacement of all nodes against which slip is measured (the previous load step), m. Default 0.
+        Displacement of all nodes against which slip is measured (the previous load step), m. Between bodies relative
+        to the other body. Default 0.
 
     Returns
     -------
-    ContactNodes
-        Unit normals out of the body, gaps (m), weights (m, in 3D m^2), and the contact boundary of each node.
+    contact : ContactNodes
+        Unit normals out of the body, gaps (m), weights (m, in 3D and axisymmetry m^2), and the contact boundary of
+        each node.
+    weights : (n_nodes, n_nodes) csr_array or None
+        In the rows of slave nodes what they face; None without pairs.
 
     Raises
     ------
     ValueError
-        If a node lies behind its obstacle without ``allow_interference``, if a support fixes a normal component, if
-        normals cancel at a node, or if an obstacle returns arrays of the wrong shape.
+        If a node lies behind its obstacle, or bodies overlap, without ``allow_interference``; if a support fixes a
+        normal component; if normals cancel at a node; if an obstacle returns arrays of the wrong shape; if the
+        surfaces of a pair never face each other.
 
     Notes
     -----
@@ -57,72 +88,80 @@ def contact_nodes(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: 
     facets = [named_facets(mesh, contact.boundary) for contact in problem.contact]
     for k in reversed(range(len(facets))):
         owner[facets[k]] = k
-    nodes = np.flatnonzero(owner >= 0)
-    owner = owner[nodes]
-    normals = _averaged_normals(problem, mesh, facets, nodes, owner)
-    weights = _lumped_masses(mesh, facets, nodes, owner, normals)
-
-    fixed = fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim)[nodes]
-    normals = _along_symmetry_planes(normals, fixed)
-    gaps = np.empty(len(nodes))
+    fixed = fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim)
+    parts = []
     for k, contact in enumerate(problem.contact):
-        mine = owner == k
-        if mine.any():
-            normals[mine], gaps[mine] = _facing(contact.obstacle, contact.boundary, mesh.points[nodes[mine]],
-                                                normals[mine])
+        if isinstance(contact, ContactPair):
+            mine = np.unique(facets[k])
+            found = pair_interface(mesh, contact, fixed=fixed, excluded=mine[owner[mine] != k],
+                                   axisymmetric=problem.axisymmetric)
+            parts.append(_Part(found.nodes, found.normals, found.weights, found.gaps, found.coupling))
+        else:
+            parts.append(_in_front_of(contact, problem, mesh, facets, owner, k, fixed))
+    boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
+    nodes = np.concatenate([part.nodes for part in parts])
+    order = np.argsort(nodes)
+    nodes, boundary = nodes[order], boundary[order]
+    normals, weights, gaps = (np.concatenate([getattr(part, name) for part in parts])[order]
+                              for name in ("normals", "weights", "gaps"))
+    _check_supports(problem, mesh, nodes, boundary, fixed[nodes] & (np.abs(normals) > 1e-8))
+    contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
+                           slip_reference=_at_contact(slip_reference, mesh, nodes),
+                           allow_interference=any(contact.allow_interference for contact in problem.contact),
+                           names=problem.contact_boundaries, masters=problem.masters)
+    return contact, _followed(parts, mesh.n_nodes)
+
+
+def _followed(parts: list[_Part], n_nodes: int) -> sparse.csr_array | None:
+    """Rows (n_nodes, n_nodes) of what the nodes of all pairs face."""
+    coupled = [part for part in parts if part.coupling is not None]
+    if not coupled:
+        return None
+    rows = np.concatenate([np.repeat(part.nodes, np.diff(part.coupling.indptr)) for part in coupled])
+    columns = np.concatenate([part.coupling.indices for part in coupled])
+    values = np.concatenate([part.coupling.data for part in coupled])
+    return sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
+
+
+def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray],
+                 owner: np.ndarray, k: int, fixed: np.ndarray) -> _Part:
+    """The nodes that contact boundary k owns, in front of a rigid obstacle."""
+    nodes = np.unique(facets[k])
+    nodes = nodes[owner[nodes] == k]
+    try:
+        averaged = surface_normals(mesh.points, facets[k], fixed=fixed)[nodes]
+    except ValueError as error:
+        raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
+    weights = _lumped_masses(problem, mesh, facets, nodes, k, averaged)
+    normals, gaps = _facing(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
+    gaps = np.array(gaps, dtype=np.float64)
     gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
-    _check_interference(problem, mesh, nodes, owner, gaps)
-    _check_supports(problem, mesh, nodes, owner, fixed & (np.abs(normals) > 1e-8))
-    return ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights,
-                        slip_reference=_at_contact(slip_reference, mesh, nodes), boundary=owner,
-                        allow_interference=any(contact.allow_interference for contact in problem.contact),
-                        names=problem.contact_boundaries)
+    if len(nodes) and gaps.min() < 0 and not contact.allow_interference:
+        deepest = int(np.argmin(gaps))
+        raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
+                         f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
+                         "allow_interference=True for an interference fit")
+    return _Part(nodes, normals, weights, gaps)
 
 
-def _averaged_normals(problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray], nodes: np.ndarray,
-                      owner: np.ndarray) -> np.ndarray:
-    """Unit normals (n_contact, dim) averaged over the facets of the boundary that owns a node."""
-    total, measure = np.zeros((mesh.n_nodes, mesh.dim)), np.zeros(mesh.n_nodes)
-    for k, mine in enumerate(facets):
-        vectors = area_vectors(mesh.points, mine)
-        own = np.zeros(mesh.n_nodes, dtype=bool)
-        own[nodes[owner == k]] = True
-        for corner in mine.T:
-            here = own[corner]
-            np.add.at(total, corner[here], vectors[here])
-            np.add.at(measure, corner[here], np.linalg.norm(vectors[here], axis=1))
-    total, measure = total[nodes], measure[nodes]
-    lengths = np.linalg.norm(total, axis=1)
-    if not (lengths > 1e-8 * measure).all():
-        i = int(np.argmin(lengths / measure))
-        raise ValueError(f"contact boundary {problem.contact[owner[i]].boundary!r} has no normal at node {nodes[i]} "
-                         f"{tuple(mesh.points[nodes[i]].tolist())}: its facets there cancel; split the boundary")
-    return total / lengths[:, None]
-
-
-def _lumped_masses(mesh: MeshArrays, facets: list[np.ndarray], nodes: np.ndarray, owner: np.ndarray,
+def _lumped_masses(problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray], nodes: np.ndarray, k: int,
                    normals: np.ndarray) -> np.ndarray:
-    """Boundary masses (n_contact,), m or m^2."""
+    """Boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
     index = np.full(mesh.n_nodes, -1)
     index[nodes] = np.arange(len(nodes))
     weights = np.zeros(len(nodes))
-    for k, mine in enumerate(facets):
+    for other, mine in enumerate(facets):
+        if other != k and isinstance(problem.contact[other], ContactPair):
+            continue
         vectors = area_vectors(mesh.points, mine)
-        lengths = np.linalg.norm(vectors, axis=1)
-        for corner in index[mine].T:
-            facing = np.maximum(0.0, np.sum(vectors * normals[corner], axis=1))
-            np.add.at(weights, corner, np.where(owner[corner] == k, lengths, facing) / mesh.dim)
+        for corner, share in zip(mine.T, shape_integrals(mesh.points, mine, problem.axisymmetric).T, strict=True):
+            at = index[corner]
+            here = at >= 0
+            facing = np.linalg.norm(vectors[here], axis=1)
+            if other != k:
+                facing = np.maximum(0.0, np.sum(vectors[here] * normals[at[here]], axis=1))
+            np.add.at(weights, at[here], facing * share[here])
     return weights
-
-
-def _along_symmetry_planes(normals: np.ndarray, fixed: np.ndarray) -> np.ndarray:
-    """Normals without their components along fixed directions, where these are small."""
-    inside = np.where(fixed, 0.0, normals)
-    lengths = np.linalg.norm(inside, axis=1)
-    tilted = lengths > _SYMMETRY_TILT
-    result = normals.copy()
-    result[tilted] = inside[tilted] / lengths[tilted, None]
-    return result
 
 
 def _facing(obstacle: object, boundary: str, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -132,19 +171,6 @@ def _facing(obstacle: object, boundary: str, points: np.ndarray, normals: np.nda
         raise ValueError(f"the obstacle in front of {boundary!r} must return normals {points.shape} and gaps "
                          f"({len(points)},), got {np.shape(directions)} and {np.shape(gaps)}")
     return directions, gaps
-
-
-def _check_interference(problem: ContactProblem, mesh: MeshArrays, nodes: np.ndarray, owner: np.ndarray,
-                        gaps: np.ndarray) -> None:
-    for k, contact in enumerate(problem.contact):
-        mine = np.flatnonzero(owner == k)
-        if contact.allow_interference or not len(mine):
-            continue
-        deepest = mine[np.argmin(gaps[mine])]
-        if gaps[deepest] < 0:
-            raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
-                             f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
-                             "allow_interference=True for an interference fit")
 
 
 def _check_supports(problem: ContactProblem, mesh: MeshArrays, nodes: np.ndarray, owner: np.ndarray,

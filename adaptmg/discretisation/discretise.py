@@ -1,13 +1,17 @@
-"""From what is posed to what is solved: ContactProblem + mesh -> DiscreteProblem."""
+"""From what is posed to what is solved: ContactProblem + mesh -> DiscreteProblem.
+
+Bodies that touch each other are coupled by relative coordinates (:mod:`adaptmg.coupling`).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.discretisation.contact_nodes import contact_nodes
+from adaptmg.discretisation.contact_nodes import contact_data
 from adaptmg.discretisation.elasticity import stiffness
 from adaptmg.discretisation.loads import load_vector
+from adaptmg.discretisation.rigid_motions import rigid_motions
 from adaptmg.discretisation.supports import fixed_dofs
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
@@ -25,7 +29,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     mesh : MeshArrays
         With every boundary the problem names.
     slip_reference : (n_nodes, dim) array, optional
-        Displacement against which slip is measured (the previous load step), m. Default 0.
+        Displacement against which slip is measured (the previous load step), m; at slave nodes relative to the
+        master. Default 0.
 
     Returns
     -------
@@ -35,8 +40,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     Raises
     ------
     ValueError
-        If dimensions or boundary names differ, if the mesh has fewer than dim + 1 contact nodes, or for what
-        :func:`contact_nodes`, :func:`fixed_dofs` and :func:`load_vector` refuse.
+        If dimensions, boundary or body names differ, if a body has neither support nor contact, if the mesh has fewer
+        than dim + 1 contact nodes, or for what :func:`contact_data`, :func:`fixed_dofs` and :func:`load_vector` refuse.
     """
     if not isinstance(problem, ContactProblem):
         raise TypeError(f"problem must be a ContactProblem, got {type(problem).__name__}")
@@ -45,13 +50,34 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     if mesh.dim != problem.dim:
         raise ValueError(f"the mesh is {mesh.dim}D, the problem {problem.name!r} {problem.dim}D")
     problem.check_boundaries(mesh.boundaries)
-    contact = contact_nodes(problem, mesh, slip_reference=slip_reference)
+    problem.check_bodies(mesh.bodies)
+    bodies = _bodies(mesh)
+    _check_held(problem, mesh, bodies)
+    contact, weights = contact_data(problem, mesh, slip_reference=slip_reference)
     if len(contact) <= mesh.dim:
         raise ValueError(f"mesh too coarse: {len(contact)} contact nodes on {', '.join(problem.contact_boundaries)}, "
                          f"at least {mesh.dim + 1} are needed; refine the mesh there")
     fixed, values = fixed_dofs(mesh, problem.supports)
-    load = load_vector(mesh, problem.loads)
-    law = problem.law.at_nodes(mesh.points[contact.nodes], contact.weights)
-    return DiscreteProblem(matrix=stiffness(mesh, problem.material), load=load, fixed=fixed, fixed_values=values,
-                           law=law, contact=contact, coordinates=mesh.points,
-                           name=f"{problem.name}, {mesh.n_nodes} nodes")
+    parts = {"matrix": stiffness(mesh, problem.material), "load": load_vector(mesh, problem.loads, problem.material),
+             "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
+             "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
+             "near_nullspace": rigid_motions(mesh, problem.axisymmetric),
+             "name": f"{problem.name}, {mesh.n_nodes} nodes"}
+    if weights is None:
+        return DiscreteProblem(**parts)
+    return DiscreteProblem.coupled(**parts, weights=weights)
+
+
+def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
+    """Nodes of each body."""
+    return {name: np.unique(mesh.elements[mesh.element_body == k]) for k, name in enumerate(mesh.bodies)}
+
+
+def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
+    """Raise ValueError if a body has neither a support nor a surface in contact."""
+    holding = [*problem.pair_boundaries, *(support.boundary for support in problem.supports)]
+    held = np.unique(np.concatenate([mesh.boundary_nodes(name) for name in holding]))
+    for name, nodes in bodies.items():
+        if not np.isin(nodes, held).any():
+            raise ValueError(f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
+                             "support or a contact pair, or leave it out")

@@ -1,79 +1,95 @@
-r"""The stiffness matrix of P1 elasticity, assembled by NGSolve.
+r"""The stiffness matrix of P1 elasticity; the bodies may differ in material.
 
 .. math:: a(u, v) = \int_\Omega \lambda\,\mathrm{div}\,u\,\mathrm{div}\,v + 2\mu\,\varepsilon(u) : \varepsilon(v)
 
-with the Lame constants of the material, so that plane stress, plane strain and three dimensions are one form.
+with the Lame constants of the material, so that plane stress, plane strain and three dimensions are one form. In
+axisymmetry x is the radius r and y the axial coordinate z,
+
+.. math:: \varepsilon = (u_{r,r},\ u_{z,z},\ u_r / r,\ \tfrac12(u_{r,z} + u_{z,r})),
+
+integrals run over the full circumference (weight :math:`2 \pi r`), and forces are in N.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy import sparse
 
+from adaptmg.discretisation import element_kernels as kernels
+from adaptmg.discretisation.body_materials import Materials, body_materials, is_axisymmetric, lame_constants
+from adaptmg.discretisation.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.materials import Elastic
 
 __all__ = ["stiffness"]
 
 
-def stiffness(mesh: MeshArrays, material: Elastic) -> sparse.bsr_array:
+def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     """Assemble the stiffness matrix, with no boundary condition applied.
 
     Parameters
     ----------
     mesh : MeshArrays
-        Assembly runs on ``mesh.source``; without one, an NGSolve mesh is built from the arrays.
-    material : Elastic
-        The same in the whole body.
+        One body or several; only the arrays are used.
+    material : Elastic or mapping
+        The same in all bodies, or body name -> Elastic.
 
     Returns
     -------
     scipy.sparse.bsr_array (n_dofs, n_dofs)
-        Blocks of dim x dim, sorted indices, dof = dim * node + component; N/m (2D: per metre of thickness).
+        Blocks of dim x dim, sorted indices, dof = dim * node + component; bitwise symmetric. N/m (plane: per metre of
+        thickness; axisymmetric: of the full circumference).
 
     Raises
     ------
     ValueError
-        If material and mesh differ in dimension, or ``mesh.source`` does not belong to the arrays or is curved.
-    """
-    import ngsolve as ng
+        If materials and mesh do not fit (:func:`~adaptmg.discretisation.body_materials.body_materials`), a node number
+        is out of range, or an element is inverted or degenerate.
 
+    Notes
+    -----
+    On the axis r = 0 the user prescribes u_r = 0, e.g. ``Support("axis", x=0.0)``: the hoop strain is bounded for no
+    other displacement. Without it the matrix is finite still.
+    """
+    materials = body_materials(mesh, material)
+    _check_numbers(mesh)
     dim = mesh.dim
-    if material.dim != dim:
-        raise ValueError(f"the material is {material.dim}D, the mesh {dim}D: use Solid in 3D, PlaneStrain or "
-                         "PlaneStress in 2D")
-    source = _source(mesh)
-    space = ng.H1(source, order=1, dim=dim)
-    u, v = space.TnT()
-    grad_u, grad_v = ng.Grad(u), ng.Grad(v)
-    form = ng.BilinearForm(space)
-    form += (material.lame * ng.Trace(grad_u) * ng.Trace(grad_v)
-             + 2 * material.shear_modulus * ng.InnerProduct(ng.Sym(grad_u), ng.Sym(grad_v))) * ng.dx
-    form.Assemble()
-    values, columns, rows = form.mat.CSR()
-    # views into the NGSolve matrix, which dies with `form`: copied here, once
-    data = np.array(values).reshape(-1, dim, dim)
-    indices = np.array(columns, dtype=np.int32)
-    indptr = np.array(rows, dtype=np.int32 if len(indices) < 2**31 else np.int64)
+    indptr, indices = _pattern(mesh.elements, mesh.n_nodes)
+    data = np.zeros((len(indices), dim, dim))
+    arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
+    if is_axisymmetric(materials):
+        bad = kernels.add_axisymmetric(*arguments, *quadrature_rule(3, AXISYMMETRIC_DEGREE), indptr, indices, data)
+    else:
+        add = kernels.add_plane if dim == 2 else kernels.add_solid
+        bad = add(*arguments, indptr, indices, data)
+    if bad >= 0:
+        raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
+                         "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
+    if len(indices) < 2**31:
+        indptr = indptr.astype(np.int32)
     n_dofs = dim * mesh.n_nodes
     matrix = sparse.bsr_array((data, indices, indptr), shape=(n_dofs, n_dofs), copy=False)
-    return matrix if matrix.has_sorted_indices else matrix.sorted_indices()
+    matrix.has_sorted_indices = True
+    return matrix
 
 
-def _source(mesh: MeshArrays) -> Any:
-    """The NGSolve mesh to assemble on, checked against the arrays."""
-    if mesh.source is None:
-        from adaptmg.mesh.build import with_source
+def _pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Row pointers and sorted columns of the nodal matrix."""
+    start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
+    marker, indptr = np.full(n_nodes, -1, dtype=np.int32), np.empty(n_nodes + 1, dtype=np.int64)
+    kernels.count_neighbours(elements, start, listed, marker, indptr)
+    indices = np.empty(indptr[-1], dtype=np.int32)
+    marker[:] = -1
+    kernels.fill_neighbours(elements, start, listed, marker, indptr[:-1].copy(), indices)
+    return indptr, indices
 
-        return with_source(mesh).source
-    source = mesh.source
-    if source.dim != mesh.dim or source.nv != mesh.n_nodes or source.ne != len(mesh.elements):
-        raise ValueError(f"mesh.source ({source.dim}D, {source.nv} nodes, {source.ne} elements) does not belong to the "
-                         f"arrays ({mesh.dim}D, {mesh.n_nodes} nodes, {len(mesh.elements)} elements): was it refined "
-                         "after it was read? Read the arrays again, or drop the source")
-    if source.GetCurveOrder() > 1:
-        raise ValueError(f"mesh.source is curved (order {source.GetCurveOrder()}); P1 needs straight elements: "
-                         "call mesh.Curve(1) on it, or drop the source")
-    return source
+
+def _check_numbers(mesh: MeshArrays) -> None:
+    """Numbers out of range would make the kernels read and write elsewhere."""
+    for name, numbers, count in (("elements", mesh.elements, mesh.n_nodes),
+                                 ("element_body", mesh.element_body, len(mesh.bodies))):
+        if not numbers.size or numbers.min() < 0 or numbers.max() >= count:
+            found = f"{numbers.min()} to {numbers.max()}" if numbers.size else "none"
+            raise ValueError(f"mesh.{name} must be numbers from 0 to {count - 1}, got {found}")
+    if mesh.elements.shape[1] != mesh.dim + 1 or len(mesh.element_body) != len(mesh.elements):
+        raise ValueError(f"a {mesh.dim}D mesh needs elements (n, {mesh.dim + 1}) and element_body (n,), got "
+                         f"{mesh.elements.shape} and {mesh.element_body.shape}")

@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["area_vectors", "named_facets"]
+__all__ = ["area_vectors", "named_facets", "shape_integrals"]
 
 
 def named_facets(mesh: MeshArrays, boundary: str) -> np.ndarray:
@@ -41,3 +41,25 @@ def area_vectors(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
     if points.shape[1] == 2:
         return np.column_stack([first[:, 1], -first[:, 0]])
     return 0.5 * np.cross(first, corners[:, 2] - corners[:, 0])
+
+
+def shape_integrals(points: np.ndarray, facets: np.ndarray, axisymmetric: bool = False) -> np.ndarray:
+    r"""Integral of the shape function of each corner over the measure of its facet.
+
+    Parameters
+    ----------
+    points : (n_nodes, dim) array
+        m.
+    facets : (n, dim) array of int
+    axisymmetric : bool
+        x is a radius, and integrals are weighted with 2 pi r.
+
+    Returns
+    -------
+    (n, dim) array
+        1 / dim; in axisymmetry :math:`2\pi\,(2 r_i + r_j)/6`, m.
+    """
+    if not axisymmetric:
+        return np.full(facets.shape, 1.0 / points.shape[1])
+    r = points[facets, 0]
+    return 2 * np.pi * (r + r.sum(axis=1, keepdims=True)) / 6

@@ -1,8 +1,10 @@
-r"""The load vector: surface tractions and body forces tested with the P1 shape functions.
+r"""The load vector: surface tractions, body forces and initial strains tested with the P1 shape functions.
 
 .. math:: b_{i} = \int_\Omega f\,\varphi_i + \int_{\Gamma} g\,\varphi_i
+   + \int_\Omega C \varepsilon_0 : \varepsilon(\varphi_i)
 
-by quadrature of degree 2 on each element and facet: exact for data that are linear in position.
+by quadrature of degree 2 on each element and facet, in axisymmetry, where all is weighted with :math:`2 \pi r`, of
+degree 5: exact for data that are linear in position.
 """
 
 from __future__ import annotations
@@ -11,78 +13,84 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from adaptmg.discretisation.body_materials import Materials, body_materials, is_axisymmetric
 from adaptmg.discretisation.facets import area_vectors, named_facets
+from adaptmg.discretisation.initial_strain import body_elements, initial_strain_load
+from adaptmg.discretisation.quadrature import (
+    AXISYMMETRIC_DEGREE,
+    PLAIN_DEGREE,
+    quadrature_points,
+    quadrature_rule,
+)
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
-from adaptmg.problem.loads import BodyForce, Load, Pressure
+from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Traction
 
 __all__ = ["load_vector"]
 
-# barycentric coordinates of one point of the degree-2 rule by number of corners; the other points are its rotations,
-# all with equal weight (Gauss; Strang and Fix 1973; Keast 1986)
-_FIRST_POINT = {
-    2: (0.5 + 0.5 / np.sqrt(3), 0.5 - 0.5 / np.sqrt(3)),
-    3: (2 / 3, 1 / 6, 1 / 6),
-    4: ((5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20),
-}
 
-
-def load_vector(mesh: MeshArrays, loads: Sequence[Load]) -> np.ndarray:
+def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | None = None) -> np.ndarray:
     """Nodal forces of all loads.
 
     Parameters
     ----------
     mesh : MeshArrays
-    loads : sequence of Pressure, Traction, BodyForce
+    loads : sequence of Pressure, Traction, BodyForce, InitialStrain
         Their functions of position are called once each, with all quadrature points (n, dim).
+    material : Elastic or mapping, optional
+        The same in all bodies, or body name -> Elastic. Axisymmetric materials weight all with 2 pi r; initial
+        strains need the elastic constants. Without it the loads are Cartesian.
 
     Returns
     -------
     (n_dofs,) array
-        N (2D: per metre of thickness); dual, dof = dim * node + component.
+        N (plane: per metre of thickness; axisymmetric: of the full circumference); dual, dof = dim * node + component.
 
     Raises
     ------
     ValueError
-        For a boundary the mesh does not have, components of the wrong number, or data that are not finite.
+        For a boundary or body the mesh does not have, components of the wrong number, data that are not finite, or an
+        initial strain without ``material``.
     """
+    axisymmetric = material is not None and is_axisymmetric(body_materials(mesh, material))
     result = np.zeros((mesh.n_nodes, mesh.dim))
     for load in loads:
-        if isinstance(load, BodyForce):
-            cells, measures = mesh.elements, mesh.volumes
+        if isinstance(load, InitialStrain):
+            if material is None:
+                raise ValueError(f"the load of {load!r} depends on the elastic constants: give material")
+            result += initial_strain_load(mesh, load, material)
+        elif isinstance(load, BodyForce):
+            here = slice(None) if load.body is None else body_elements(mesh, load.body)
+            _add(result, mesh, mesh.elements[here], mesh.volumes[here], load, axisymmetric)
         else:
             cells = named_facets(mesh, load.boundary)
             vectors = area_vectors(mesh.points, cells)
             measures = np.linalg.norm(vectors, axis=1)
-        points = _quadrature_points(mesh.points, cells)
-        if isinstance(load, Pressure):
-            value = checks.field(f"pressure on {load.boundary!r}", load.value, points.reshape(-1, mesh.dim))
-            normals = vectors / measures[:, None]
-            density = -value.reshape(points.shape[:2])[:, :, None] * normals[:, None, :]
-        else:
-            if len(load.components) != mesh.dim:
-                raise ValueError(f"{load!r} has {len(load.components)} components on a {mesh.dim}D mesh")
-            density = np.stack([checks.field(f"component {'xyz'[k]} of {type(load).__name__}", component,
-                                             points.reshape(-1, mesh.dim)).reshape(points.shape[:2])
-                                for k, component in enumerate(load.components)], axis=-1)
-        _add(result, cells, measures, density)
+            _add(result, mesh, cells, measures, load, axisymmetric, vectors / measures[:, None])
     return result.reshape(-1)
 
 
-def _rule(corners: int) -> np.ndarray:
-    """Barycentric coordinates (corners, corners) of the rule's points."""
-    first = np.array(_FIRST_POINT[corners])
-    return np.stack([np.roll(first, k) for k in range(corners)])
-
-
-def _quadrature_points(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Positions (n_cells, n_quadrature, dim) of the quadrature points."""
-    return np.einsum("qk,ckd->cqd", _rule(cells.shape[1]), points[cells])
-
-
-def _add(result: np.ndarray, cells: np.ndarray, measures: np.ndarray, density: np.ndarray) -> None:
-    """Add the nodal forces of a density (n_cells, n_quadrature, dim) to ``result`` (n_nodes, dim)."""
-    corners = cells.shape[1]
-    nodal = np.einsum("c,qk,cqd->ckd", measures / corners, _rule(corners), density)
-    for d in range(result.shape[1]):
+def _add(result: np.ndarray, mesh: MeshArrays, cells: np.ndarray, measures: np.ndarray,
+         load: BodyForce | Pressure | Traction, axisymmetric: bool, normals: np.ndarray | None = None) -> None:
+    """Add the nodal forces of one load on ``cells`` to ``result`` (n_nodes, dim)."""
+    rule, weights = quadrature_rule(cells.shape[1], AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE)
+    points = quadrature_points(mesh.points, cells, rule)
+    weights = measures[:, None] * weights
+    if axisymmetric:
+        weights = weights * (2 * np.pi * points[:, :, 0])
+    nodal = np.einsum("cq,qk,cqd->ckd", weights, rule, _density(load, points, normals), optimize=True)
+    for d in range(mesh.dim):
         result[:, d] += np.bincount(cells.reshape(-1), weights=nodal[:, :, d].reshape(-1), minlength=len(result))
+
+
+def _density(load: BodyForce | Pressure | Traction, points: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
+    """Force per volume or area at points (n_cells, n_quadrature, dim), in the same shape."""
+    shape, dim = points.shape[:2], points.shape[2]
+    flat = points.reshape(-1, dim)
+    if isinstance(load, Pressure):
+        value = checks.field(f"pressure on {load.boundary!r}", load.value, flat).reshape(shape)
+        return -value[:, :, None] * normals[:, None, :]
+    if len(load.components) != dim:
+        raise ValueError(f"{load!r} has {len(load.components)} components on a {dim}D mesh")
+    return np.stack([checks.field(f"component {'xyz'[k]} of {type(load).__name__}", component, flat).reshape(shape)
+                     for k, component in enumerate(load.components)], axis=-1)

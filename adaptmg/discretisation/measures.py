@@ -1,23 +1,30 @@
 r"""Strain and stress, element by element, from a P1 displacement.
 
 .. math:: \varepsilon = \tfrac12(\nabla u + \nabla u^T), \qquad
-   \sigma = \lambda\,\mathrm{tr}(\varepsilon) I + 2\mu\varepsilon
+   \sigma = \lambda\,\mathrm{tr}(\varepsilon - \varepsilon_0) I + 2\mu (\varepsilon - \varepsilon_0)
 
-with the Lame constants as they enter the plane problem; both are constant on an element.
+with the initial strain :math:`\varepsilon_0`, if any, and the Lame constants as they enter the plane problem. Both are
+constant on an element, but for the hoop strain :math:`u_r / r` of axisymmetric bodies, whose mean over the volume is
+taken: its value at the centroid, :math:`\int u_r \big/ \int r`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
+from adaptmg.discretisation.body_materials import Materials, body_materials, is_axisymmetric, lame_constants
+from adaptmg.discretisation.initial_strain import mean_initial_strain
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.materials import Elastic, PlaneStrain
+from adaptmg.problem.loads import Load
+from adaptmg.problem.materials import PlaneStrain, PlaneStress
 
-__all__ = ["element_strain", "element_stress", "von_mises"]
+__all__ = ["element_strain", "element_stress", "full_stress", "hoop_strain", "von_mises"]
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """Small-strain tensors.
+    """Small-strain tensors in the plane (3D: full), initial strains included.
 
     Parameters
     ----------
@@ -30,60 +37,114 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     (n_elements, dim, dim) array
         Symmetric.
     """
-    u = np.asarray(displacement, dtype=np.float64)
-    if u.shape not in (mesh.points.shape, (mesh.points.size,)):
-        raise ValueError(f"displacement must have shape {mesh.points.shape}, got {u.shape}")
-    u = u.reshape(mesh.points.shape)
+    u = _nodal(mesh, displacement)
     corners, values = mesh.points[mesh.elements], u[mesh.elements]
     # with edge vectors as rows, du_edge = edge . grad(u), grad(u)[j, i] = d u_i / d x_j
     gradient = np.linalg.solve(corners[:, 1:] - corners[:, :1], values[:, 1:] - values[:, :1])
     return 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
 
 
-def element_stress(mesh: MeshArrays, material: Elastic, displacement: np.ndarray) -> np.ndarray:
-    """In-plane (3D: full) Cauchy stress tensors.
+def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+    """Mean hoop strain u_r / r of axisymmetric elements.
 
     Parameters
     ----------
     mesh : MeshArrays
-    material : Elastic
-        Of the mesh's dimension.
-    displacement : (n_nodes, dim) or (n_dofs,) array
+        x = r, y = z.
+    displacement : (n_nodes, 2) or (n_dofs,) array
         m.
 
     Returns
     -------
-    (n_elements, dim, dim) array
-        Pa; tension positive.
+    (n_elements,) array
     """
-    if material.dim != mesh.dim:
-        raise ValueError(f"the material is {material.dim}D, the mesh {mesh.dim}D")
-    strain = element_strain(mesh, displacement)
-    trace = np.trace(strain, axis1=1, axis2=2)
-    return material.lame * trace[:, None, None] * np.eye(mesh.dim) + 2 * material.shear_modulus * strain
+    u = _nodal(mesh, displacement)
+    if mesh.dim != 2:
+        raise ValueError(f"axisymmetric meshes are 2D (r, z), got a {mesh.dim}D mesh")
+    return u[mesh.elements, 0].sum(axis=1) / mesh.points[mesh.elements, 0].sum(axis=1)
 
 
-def von_mises(stress: np.ndarray, material: Elastic) -> np.ndarray:
+def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
+                ) -> np.ndarray:
+    """Cauchy stress tensors with the stress out of the plane, whatever the material.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+    material : Elastic or mapping
+        The same in all bodies, or body name -> Elastic.
+    displacement : (n_nodes, dim) or (n_dofs,) array
+        m.
+    loads : sequence of Load
+        Of the problem; initial strains among them carry no stress, the others are passed over.
+
+    Returns
+    -------
+    (n_elements, 3, 3) array
+        Pa; tension positive. In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress;
+        the shear stresses out of the plane are 0.
+    """
+    materials = body_materials(mesh, material)
+    axisymmetric = is_axisymmetric(materials)
+    dim, body = mesh.dim, mesh.element_body
+    strain = np.zeros((len(mesh.elements), 3, 3))
+    strain[:, :dim, :dim] = element_strain(mesh, displacement)
+    if axisymmetric:
+        strain[:, 2, 2] = hoop_strain(mesh, displacement)
+    diagonal = np.arange(3)
+    strain[:, diagonal, diagonal] -= mean_initial_strain(mesh, loads, axisymmetric=axisymmetric)
+    thin = np.array([isinstance(one, PlaneStress) for one in materials])[body]
+    # a sheet strains freely through its thickness: its Lame constant accounts for that
+    strain[thin, 2, 2] = 0.0
+    lame, shear = (constants[body] for constants in lame_constants(materials))
+    stress = 2 * shear[:, None, None] * strain
+    stress[:, diagonal, diagonal] += (lame * np.trace(strain, axis1=1, axis2=2))[:, None]
+    stress[thin, 2, 2] = 0.0
+    return stress
+
+
+def element_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
+                   ) -> np.ndarray:
+    """In-plane (3D: full) Cauchy stress tensors: the block (n_elements, dim, dim) of :func:`full_stress`."""
+    return full_stress(mesh, material, displacement, loads)[:, :mesh.dim, :mesh.dim]
+
+
+def von_mises(stress: np.ndarray, material: Materials | None = None) -> np.ndarray:
     r"""Equivalent stress :math:`\sqrt{\tfrac32\, s : s}` of the full deviator s.
 
     Parameters
     ----------
-    stress : (n, dim, dim) array
-        Pa, from :func:`element_stress`.
-    material : Elastic
-        Plane strain adds sigma_zz = nu (sigma_xx + sigma_yy); plane stress has none.
+    stress : (n, 3, 3) or (n, 2, 2) array
+        Pa, from :func:`full_stress`; or from :func:`element_stress` in 2D without initial strains.
+    material : PlaneStrain, PlaneStress or Solid, optional
+        Only in-plane stresses (n, 2, 2) need it: plane strain adds sigma_zz = nu (sigma_xx + sigma_yy), plane stress
+        has none.
 
     Returns
     -------
     (n,) array
         Pa.
     """
+    dim = np.shape(stress)[-1]
+    if np.shape(stress)[1:] not in ((2, 2), (3, 3)):
+        raise ValueError(f"stress must have shape (n, 3, 3) or (n, 2, 2), got {np.shape(stress)}")
     full = np.zeros((len(stress), 3, 3))
-    dim = stress.shape[1]
-    if dim != material.dim:
-        raise ValueError(f"stress is {dim}D, the material {material.dim}D")
     full[:, :dim, :dim] = stress
-    if isinstance(material, PlaneStrain):
-        full[:, 2, 2] = material.poisson * (stress[:, 0, 0] + stress[:, 1, 1])
+    if dim == 2:
+        if material is None or isinstance(material, Mapping) or is_axisymmetric(material):
+            raise ValueError("the stress out of the plane is not known from the in-plane stress here: give the tensors "
+                             "(n, 3, 3) of full_stress")
+        if isinstance(material, PlaneStrain):
+            full[:, 2, 2] = material.poisson * (stress[:, 0, 0] + stress[:, 1, 1])
+        elif material.dim != dim:
+            raise ValueError(f"stress is {dim}D, the material {material.dim}D")
     deviator = full - np.trace(full, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
     return np.sqrt(1.5 * np.sum(deviator**2, axis=(1, 2)))
+
+
+def _nodal(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+    """The displacement as float (n_nodes, dim), its shape checked."""
+    u = np.asarray(displacement, dtype=np.float64)
+    if u.shape not in (mesh.points.shape, (mesh.points.size,)):
+        raise ValueError(f"displacement must have shape {mesh.points.shape}, got {u.shape}")
+    return u.reshape(mesh.points.shape)

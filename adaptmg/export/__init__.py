@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from adaptmg.export.report import Report
+    from adaptmg.export.series import vtk_series
     from adaptmg.export.vtu import vtk
 
-_WHERE = {"Report": "adaptmg.export.report", "vtk": "adaptmg.export.vtu"}
+_WHERE = {"Report": "adaptmg.export.report", "vtk": "adaptmg.export.vtu", "vtk_series": "adaptmg.export.series"}
 
-__all__ = ["Report", "vtk"]
+__all__ = ["Report", "vtk", "vtk_series"]
 
 
 def __getattr__(name: str) -> Any:

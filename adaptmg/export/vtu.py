@@ -1,9 +1,18 @@
 """vtk: a result as a VTK unstructured grid (.vtu, XML with raw appended data), for ParaView and others.
 
-Point data (three components where vectors, z = 0 in 2D; SI units): ``displacement`` m, ``reaction`` N (2D: N/m), and
-of contact, NaN (``state`` -1) at every node that is no contact node: ``contact_pressure`` Pa, ``contact_traction`` Pa
-(the tangential traction on the body as a vector), ``contact_gap`` m, ``contact_slip`` m (vector), ``contact_state``
-(0 open, 1 slip, 2 stick). Cell data: ``body``, the index of the body.
+SI units; vectors have three components, z = 0 in 2D. No value is NaN.
+
+Point data: ``displacement`` m, ``reaction`` N (2D: N/m); and of contact, 0 at every node that is no contact node,
+``contact_pressure`` Pa, ``contact_traction`` Pa (the tangential traction on the body, a vector), ``contact_gap`` m,
+``contact_slip`` m (a vector). ``contact_mask`` is 1 at contact nodes, 0 elsewhere; where it is 0, ``contact_state`` (0
+open, 1 slip, 2 stick) and ``contact_pair`` (which contact boundary) are -1. Between two bodies the contact nodes are
+those of the slave surface, gap and slip relative to the master.
+
+Cell data: ``body``, the index of the body; and where materials are given ``stress`` (a symmetric tensor: xx, yy, zz,
+xy, yz, xz; axisymmetric: x = r, y axial, zz the hoop stress) and ``von_mises``, Pa, constant in each cell.
+
+Field data: ``body:NAME`` and ``contact:NAME`` (of a pair ``contact:SLAVE|MASTER``) hold the index of each body and
+contact boundary. Numbers, because not all readers know the strings of VTK.
 """
 
 from __future__ import annotations
@@ -11,20 +20,24 @@ from __future__ import annotations
 import os
 import struct
 import sys
+from collections.abc import Mapping
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from adaptmg.atomic import write_bytes
+from adaptmg.problem import ContactProblem, Elastic
 from adaptmg.solver.result import Result
 
-__all__ = ["vtk"]
+__all__ = ["Materials", "document", "vtk"]
+
+Materials = ContactProblem | Elastic | Mapping[str, Elastic]
 
 _TYPES = {"float64": "Float64", "int64": "Int64", "int32": "Int32", "uint8": "UInt8", "int8": "Int8"}
 _TRIANGLE, _TETRAHEDRON = 5, 10
 
 
-def vtk(result: Result, path: str | os.PathLike[str]) -> None:
+def vtk(result: Result, path: str | os.PathLike[str], problem: Materials | None = None) -> None:
     """Write the solution on the finest mesh for ParaView; see the module for the fields.
 
     Parameters
@@ -33,68 +46,106 @@ def vtk(result: Result, path: str | os.PathLike[str]) -> None:
         With a mesh.
     path : path
         Ends in ``.vtu``. The file appears complete or not at all.
+    problem : ContactProblem, or a material, or mapping of body name to material, optional
+        For the stress; a problem also says which strains are initial (free of stress).
 
     Raises
     ------
     ValueError
-        Without a mesh, or for another suffix (ParaView goes by it).
+        Without a mesh, for another suffix (ParaView goes by it), or for materials that do not fit the bodies.
     """
+    if not os.fspath(path).endswith(".vtu"):
+        raise ValueError(f"path must end in .vtu, got {os.fspath(path)!r}")
+    write_bytes(path, document(result, problem))
+
+
+def document(result: Result, problem: Materials | None = None) -> bytes:
+    """The whole file; arguments as of :func:`vtk`."""
     if not isinstance(result, Result):
         raise TypeError(f"result must be a Result, got {type(result).__name__}")
     if result.mesh is None:
         raise ValueError("this result has no mesh to write (it comes from a bare DiscreteProblem)")
-    if not os.fspath(path).endswith(".vtu"):
-        raise ValueError(f"path must end in .vtu, got {os.fspath(path)!r}")
-    write_bytes(path, _document(result))
-
-
-def _document(result: Result) -> bytes:
     mesh = result.mesh
     elements = np.ascontiguousarray(mesh.elements, dtype=np.int64)
     corners = elements.shape[1]
     kind = _TRIANGLE if mesh.dim == 2 else _TETRAHEDRON
-    sections = {
-        "PointData": _point_data(result),
-        "CellData": {"body": mesh.element_body},
+    piece = {
+        "PointData": {"displacement": _three(result.displacement), "reaction": _three(result.reaction)}
+        | _contact_data(result),
+        "CellData": {"body": mesh.element_body} | _stress(result, problem),
         "Points": {"points": _three(mesh.points)},
         "Cells": {"connectivity": elements.reshape(-1),
                   "offsets": np.arange(1, len(elements) + 1, dtype=np.int64) * corners,
                   "types": np.full(len(elements), kind, dtype=np.uint8)},
     }
+    return _assemble(_field_data(result), piece, mesh.n_nodes, len(elements))
+
+
+def _assemble(fields: dict[str, np.ndarray], piece: dict[str, dict[str, np.ndarray]], n_points: int,
+              n_cells: int) -> bytes:
+    """The XML head, and behind it all arrays, each after its length in bytes."""
     order = "LittleEndian" if sys.byteorder == "little" else "BigEndian"
     head = ['<?xml version="1.0"?>',
             f'<VTKFile type="UnstructuredGrid" version="1.0" byte_order="{order}" header_type="UInt64">',
-            "<UnstructuredGrid>", f'<Piece NumberOfPoints="{mesh.n_nodes}" NumberOfCells="{len(elements)}">']
+            "<UnstructuredGrid>"]
     blocks: list[bytes] = []
-    for section, arrays in sections.items():
-        head.append(f"<{section}>")
+
+    def section(tag: str, arrays: dict[str, np.ndarray], field: bool = False) -> None:
+        head.append(f"<{tag}>")
         for name, array in arrays.items():
-            components = f' NumberOfComponents="{array.shape[1]}"' if array.ndim == 2 else ""
-            head.append(f'<DataArray type="{_TYPES[array.dtype.name]}" Name={quoteattr(name)}{components} '
+            counts = f' NumberOfTuples="{len(array)}"' if field else ""
+            counts += f' NumberOfComponents="{array.shape[1]}"' if array.ndim == 2 else ""
+            head.append(f'<DataArray type="{_TYPES[array.dtype.name]}" Name={quoteattr(name)}{counts} '
                         f'format="appended" offset="{sum(map(len, blocks))}"/>')
             data = np.ascontiguousarray(array).tobytes()
             blocks.append(struct.pack("=Q", len(data)) + data)
-        head.append(f"</{section}>")
+        head.append(f"</{tag}>")
+
+    section("FieldData", fields, field=True)
+    head.append(f'<Piece NumberOfPoints="{n_points}" NumberOfCells="{n_cells}">')
+    for tag, arrays in piece.items():
+        section(tag, arrays)
     head += ["</Piece>", "</UnstructuredGrid>", '<AppendedData encoding="raw">', "_"]
     return "\n".join(head).encode() + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n"
 
 
-def _point_data(result: Result) -> dict[str, np.ndarray]:
+def _field_data(result: Result) -> dict[str, np.ndarray]:
+    """Index of each body and contact boundary, by name."""
+    contact = result.contact
+    masters = contact.masters or ("",) * len(contact.names)
+    names = {f"body:{name}": k for k, name in enumerate(result.mesh.bodies)}
+    names |= {f"contact:{slave}|{master}" if master else f"contact:{slave}": k
+              for k, (slave, master) in enumerate(zip(contact.names, masters, strict=True))}
+    return {name: np.array([k], dtype=np.int32) for name, k in names.items()}
+
+
+def _contact_data(result: Result) -> dict[str, np.ndarray]:
     contact, n = result.contact, len(result.displacement)
 
-    def spread(values: np.ndarray) -> np.ndarray:
-        full = np.full((n, *values.shape[1:]), np.nan)
+    def spread(values: np.ndarray, elsewhere: float = 0.0) -> np.ndarray:
+        full = np.full((n, *values.shape[1:]), elsewhere, dtype=values.dtype)
         full[contact.node] = values
         return full
 
     def tangential(values: np.ndarray) -> np.ndarray:
         return spread(_three(np.einsum("nk,nkd->nd", values, contact.frames[:, 1:])))
 
-    state = np.full(n, -1, dtype=np.int8)
-    state[contact.node] = contact.state
-    return {"displacement": _three(result.displacement), "reaction": _three(result.reaction),
-            "contact_pressure": spread(contact.pressure), "contact_traction": tangential(contact.traction),
-            "contact_gap": spread(contact.gap), "contact_slip": tangential(contact.slip), "contact_state": state}
+    return {"contact_pressure": spread(contact.pressure), "contact_traction": tangential(contact.traction),
+            "contact_gap": spread(contact.gap), "contact_slip": tangential(contact.slip),
+            "contact_state": spread(np.asarray(contact.state, dtype=np.int8), -1),
+            "contact_pair": spread(np.asarray(contact.boundary, dtype=np.int32), -1),
+            "contact_mask": spread(np.ones(len(contact), dtype=np.uint8))}
+
+
+def _stress(result: Result, problem: Materials | None) -> dict[str, np.ndarray]:
+    if problem is None:
+        return {}
+    from adaptmg.discretisation.measures import full_stress, von_mises
+
+    material, loads = (problem.material, problem.loads) if isinstance(problem, ContactProblem) else (problem, ())
+    stress = full_stress(result.mesh, material, result.displacement, loads)
+    rows, columns = [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]
+    return {"stress": stress[:, rows, columns], "von_mises": von_mises(stress)}
 
 
 def _three(vectors: np.ndarray) -> np.ndarray:

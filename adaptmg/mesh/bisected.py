@@ -1,7 +1,9 @@
 """bisect and refine_near: nested refinement by NGSolve's marked bisection.
 
 Marked elements are cut until all their edges are halved (four triangles; at least eight tetrahedra), their neighbours
-as far as conformity asks. The longest edges go first; every new node is the midpoint of its two parents.
+as far as conformity asks. The longest edges go first; every new node is the midpoint of its two parents. On the arcs of
+an :class:`~adaptmg.problem.Outline` that midpoint lies on the chord: refined meshes are nested, and keep the shape of
+the first mesh. The curve itself is approached by new meshes (:func:`adaptmg.mesh.graded`) only.
 """
 
 from __future__ import annotations
@@ -68,7 +70,7 @@ def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int =
     mesh : MeshArrays
         The coarsest mesh.
     boundaries : str or sequence of str
-        Elements with a node on one of these are marked.
+        Elements with a node on one of these are marked; of several bodies the names are "body.edge".
     levels : int
         How many times, >= 1.
 

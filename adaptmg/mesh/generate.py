@@ -11,18 +11,20 @@ starts.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import netgen.meshing
 import ngsolve
 import numpy as np
-from netgen.geom2d import SplineGeometry
 from netgen.occ import Box as OccBox
 from netgen.occ import OCCGeometry, Pnt, X, Y, Z
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import from_ngsolve, with_source
 from adaptmg.mesh.geometry import BOX_SIDES
-from adaptmg.problem.domains import Box, Polygon, Rectangle
+from adaptmg.mesh.outline import onto_outline, plane_measures, spline_geometry, straight_area
+from adaptmg.problem.domains import Box, Domain
+from adaptmg.problem.outlines import Outline
 
 __all__ = ["SizeField", "expected_nodes", "guessed_nodes", "netgen_mesh", "refuse_too_many"]
 
@@ -33,14 +35,15 @@ _MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 _NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 
-def netgen_mesh(domain: Rectangle | Polygon | Box, sizes: SizeField, max_size: float, side_sizes: dict[str, float],
+def netgen_mesh(domain: Domain, sizes: SizeField, max_size: float, side_sizes: dict[str, float],
                 grading: float, rounds: int) -> MeshArrays:
     """Mesh a domain by a size field.
 
     Parameters
     ----------
-    domain : Rectangle, Polygon or Box
-        Its boundaries name those of the mesh.
+    domain : Rectangle, Polygon, Outline or Box
+        Its boundaries name those of the mesh; of an Outline the mesh has the numbers of its edges instead, until
+        :func:`adaptmg.mesh.outline.finished`.
     sizes : callable
         Points (n, dim) in m -> wanted edge length (n,) in m.
     max_size : float
@@ -87,7 +90,7 @@ def expected_nodes(mesh: MeshArrays, wanted: np.ndarray) -> float:
     return _NODES_PER_CELL[mesh.dim] * float(np.sum(mesh.volumes / wanted**mesh.dim))
 
 
-def refuse_too_many(nodes: float, domain: Rectangle | Polygon | Box) -> None:
+def refuse_too_many(nodes: float, domain: Domain) -> None:
     """Raise ValueError if more nodes are expected than Netgen can make in reasonable time and memory."""
     limit = _MAX_NODES[domain.dim]
     if nodes > limit:
@@ -95,28 +98,21 @@ def refuse_too_many(nodes: float, domain: Rectangle | Polygon | Box) -> None:
                          "take larger sizes (they are in m) or refine a smaller part")
 
 
-def _extent(domain: Rectangle | Polygon | Box) -> tuple[np.ndarray, float]:
+def _extent(domain: Domain) -> tuple[np.ndarray, float]:
     """Lowest corner and largest side of the bounding box."""
-    corners = np.array([domain.lower, domain.upper]) if isinstance(domain, Box) else np.array(domain.polygon.vertices)
-    lower = corners.min(axis=0)
-    return lower, float((corners.max(axis=0) - lower).max())
+    return domain.lower, float((domain.upper - domain.lower).max())
 
 
-def _measures(domain: Rectangle | Polygon | Box) -> tuple[float, dict[str, float]]:
+def _measures(domain: Domain) -> tuple[float, dict[str, float]]:
     """Area or volume of a domain, and the lengths or areas of its boundaries by name."""
-    if isinstance(domain, Box):
-        lengths = domain.upper - domain.lower
-        volume = float(np.prod(lengths))
-        return volume, {name: volume / lengths[axis] for name, (axis, _) in BOX_SIDES.items()}
-    start = np.array(domain.polygon.vertices)
-    end = np.roll(start, -1, axis=0)
-    perimeter = dict.fromkeys(domain.boundaries, 0.0)
-    for name, length in zip(domain.boundaries, np.linalg.norm(end - start, axis=1), strict=True):
-        perimeter[name] += float(length)
-    return 0.5 * float(np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1])), perimeter
+    if not isinstance(domain, Box):
+        return plane_measures(domain)
+    lengths = domain.upper - domain.lower
+    volume = float(np.prod(lengths))
+    return volume, {name: volume / lengths[axis] for name, (axis, _) in BOX_SIDES.items()}
 
 
-def guessed_nodes(domain: Rectangle | Polygon | Box, max_size: float, side_sizes: dict[str, float],
+def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
                  grading: float) -> float:
     """Expected nodes from the sizes along the sides alone: the integral of (h + grading x)^-dim over x > 0."""
     volume, areas = _measures(domain)
@@ -126,45 +122,39 @@ def guessed_nodes(domain: Rectangle | Polygon | Box, max_size: float, side_sizes
     return _NODES_PER_CELL[domain.dim] * cells
 
 
-def _generate(domain: Rectangle | Polygon | Box, lower: np.ndarray, scale: float, sides: dict[str, float],
+def _generate(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],
               options: netgen.meshing.MeshingParameters) -> MeshArrays:
     """One call of Netgen on the scaled domain; the mesh in m, without source."""
-    geometry = _box(domain, scale, sides) if isinstance(domain, Box) else _polygon(domain, lower, scale, sides)
+    geometry = (_box if isinstance(domain, Box) else spline_geometry)(domain, lower, scale, sides)
     try:
         unit = from_ngsolve(ngsolve.Mesh(geometry.GenerateMesh(mp=options)))
     except (netgen.meshing.NgException, ValueError) as error:
         raise ValueError(f"Netgen could not mesh {domain!r} ({error}); change the sizes a little or take a smaller "
                          "grading") from error
-    points = lower + scale * unit.points
-    for name, axis, value in _planes(domain):
-        nodes = unit.boundary_nodes(name)
-        nodes = nodes[np.abs(points[nodes, axis] - value) < 1e-9 * scale]
-        points[nodes, axis] = value
-    boundaries = tuple(dict.fromkeys(domain.boundaries))
-    labels = np.array([boundaries.index(name) for name in unit.boundaries])[unit.facet_labels]
-    mesh = MeshArrays(points, unit.elements, unit.facets, labels, boundaries)
-    volume, _ = _measures(domain)
+    mesh = replace(unit, points=lower + scale * unit.points, bodies=("body",), source=None)
+    mesh = onto_outline(domain, mesh) if isinstance(domain, Outline) else _onto_planes(domain, mesh, scale)
+    volume = _measures(domain)[0] if isinstance(domain, Box) else straight_area(domain, mesh)
     if not abs(mesh.volumes.sum() - volume) <= 1e-9 * volume:
         raise ValueError(f"Netgen meshed {mesh.volumes.sum():.9g} instead of {volume:.9g} of {domain!r}; "
                          "change the sizes a little")
     return mesh
 
 
-def _polygon(domain: Rectangle | Polygon, lower: np.ndarray, scale: float, sides: dict[str, float]) -> SplineGeometry:
-    """Netgen's geometry of a polygon, scaled."""
-    geometry = SplineGeometry()
-    corners = [geometry.AppendPoint(*place) for place in (np.array(domain.polygon.vertices) - lower) / scale]
-    for i, name in enumerate(domain.boundaries):
-        # 1e99 is Netgen's own "no limit"
-        geometry.Append(["line", corners[i], corners[(i + 1) % len(corners)]], leftdomain=1, rightdomain=0, bc=name,
-                        maxh=sides.get(name, 1e99))
-    geometry.SetMaterial(1, "body")
-    return geometry
+def _onto_planes(domain: Domain, mesh: MeshArrays, scale: float) -> MeshArrays:
+    """Nodes of sides normal to an axis exactly on them, boundaries in the order of the domain."""
+    points = mesh.points.copy()
+    for name, axis, value in _planes(domain):
+        nodes = mesh.boundary_nodes(name)
+        nodes = nodes[np.abs(points[nodes, axis] - value) < 1e-9 * scale]
+        points[nodes, axis] = value
+    boundaries = tuple(dict.fromkeys(domain.boundaries))
+    labels = np.array([boundaries.index(name) for name in mesh.boundaries])[mesh.facet_labels]
+    return replace(mesh, points=points, facet_labels=labels, boundaries=boundaries)
 
 
-def _box(domain: Box, scale: float, sides: dict[str, float]) -> OCCGeometry:
+def _box(domain: Box, lower: np.ndarray, scale: float, sides: dict[str, float]) -> OCCGeometry:
     """OCC's geometry of a box, scaled, its lowest corner at the origin."""
-    solid = OccBox(Pnt(0, 0, 0), Pnt(*((domain.upper - domain.lower) / scale)))
+    solid = OccBox(Pnt(0, 0, 0), Pnt(*((domain.upper - lower) / scale)))
     for name, (axis, end) in BOX_SIDES.items():
         face = (solid.faces.Min, solid.faces.Max)[end]((X, Y, Z)[axis])
         face.name = name
@@ -173,7 +163,7 @@ def _box(domain: Box, scale: float, sides: dict[str, float]) -> OCCGeometry:
     return OCCGeometry(solid)
 
 
-def _planes(domain: Rectangle | Polygon | Box) -> list[tuple[str, int, float]]:
+def _planes(domain: Domain) -> list[tuple[str, int, float]]:
     """Sides normal to an axis: name, axis, coordinate in m. Scaling moves them by a rounding error."""
     if isinstance(domain, Box):
         return [(name, axis, float((domain.lower, domain.upper)[end][axis]))

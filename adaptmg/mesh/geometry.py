@@ -1,4 +1,4 @@
-"""Geometry of domains: sides of a box, distance to named boundaries, whether a polygon crosses itself."""
+"""Geometry of domains: sides of a box, distance to named boundaries, whether an outline crosses itself."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptmg.problem.domains import Box, Polygon, Rectangle
+from adaptmg.problem.outlines import Outline
 
 __all__ = ["BOX_SIDES", "distance_to_boundaries", "require_simple"]
 
@@ -14,14 +15,14 @@ __all__ = ["BOX_SIDES", "distance_to_boundaries", "require_simple"]
 BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
 
 
-def distance_to_boundaries(domain: Rectangle | Polygon | Box, boundaries: Sequence[str],
+def distance_to_boundaries(domain: Rectangle | Polygon | Outline | Box, boundaries: Sequence[str],
                            points: np.ndarray) -> np.ndarray:
     """Distance of points to the nearest of some boundaries of a domain.
 
     Parameters
     ----------
-    domain : Rectangle, Polygon or Box
-        Whose boundaries.
+    domain : Rectangle, Polygon, Outline or Box
+        Whose boundaries; arcs count as arcs.
     boundaries : sequence of str
         At least one of ``domain.boundaries``.
     points : (n, dim) array
@@ -38,31 +39,42 @@ def distance_to_boundaries(domain: Rectangle | Polygon | Box, boundaries: Sequen
             axis, end = BOX_SIDES[name]
             distance = np.minimum(distance, np.abs(points[:, axis] - (domain.lower, domain.upper)[end][axis]))
         return distance
-    start = np.array(domain.polygon.vertices)
+    curved = isinstance(domain, Outline)
+    start = np.array(domain.vertices if curved else domain.polygon.vertices)
     end = np.roll(start, -1, axis=0)
-    for name, a, b in zip(domain.boundaries, start, end, strict=True):
-        if name in boundaries:
+    for i, (name, a, b) in enumerate(zip(domain.boundaries, start, end, strict=True)):
+        if name in boundaries and curved and i in domain.arcs:
+            distance = np.minimum(distance, domain.arc(i).distance(points))
+        elif name in boundaries:
             along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
             distance = np.minimum(distance, np.linalg.norm(points - a - along[:, None] * (b - a), axis=1))
     return distance
 
 
-def require_simple(polygon: Polygon) -> None:
-    """Raise ValueError if edges of a polygon cross, touch, or have no length (Netgen would not end, or err)."""
-    a = np.array(polygon.vertices)
+def require_simple(outline: Polygon | Outline) -> None:
+    """Raise ValueError if edges of an outline cross, touch, or have no length (Netgen would not end, or err).
+
+    Arcs are taken as chords of at most 3 degrees.
+    """
+    a, owner = outline.chords() if isinstance(outline, Outline) else (np.array(outline.vertices), None)
     b = np.roll(a, -1, axis=0)
     n = len(a)
+    owner = np.arange(n) if owner is None else owner
+    what = type(outline).__name__.lower()
+
+    def edge_name(k: int) -> str:
+        return f"{owner[k]} ({outline.boundaries[owner[k]]!r})"
+
     lengths = np.linalg.norm(b - a, axis=1)
     tiny = 1e-12 * np.ptp(a, axis=0).max()
     if not lengths.min() > tiny:
-        i = int(np.argmin(lengths))
-        raise ValueError(f"vertices: edge {i} ({polygon.boundaries[i]!r}) of the polygon has no length")
+        raise ValueError(f"vertices: edge {edge_name(int(np.argmin(lengths)))} of the {what} has no length")
     edge, following = b - a, np.roll(b - a, -1, axis=0)
     turn = edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0]
     folded = (np.abs(turn) <= 1e-12 * lengths * np.roll(lengths, -1)) & ((edge * following).sum(axis=1) < 0)
     if folded.any():
         i = int(np.argmax(folded))
-        raise ValueError(f"vertices: edge {i} ({polygon.boundaries[i]!r}) of the polygon folds back on itself at "
+        raise ValueError(f"vertices: edge {edge_name(i)} of the {what} folds back on itself at "
                          f"{tuple(b[i].tolist())}")
     i, j = np.triu_indices(n, 2)
     apart = (i != 0) | (j != n - 1)
@@ -75,8 +87,8 @@ def require_simple(polygon: Polygon) -> None:
     bad = crossing | (np.min(ends, axis=0) <= tiny) if len(i) else np.zeros(0, dtype=bool)
     if bad.any():
         k = int(np.argmax(bad))
-        raise ValueError(f"vertices: edges {i[k]} ({polygon.boundaries[i[k]]!r}) and {j[k]} "
-                         f"({polygon.boundaries[j[k]]!r}) of the polygon meet; its boundary must not cross itself")
+        raise ValueError(f"vertices: edges {edge_name(i[k])} and {edge_name(j[k])} of the {what} meet; its boundary "
+                         "must not cross itself")
 
 
 def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:

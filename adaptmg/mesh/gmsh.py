@@ -1,7 +1,12 @@
-"""from_gmsh: meshes of Gmsh (MSH 2.2 and 4.1), read through meshio; physical groups name boundaries and bodies."""
+"""from_gmsh: meshes of Gmsh (MSH 2.2 and 4.1), read through meshio; physical groups name boundaries and bodies.
+
+Where bodies share the nodes of an interface they are glued, or split: then each body gets nodes of its own there, and
+the interface is a boundary of both.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +26,7 @@ _TETRAHEDRA = ("tetra", "tetra10")
 _POINTS = ("vertex",)
 
 
-def from_gmsh(path: str | Path, *, unnamed: str | None = None) -> MeshArrays:
+def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: bool = False) -> MeshArrays:
     """Read a Gmsh mesh of triangles in the plane, or of tetrahedra.
 
     Parameters
@@ -32,11 +37,15 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None) -> MeshArrays:
         corners are read. Points of no element (centres of circles) are dropped.
     unnamed : str, optional
         Name for the boundary facets that belong to no physical group. By default there must be none.
+    split_bodies : bool
+        Give each body nodes of its own, so that bodies touch only through contact. Boundaries are then called
+        "body.boundary" (a "." in the name of a body becomes "_"); a physical curve or surface between two bodies is a
+        boundary of both. By default bodies stay glued where they share nodes, and boundaries keep their names.
 
     Returns
     -------
     MeshArrays
-        With its source.
+        With its source. With ``split_bodies``, nodes, elements and facets come body by body.
 
     Raises
     ------
@@ -68,26 +77,47 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None) -> MeshArrays:
         raise ValueError(f"{str(path)!r} holds {', '.join(sorted(other))}; only triangles and tetrahedra can be used "
                          "(in Gmsh: no 'Recombine', Mesh.ElementOrder 1 or 2)")
     dim = 3 if kinds.intersection(_TETRAHEDRA) else 2
+    tables = _tables(raw, dim, unnamed or "", path)
+    if split_bodies:
+        tables = _split(tables)
+    rest, owner = _unnamed_facets(tables)
+    if len(rest) and unnamed is None:
+        what = "Physical Curve" if dim == 2 else "Physical Surface"
+        place = ", ".join(f"{c:.6g}" for c in tables.points[rest[0]].mean(axis=0))
+        raise ValueError(f"{str(path)!r}: {len(rest)} facets of the boundary, one of them at ({place}), belong to no "
+                         f'physical group; name them in Gmsh, like {what}("contact") = {{1}};, '
+                         'or here by unnamed="free"')
+    # the first name, of each body if these are split, is the one of unnamed facets
+    label = tables.body[owner] * (len(tables.boundaries) // len(tables.bodies)) * split_bodies
+    return with_source(normalised(tables.points, tables.elements, np.concatenate([tables.facets, rest]),
+                                  np.concatenate([tables.label, label]), tables.boundaries, tables.body, tables.bodies))
+
+
+@dataclass(frozen=True, eq=False)
+class _Tables:
+    """What a file holds: ``body`` and ``label`` index ``bodies`` and ``boundaries``; facets may lie between bodies."""
+
+    points: np.ndarray
+    elements: np.ndarray
+    body: np.ndarray
+    bodies: list[str]
+    facets: np.ndarray
+    label: np.ndarray
+    boundaries: list[str]
+
+
+def _tables(raw: Any, dim: int, unnamed: str, path: Path) -> _Tables:
+    """The tables of a file, named facets only."""
     volumes, surfaces = (_TETRAHEDRA, _TRIANGLES) if dim == 3 else (_TRIANGLES, _LINES)
     elements, body, bodies = _cells(raw, volumes, dim, "body")
-    facets, label, boundaries = _cells(raw, surfaces, dim - 1, unnamed or "")
+    facets, label, boundaries = _cells(raw, surfaces, dim - 1, unnamed)
     if len(elements) == 0:
         raise ValueError(f"{str(path)!r} has neither triangles nor tetrahedra (Gmsh saves only what is in a physical "
                          f"group: add a Physical {'Surface' if dim == 2 else 'Volume'})")
     if min(elements.min(), facets.min(initial=0)) < 0:
         raise ValueError(f"{str(path)!r} has elements with nodes that it does not hold")
     points = _plane(raw.points, elements, path) if dim == 2 else raw.points
-    named = label > 0
-    facets, label = facets[named], label[named]
-    rest = _unnamed_facets(elements, facets, len(points))
-    if len(rest) and unnamed is None:
-        what = "Physical Curve" if dim == 2 else "Physical Surface"
-        place = ", ".join(f"{c:.6g}" for c in points[rest[0]].mean(axis=0))
-        raise ValueError(f"{str(path)!r}: {len(rest)} facets of the boundary, one of them at ({place}), belong to no "
-                         f'physical group; name them in Gmsh, like {what}("contact") = {{1}};, '
-                         'or here by unnamed="free"')
-    facets, label = np.concatenate([facets, rest]), np.concatenate([label, np.zeros(len(rest), dtype=np.int64)])
-    return with_source(normalised(points, elements, facets, label, boundaries, body, bodies))
+    return _Tables(points, elements, body, bodies, facets[label > 0], label[label > 0], boundaries)
 
 
 def _cells(raw: Any, kinds: tuple[str, ...], dim: int, unnamed: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
@@ -112,10 +142,30 @@ def _plane(points: np.ndarray, elements: np.ndarray, path: Path) -> np.ndarray:
     return points[:, :2]
 
 
-def _unnamed_facets(elements: np.ndarray, facets: np.ndarray, n_nodes: int) -> np.ndarray:
-    """Facets of one element only that are not among ``facets``."""
-    table = facet_table(elements, n_nodes)
+def _split(tables: _Tables) -> _Tables:
+    """The same body by body, with nodes of their own; facets are given to every body that has their nodes."""
+    called = [name.replace(".", "_") for name in tables.bodies]
+    bodies = list(dict.fromkeys(called[i] for i in np.unique(tables.body)))
+    body = np.array([bodies.index(name) if name in bodies else -1 for name in called])[tables.body]
+    order = np.argsort(body, kind="stable")
+    elements, body, n = tables.elements[order], body[order], len(tables.points)
+    # a node of a body is the pair (body, node) as one integer
+    pairs = np.unique(elements + n * body[:, None])
+    every = np.arange(len(bodies))
+    facets = (tables.facets[None] + n * every[:, None, None]).reshape(-1, tables.facets.shape[1])
+    row = np.minimum(np.searchsorted(pairs, facets), len(pairs) - 1)
+    there = (pairs[row] == facets).all(axis=1)
+    label = (tables.label[None] + len(tables.boundaries) * every[:, None]).reshape(-1)
+    boundaries = [f"{name}.{boundary}" for name in bodies for boundary in tables.boundaries]
+    return _Tables(tables.points[pairs % n], np.searchsorted(pairs, elements + n * body[:, None]), body, bodies,
+                   row[there], label[there], boundaries)
+
+
+def _unnamed_facets(tables: _Tables) -> tuple[np.ndarray, np.ndarray]:
+    """Facets of one element only that have no name, and that element."""
+    n_nodes = len(tables.points)
+    table = facet_table(tables.elements, n_nodes)
     outer = table.counts == 1
-    row = table.find(facet_keys(facets, n_nodes))
+    row = table.find(facet_keys(tables.facets, n_nodes))
     outer[row[row >= 0]] = False
-    return table.facets[outer]
+    return table.facets[outer], table.first[outer]

@@ -1,4 +1,4 @@
-r"""structured: regular triangulations of rectangles and boxes, nested when the divisions are multiples.
+r"""structured: regular triangulations of rectangles and boxes, also several, nested when the divisions are multiples.
 
 Node :math:`(i_1, \dots)` lies at exactly lower :math:`+ (i_k / n_k)` (upper - lower), x running fastest, so that the
 nodes of nested grids coincide to the last bit. In 3D each cell is cut into the six Kuhn tetrahedra: one for each
@@ -8,29 +8,34 @@ permutation :math:`\pi` of the axes, :math:`x_0, x_0 + e_{\pi(1)}, x_0 + e_{\pi(
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import permutations
 
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.assembled import merged, per_body
 from adaptmg.mesh.geometry import BOX_SIDES
 from adaptmg.mesh.topology import facet_table
 from adaptmg.problem import checks
+from adaptmg.problem.assembly import Assembly
 from adaptmg.problem.domains import Box, Rectangle
 
 __all__ = ["structured"]
 
+Divisions = int | Sequence[int]
 
-def structured(domain: Rectangle | Box, divisions: int | Sequence[int], diagonal: str = "right") -> MeshArrays:
-    """Triangulate a rectangle or box by a lattice.
+
+def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mapping[str, Divisions],
+               diagonal: str = "right") -> MeshArrays:
+    """Triangulate a rectangle or box by a lattice, or each body of an assembly by one of its own.
 
     Parameters
     ----------
-    domain : Rectangle or Box
+    domain : Rectangle, Box, or Assembly of these
         What to mesh.
-    divisions : int or sequence of int
-        Cells along every side, or along x, y (, z); 4 gives 5 x 5 nodes.
+    divisions : int or sequence of int; of an assembly also a mapping of str to these
+        Cells along every side, or along x, y (, z); 4 gives 5 x 5 nodes. A mapping names each body.
     diagonal : {"right", "left", "alternating"}
         Diagonals of the cells in 2D: from lower left to upper right, from lower right to upper left, or in turns like
         the squares of a chessboard (lower left cell "right"). In 3D only "right".
@@ -38,15 +43,29 @@ def structured(domain: Rectangle | Box, divisions: int | Sequence[int], diagonal
     Returns
     -------
     MeshArrays
-        With its source; nested in the mesh of n times the divisions (alternating: n = 2, 4, 8, ...).
+        With its source; nested in the mesh of n times the divisions (alternating: n = 2, 4, 8, ...). The bodies of an
+        assembly share no nodes, see :func:`adaptmg.mesh.merged`.
 
     Raises
     ------
     TypeError, ValueError
-        On a domain that is no rectangle or box, divisions below 1, or an unknown diagonal.
+        On a domain that is no rectangle or box, divisions below 1, a body left out, or an unknown diagonal.
     """
+    if isinstance(domain, Assembly):
+        apart = per_body("divisions", divisions, domain.bodies)
+        return merged({body: _lattice(part, apart[body], diagonal) for body, part in domain.parts.items()})
+    from adaptmg.mesh.build import with_source
+
+    return with_source(_lattice(domain, divisions, diagonal))
+
+
+def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> MeshArrays:
+    """See :func:`structured`; one body, without source."""
     if not isinstance(domain, Rectangle | Box):
-        raise TypeError(f"domain must be a Rectangle or a Box, got {domain!r}; graded meshes other domains")
+        raise TypeError(f"domain must be a Rectangle or a Box, or an Assembly of them, got {domain!r}; graded meshes "
+                        "other domains")
+    if isinstance(divisions, Mapping):
+        raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
     dim = domain.dim
     counts = np.array(_divisions(divisions, dim))
     checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
@@ -68,9 +87,7 @@ def structured(domain: Rectangle | Box, divisions: int | Sequence[int], diagonal
     # the order of a walk: side by side, along each in the order of the nodes
     order = np.lexsort((facets.min(axis=1), labels))
     points = domain.lower + lattice / counts * (domain.upper - domain.lower)
-    from adaptmg.mesh.build import with_source
-
-    return with_source(MeshArrays(points, elements, facets[order], labels[order], domain.boundaries))
+    return MeshArrays(points, elements, facets[order], labels[order], domain.boundaries)
 
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:

@@ -53,6 +53,8 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     if path.name.endswith((".vol", ".vol.gz")):
         _check_netgen_file(path)
         return from_ngsolve(ngsolve.Mesh(str(path)))
+    if path.suffix.lower() in (".step", ".stp"):
+        raise ValueError(f"mesh: {str(path)!r} is a geometry, not a mesh: adaptmg.mesh.from_step(path, size) meshes it")
     raise ValueError(f"mesh: {str(path)!r} is not a .msh, .vol or .vol.gz file; other formats can be converted to .msh "
                      "by meshio")
 

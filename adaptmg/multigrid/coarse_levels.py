@@ -27,14 +27,15 @@ def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
 def coarse_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[Halves]:
     """Galerkin matrices of all levels, coarsest first.
 
-    Where the discretised matrix is the Galerkin one (nested meshes) it is taken as it is.
+    Where the discretised matrix is the Galerkin one (nested meshes) it is taken as it is; not with coupled bodies,
+    whose truncated matrices need more entries near contact than the discretised ones have.
     """
     matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
     result = [split(matrix, fine.fixed)]
     for level, nodal in zip(reversed(hierarchy.levels[:-1]), reversed(prolongations), strict=True):
         if level.discrete is None:
             matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
-        elif is_galerkin(matrix, nodal, level.discrete.matrix):
+        elif level.discrete.coupling is None and is_galerkin(matrix, nodal, level.discrete.matrix):
             matrix, fixed = level.discrete.matrix, level.discrete.fixed
         else:
             matrix = galerkin_product(_supported(matrix, fine, nodal, level.discrete), nodal)

@@ -96,7 +96,7 @@ def build_stack(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
     levels = [StackLevel(fine.system)]
     for k in range(finest, 0, -1):
         upper, lower = problems[k], problems[k - 1]
-        nodal = hierarchy[k].prolongation
+        nodal = hierarchy[k].contact_prolongation
         levels[0].prolongation = local_prolongation(nodal, upper, lower)
         levels[0].restriction = sparse.bsr_array(levels[0].prolongation.T)
         levels[0].contact_prolongation = contact_weights(nodal, upper.discrete, lower.discrete)

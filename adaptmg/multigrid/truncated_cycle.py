@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.multigrid import projected_sweeps_2d, projected_sweeps_3d
+from adaptmg.multigrid import local_sweeps_2d, local_sweeps_3d, projected_sweeps_2d, projected_sweeps_3d
 from adaptmg.multigrid.coarse_transfer import combine, dot, product_of_change, restrict, shorten, zero_at
+from adaptmg.multigrid.interface import Interface
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.recombination import Recombination
@@ -15,6 +16,7 @@ from adaptmg.multigrid.truncation import Truncation
 
 __all__ = ["Look", "TruncatedCycle"]
 
+_LOCAL = {2: local_sweeps_2d.local, 3: local_sweeps_3d.local}
 _SWEEPS = {2: projected_sweeps_2d, 3: projected_sweeps_3d}
 
 
@@ -53,10 +55,12 @@ class TruncatedCycle:
         Start, Cartesian, counted from the prescribed values; admissible.
     depth : int
         Of the recombination.
+    interface_sweeps : int
+        Local sweeps near contact after each smoothing.
     """
 
     def __init__(self, cycle: LinearCycle, number: int, obstacle: Obstacle, load: np.ndarray, unknowns: np.ndarray,
-                 depth: int) -> None:
+                 depth: int, interface_sweeps: int = 0) -> None:
         self.cycle, self.number, self.obstacle, self.load = cycle, number, obstacle, load
         self.level, self.below = cycle.levels[number], cycle.levels[number - 1]
         self.truncation = Truncation(cycle.levels[:number + 1], cycle.prolongations[:number], obstacle)
@@ -67,6 +71,8 @@ class TruncatedCycle:
         self.defect = np.zeros_like(unknowns)
         self.cuts = 0
         self._symmetric = False
+        self.interface = Interface(self.level, obstacle.nodes) if interface_sweeps else None
+        self._interface_sweeps = interface_sweeps
 
     @property
     def nbytes(self) -> int:
@@ -83,7 +89,7 @@ class TruncatedCycle:
         return float(np.sqrt(dot(forces, forces)))
 
     def smooth(self) -> None:
-        """A backward and a forward projected sweep; 1.5 passes; leaves f - A u in ``defect``."""
+        """A backward and a forward projected sweep, 1.5 passes, and local ones; leaves f - A u in ``defect``."""
         level, o, sweeps = self.level, self.obstacle, _SWEEPS[self.level.dim]
         sweeps.backward(*level.lower_arrays, *level.upper_arrays, level.inverse, self.load, o.contact_of, *o.node_data,
                         self.unknowns, self.defect)
@@ -91,27 +97,33 @@ class TruncatedCycle:
                        self.defect)
         self.cycle.recorder.count(1.5, level.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
+        for k in range(self._interface_sweeps):
+            order = self.interface.backward if k % 2 == 0 else self.interface.forward
+            _LOCAL[level.dim](order, *level.lower_arrays, *level.upper_arrays, level.inverse, o.diagonal,
+                              o.contact_of, *o.node_data, self.unknowns, self.defect)
+            self.cycle.recorder.count(1.0, self.interface.nonzeros)
 
-    def look(self, safe: bool) -> Look:
+    def look(self, safe: bool, trusted: float = np.inf) -> Look:
         """Find the status, truncate and restrict the residual; the matrices below follow the status.
 
-        ``safe`` freezes g in them, which keeps them symmetric.
+        ``safe`` freezes g in them, which keeps them symmetric; a residual above ``trusted`` (N) does the same.
         """
         o, nodal = self.obstacle, self.cycle.prolongations[self.number - 1]
         status = o.look(self.defect)
+        squares = o.truncate(self.defect)
+        now = self.recombination.now
+        total = restrict[self._components](nodal.indptr, nodal.indices, nodal.data, self.defect, now)
+        zero_at(now, self.below.fixed)
+        self.cycle.recorder.visit(self.number, "restrict")
+        residual = float(np.sqrt(max(total - squares, 0.0) + status.natural))
+        safe = safe or residual > trusted
         if status.changed or safe != self._symmetric:
             o.renew_directions()
             self.truncation.apply(newton=not safe)
             self.cycle.factors.renew()
             self.recombination.restart()
             self._symmetric = safe
-        squares = o.truncate(self.defect)
-        now = self.recombination.now
-        total = restrict[self._components](nodal.indptr, nodal.indices, nodal.data, self.defect, now)
-        zero_at(now, self.below.fixed)
-        self.cycle.recorder.visit(self.number, "restrict")
-        residual = np.sqrt(max(total - squares, 0.0) + status.natural)
-        return Look(status.changed, float(residual), float(np.sqrt(status.reactions)))
+        return Look(status.changed, residual, float(np.sqrt(status.reactions)))
 
     def correct(self) -> float:
         """Coarse correction with recombination, in safe cycles with a line search; returns its energy, N m.

@@ -10,15 +10,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from adaptmg.plot.contact_zone import contact
     from adaptmg.plot.convergence import history
-    from adaptmg.plot.deformation import deformed
+    from adaptmg.plot.displaced import deformation, deformed
+    from adaptmg.plot.interfaces import interface
+    from adaptmg.plot.load_steps import load_history
     from adaptmg.plot.meshes import grids, mesh
     from adaptmg.plot.posed import problem
     from adaptmg.plot.way import path
 
-_WHERE = {"contact": "contact_zone", "history": "convergence", "deformed": "deformation", "grids": "meshes",
-          "mesh": "meshes", "problem": "posed", "path": "way"}
+_WHERE = {"contact": "contact_zone", "deformation": "displaced", "deformed": "displaced", "grids": "meshes",
+          "history": "convergence", "interface": "interfaces", "load_history": "load_steps", "mesh": "meshes",
+          "path": "way", "problem": "posed"}
 
-__all__ = ["contact", "deformed", "grids", "history", "mesh", "path", "problem"]
+__all__ = ["contact", "deformation", "deformed", "grids", "history", "interface", "load_history", "mesh", "path",
+           "problem"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,19 +1,20 @@
-"""A contact surface in three dimensions, seen along its normal: pressure beside states."""
+"""A contact surface in three dimensions, made flat: maps of pressure, traction or gap, and the states of the nodes."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.colors import Normalize
 from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
-from adaptmg.plot.style import INK, scaled
+from adaptmg.plot.flattened import Flat, flattened
+from adaptmg.plot.states import STATE_INKS, STATE_NAMES, state_colormap
+from adaptmg.plot.style import INK
+from adaptmg.smoother.state import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
 
-__all__ = ["draw_surface"]
-
-_COLORS, _NAMES = ("#dfe2e6", "#e69f00", "#0072b2"), ("open", "slip", "stick")
+__all__ = ["draw_map", "draw_states", "draw_surface"]
 
 
 def draw_surface(result: Result, boundary: str, axes: list[Axes]) -> None:
@@ -27,61 +28,62 @@ def draw_surface(result: Result, boundary: str, axes: list[Axes]) -> None:
         Contact boundary.
     axes : list of two matplotlib Axes
     """
-    c = result.contact
-    index = np.flatnonzero(c.boundary == c.names.index(boundary))
-    points, labels = _plane_coordinates(c.x[index], c.normal[index])
-    triangles = _triangles(result, boundary, index)
-    pressure, states = 1e-6 * c.pressure[index], np.asarray(c.state[index], dtype=float)
-    top = max(float(pressure.max()), np.finfo(float).tiny)
-    colors, steps = ListedColormap(_COLORS), BoundaryNorm([-0.5, 0.5, 1.5, 2.5], 3)
-    if triangles is None:
-        shown = axes[0].scatter(*points.T, c=pressure, s=18, cmap="viridis", vmin=0.0, vmax=top)
-        axes[1].scatter(*points.T, c=states, s=18, cmap=colors, norm=steps)
-    else:
-        grid = Triangulation(*points.T, triangles)
-        shown = axes[0].tripcolor(grid, pressure, cmap="viridis", shading="gouraud", vmin=0.0, vmax=top,
-                                  rasterized=True)
-        axes[1].triplot(grid, color="#c9ced5", linewidth=0.4, zorder=1)
-        size = float(np.clip(4000 / len(index), 1.5, 40.0))
-        axes[1].scatter(*points.T, c=states, s=size, cmap=colors, norm=steps, zorder=2, edgecolors=INK, linewidths=0.2)
-    bar = axes[0].figure.colorbar(shown, ax=axes[0], shrink=0.8, label="contact pressure [MPa]")
-    bar.outline.set_visible(False)
-    counts = np.bincount(states.astype(int), minlength=3)
-    axes[1].legend(handles=[Patch(color=color, label=f"{name} ({n})")
-                            for color, name, n in zip(_COLORS, _NAMES, counts, strict=True)],
-                   loc="upper left", bbox_to_anchor=(1.0, 1.0), title="nodes", alignment="left")
+    flat = flattened(result, boundary)
+    pressure = 1e-6 * result.contact.pressure
+    draw_map(axes[0], flat, pressure[flat.index], "contact pressure [MPa]", largest=float(pressure.max()))
+    draw_states(axes[1], flat, result.contact.state[flat.index])
     for ax, what in zip(axes, ("pressure", "state"), strict=True):
-        ax.set_title(f"{what} on {boundary!r}")
-        ax.set_aspect("equal")
-        ax.set_xlabel(labels[0])
-        ax.set_ylabel(labels[1])
+        ax.set_title(f"{what} on {boundary!r}", pad=22 if what == "state" else None)
 
 
-def _plane_coordinates(x: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, tuple[str, str]]:
-    """Coordinates (n, 2) across the mean normal, and their labels; Cartesian ones for a normal along an axis."""
-    if not np.isfinite(x).all():
-        raise ValueError("this result has no coordinates to draw a contact surface in: give the DiscreteProblem its "
-                         "coordinates")
-    mean = normals.mean(axis=0)
-    across = int(np.argmax(np.abs(mean)))
-    keep = [k for k in range(3) if k != across]
-    scale, unit = scaled(float(np.ptp(x, axis=0).max()), "m")
-    if np.abs(mean[keep]).max() > 1e-6 * abs(mean[across]):
-        # project along the mean normal, the first axis as near as it can be to the first Cartesian one left
-        n = mean / np.linalg.norm(mean)
-        first = np.eye(3)[keep[0]] - n[keep[0]] * n
-        first /= np.linalg.norm(first)
-        frame = np.stack([first, np.cross(n, first)], axis=1)
-        return scale * (x - x.mean(axis=0)) @ frame, (f"along t1 [{unit}]", f"along t2 [{unit}]")
-    return scale * x[:, keep], tuple(f"{'xyz'[k]} [{unit}]" for k in keep)
+def draw_map(ax: Axes, flat: Flat, values: np.ndarray, label: str, norm: Normalize | None = None,
+             bar: bool = True, largest: float = 0.0) -> None:
+    """Draw nodal values in colours.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+    flat : Flat
+    values : (n,) array
+        At ``flat.index``.
+    label : str
+        Of the colour bar.
+    norm : matplotlib Normalize, optional
+        By default from zero, or from the smallest value where that is negative.
+    bar : bool
+        Whether to draw a colour bar.
+    largest : float
+        Of such values elsewhere: what is only rounding beside it is drawn as zero.
+    """
+    if norm is None:
+        low, high = min(float(values.min()), 0.0), float(values.max())
+        norm = Normalize(low, high) if high - low > 1e-9 * largest else Normalize(0.0, 1.0)
+    if flat.triangles is None:
+        shown = ax.scatter(*flat.points.T, c=values, s=18, cmap="viridis", norm=norm)
+    else:
+        shown = ax.tripcolor(Triangulation(*flat.points.T, flat.triangles), values, cmap="viridis", shading="gouraud",
+                             norm=norm, rasterized=True)
+    if bar:
+        ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=label).outline.set_visible(False)
+    _finish(ax, flat)
 
 
-def _triangles(result: Result, boundary: str, index: np.ndarray) -> np.ndarray | None:
-    """Facets of the boundary whose corners are all contact nodes, numbered within ``index``; None without any."""
-    if result.mesh is None:
-        return None
-    place = np.full(result.mesh.n_nodes, -1)
-    place[result.contact.node[index]] = np.arange(len(index))
-    triangles = place[result.mesh.boundary_facets(boundary)]
-    triangles = triangles[(triangles >= 0).all(axis=1)]
-    return triangles if len(triangles) else None
+def draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
+    """Draw the nodes in the colours of their states, over the triangles; the legend counts them."""
+    colors, norm = state_colormap()
+    if flat.triangles is not None:
+        ax.triplot(Triangulation(*flat.points.T, flat.triangles), color="#c9ced5", linewidth=0.4, zorder=1)
+    size = float(np.clip(4000 / len(states), 1.5, 40.0))
+    ax.scatter(*flat.points.T, c=states.astype(float), s=size, cmap=colors, norm=norm, zorder=2, edgecolors=INK,
+               linewidths=0.2)
+    counts = np.bincount(states.astype(int), minlength=3)
+    ax.legend(handles=[Patch(color=STATE_INKS[s], label=f"{STATE_NAMES[s]} ({counts[int(s)]})")
+                       for s in (OPEN, SLIP, STICK)],
+              loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=3, handlelength=1.2, columnspacing=1.2)
+    _finish(ax, flat)
+
+
+def _finish(ax: Axes, flat: Flat) -> None:
+    ax.set_aspect("equal" if flat.equal else "auto")
+    ax.set_xlabel(flat.labels[0])
+    ax.set_ylabel(flat.labels[1])

@@ -4,24 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from adaptmg.plot.line import Line, lines_of
+from adaptmg.plot.panels import blocks, cells, chosen_boundaries, described, keep_open
+from adaptmg.plot.states import STATE_COLORS, shade, state_patches
 from adaptmg.plot.style import BLUE, GREEN, INK, ORANGE, axes_of, styled
-from adaptmg.problem import checks
-from adaptmg.smoother.state import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
 
 __all__ = ["STATE_COLORS", "contact"]
-
-#: pale enough to draw on
-STATE_COLORS = {OPEN: "#f1f2f4", SLIP: "#fbe3d3", STICK: "#d6e8f5"}
-_NAMES = {OPEN: "open", SLIP: "slip", STICK: "stick"}
 
 
 @styled
@@ -30,7 +23,8 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: str
 
     In 2D, along each contact boundary: above, contact pressure, tangential traction and what friction allows, MPa;
     below, gap and slip, micrometres; the zones open, slip and stick are shaded. In 3D, seen along the normal: pressure
-    and states. Pressures and tractions are nodal forces over lumped boundary mass.
+    and states. Pressures and tractions are nodal forces over lumped boundary mass. Between two bodies all are those of
+    the slave surface, gap and slip relative to the master; see :func:`adaptmg.plot.interface` too.
 
     Parameters
     ----------
@@ -38,7 +32,7 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: str
     axes : pair of matplotlib Axes, optional
         To draw one contact boundary into.
     boundary : str, optional
-        Name of the contact boundary; default all of them.
+        Name of the contact boundary, of a pair the slave; default all of them.
 
     Returns
     -------
@@ -46,42 +40,38 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: str
     """
     if not isinstance(result, Result):
         raise TypeError(f"result must be a Result, got {type(result).__name__}")
-    names = result.contact.names if boundary is None else (checks.choice("boundary", boundary, result.contact.names),)
-    names = tuple(n for n in names if (result.contact.boundary == result.contact.names.index(n)).any())
-    if result.dim == 3:
-        from adaptmg.plot.contact_surface import draw_surface
-
-        axes = _panels(axes, len(names), (9.0, 4.0), stacked=False)
-        for k, name in enumerate(names):
-            draw_surface(result, name, axes[2 * k:2 * k + 2])
-    else:
-        axes = _panels(axes, len(names), (7.0, 5.4), stacked=True)
-        for k, name in enumerate(names):
-            _draw_line(result, name, lines_of(result, name), axes[2 * k], axes[2 * k + 1])
-    axes[0].figure.align_ylabels()
-    return axes[0].figure
-
-
-def _panels(axes: Sequence[Axes] | None, count: int, size: tuple[float, float], stacked: bool) -> list[Axes]:
-    """Two axes for each contact boundary, boundary by boundary."""
+    names = chosen_boundaries(result, boundary, "boundary")
     if axes is not None:
-        if count != 1:
-            raise ValueError(f"axes takes one contact boundary, the result has {count}: choose with boundary=...")
-        return axes_of(axes, 2, "axes")
-    if stacked:
-        _, grid = plt.subplots(2, count, figsize=(size[0] * (1 if count == 1 else 0.8 * count), size[1]), sharex="col",
-                               squeeze=False)
-        return list(grid.T.ravel())
-    _, grid = plt.subplots(count, 2, figsize=(size[0], size[1] * count), squeeze=False)
-    return list(grid.ravel())
+        if len(names) != 1:
+            raise ValueError(f"axes takes one contact boundary, the result has {len(names)}: choose with boundary=...")
+        panels = [axes_of(axes, 2, "axes")]
+    elif result.dim == 3:
+        panels = [cells(part, 2, 2) for part in blocks(len(names), (9.0, 4.0), columns=1)]
+    else:
+        size = (7.0 if len(names) == 1 else 5.6, 5.4)
+        panels = [part.subplots(2, sharex=True) for part in blocks(len(names), size, columns=3)]
+    for name, pair in zip(names, panels, strict=True):
+        if result.dim == 3:
+            from adaptmg.plot.contact_surface import draw_surface
+
+            draw_surface(result, name, pair)
+        else:
+            _draw_line(result, lines_of(result, name), *pair)
+            pair[0].set_title(f"{result.problem_name}: contact on {name!r}" if len(names) == 1
+                              else described(result.contact, name), pad=22)
+        pair[0].figure.align_ylabels()
+    figure = panels[0][0].figure if axes is not None else panels[0][0].get_figure(root=True)
+    if len(names) > 1:
+        figure.suptitle(result.problem_name)
+    return figure
 
 
-def _draw_line(result: Result, name: str, lines: list[Line], upper: Axes, lower: Axes) -> None:
+def _draw_line(result: Result, lines: list[Line], upper: Axes, lower: Axes) -> None:
     c = result.contact
     for line in lines:
         at, s = line.index, line.position
-        _shade(upper, s, c.state[at])
-        _shade(lower, s, c.state[at])
+        shade(upper, s, c.state[at])
+        shade(lower, s, c.state[at])
         first = line is lines[0]
 
         def draw(ax: Axes, values: np.ndarray, color: str, label: str, s: np.ndarray = s, first: bool = first) -> None:
@@ -99,29 +89,17 @@ def _draw_line(result: Result, name: str, lines: list[Line], upper: Axes, lower:
     upper.set_ylabel("pressure, traction [MPa]")
     lower.set_ylabel("gap, slip [µm]")
     lower.set_xlabel(lines[0].label)
-    upper.set_title(f"{result.problem_name}: contact on {name!r}", pad=22)
     lower.axhline(0.0, color="#5b626b", linewidth=0.8, zorder=1)
     upper.set_ylim(bottom=0.0)
+    keep_open(upper, c.pressure[np.concatenate([line.index for line in lines])], float(c.pressure.max()))
     for ax in (upper, lower):
         ax.margins(x=0.0)
         ax.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
     _legend_of_states(upper, {int(state) for line in lines for state in c.state[line.index]})
 
 
-def _shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
-    """Shade runs of equal state; they meet half way between nodes."""
-    starts = np.flatnonzero(np.diff(state, prepend=state[0] - 1))
-    ends = np.append(starts[1:], len(state)) - 1
-    for a, b in zip(starts, ends, strict=True):
-        left = position[a] if a == 0 else 0.5 * (position[a - 1] + position[a])
-        right = position[b] if b == len(state) - 1 else 0.5 * (position[b] + position[b + 1])
-        ax.axvspan(left, right, facecolor=STATE_COLORS[int(state[a])], edgecolor="none", linewidth=0, zorder=0)
-
-
 def _legend_of_states(ax: Axes, present: set[int]) -> None:
     """The states above the axes, beside the legend of the curves."""
-    patches = [Patch(facecolor=STATE_COLORS[s], edgecolor=np.array(to_rgb(STATE_COLORS[s])) * 0.8, label=_NAMES[s])
-               for s in (OPEN, SLIP, STICK) if int(s) in present]
     curves = ax.get_legend()
-    ax.legend(handles=patches, loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, handlelength=1.4)
+    ax.legend(handles=state_patches(present), loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, handlelength=1.4)
     ax.add_artist(curves)

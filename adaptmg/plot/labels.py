@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from adaptmg.plot.style import number, scaled
 from adaptmg.problem import Coulomb, Frictionless, Law, Support, Tresca
 
@@ -26,10 +28,10 @@ def _parameter(value: object) -> str:
     return "f(x)" if callable(value) else number(float(value))
 
 
-def support_text(support: Support, dim: int) -> str:
-    """The prescribed components, a line each: '$u_x$ = 0'; equal ones together."""
+def support_text(support: Support, dim: int, axes: Sequence[str] = "xyz") -> str:
+    """The prescribed components, a line each: '$u_x$ = 0'; equal ones together. ``axes`` are the names of the axes."""
     lines: dict[str, list[str]] = {}
-    for axis, value in zip("xyz", support.components(dim), strict=False):
+    for axis, value in zip(axes, support.components(dim), strict=False):
         if value is not None:
             factor, unit = scaled(abs(value), "m")
             lines.setdefault("0" if value == 0 else f"{number(value * factor)} {unit}", []).append(f"$u_{axis}$")

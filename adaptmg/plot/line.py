@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot.style import scaled
+from adaptmg.plot.walks import walks
 from adaptmg.solver.result import Result
 
-__all__ = ["Line", "lines_of"]
+__all__ = ["Line", "arcs_of", "lines_of"]
 
 
 @dataclass(frozen=True)
@@ -43,45 +43,62 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
     boundary : str
         Contact boundary.
     """
-    c = result.contact
-    index = np.flatnonzero(c.boundary == c.names.index(boundary))
-    x = c.x[index]
+    index = _nodes_of(result, boundary)
+    x = result.contact.x[index]
     if not np.isfinite(x).all():
-        return [Line(index, np.arange(len(index), dtype=float), "contact node")]
+        return arcs_of(result, boundary)
     extent = np.ptp(x, axis=0)
     scale, unit = scaled(float(extent.max()), "m")
     for axis, name in enumerate("xy"):
         if extent[1 - axis] <= 1e-9 * extent[axis]:
             order = np.argsort(x[:, axis])
             return [Line(index[order], scale * x[order, axis], f"{name} [{unit}]")]
-    if result.mesh is not None:
-        chains = _chains(result.mesh, boundary, c.node, index)
-    else:
+    return arcs_of(result, boundary, (scale, unit), start=False)
+
+
+def arcs_of(result: Result, boundary: str, scale: tuple[float, str] = (1e3, "mm"), start: bool = True) -> list[Line]:
+    """The connected stretches of a contact boundary against arc length along the whole boundary.
+
+    The length runs with the body on the left; parts of the boundary without contact nodes count and separate stretches.
+
+    Parameters
+    ----------
+    result : Result
+        Two-dimensional; see :func:`lines_of` for results without a mesh or without coordinates.
+    boundary : str
+        Contact boundary.
+    scale : pair of float and str
+        Unit of the lengths and its name.
+    start : bool
+        Whether the label says where the length begins.
+    """
+    index = _nodes_of(result, boundary)
+    x = result.contact.x[index]
+    factor, unit = scale
+    if not np.isfinite(x).all():
+        return [Line(index, np.arange(len(index), dtype=float), "contact node")]
+    if result.mesh is None:
         centred = x - x.mean(axis=0)
-        chains = [index[np.argsort(centred @ np.linalg.svd(centred, full_matrices=False)[2][0])]]
-    lines, begin = [], 0.0
-    for chain in chains:
-        steps = np.linalg.norm(np.diff(c.x[chain], axis=0), axis=1)
+        order = np.argsort(centred @ np.linalg.svd(centred, full_matrices=False)[2][0])
+        steps = np.linalg.norm(np.diff(x[order], axis=0), axis=1)
+        return [Line(index[order], factor * np.concatenate([[0.0], np.cumsum(steps)]), f"arc length [{unit}]")]
+    points, place = result.mesh.points, np.full(result.mesh.n_nodes, -1)
+    place[result.contact.node[index]] = index
+    stretches, begin = [], 0.0
+    found = walks(result.mesh.boundary_facets(boundary))
+    for walk in found:
+        steps = np.linalg.norm(np.diff(points[walk], axis=0), axis=1)
         position = begin + np.concatenate([[0.0], np.cumsum(steps)])
-        lines.append(Line(chain, scale * position, f"arc length [{unit}]"))
         begin = position[-1]
-    return lines
+        covered = np.flatnonzero(place[walk] >= 0)
+        for run in np.split(covered, np.flatnonzero(np.diff(covered) > 1) + 1):
+            if len(run):
+                stretches.append((place[walk[run]], factor * position[run]))
+    x0, y0 = factor * points[found[0][0]]
+    label = f"arc length from ({x0:.4g}, {y0:.4g}) [{unit}]" if start else f"arc length [{unit}]"
+    return [Line(nodes, position, label) for nodes, position in stretches]
 
 
-def _chains(mesh: MeshArrays, boundary: str, nodes: np.ndarray, index: np.ndarray) -> list[np.ndarray]:
-    """Walk the facets of the boundary (each points on to the next) from every free end; rings from any node."""
-    facets = mesh.boundary_facets(boundary)
-    following = dict(facets.tolist())
-    heads = sorted(set(following) - set(following.values()))
-    contact_index = dict(zip(nodes[index].tolist(), index.tolist(), strict=True))
-    chains = []
-    while following:
-        node = heads.pop(0) if heads else min(following)
-        walk = [node]
-        while node in following:
-            node = following.pop(node)
-            walk.append(node)
-        chain = [contact_index[n] for n in walk if n in contact_index]
-        if chain:
-            chains.append(np.array(chain))
-    return chains
+def _nodes_of(result: Result, boundary: str) -> np.ndarray:
+    """Contact nodes of a boundary as indices into the contact arrays."""
+    return np.flatnonzero(result.contact.boundary == result.contact.names.index(boundary))

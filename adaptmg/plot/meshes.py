@@ -8,19 +8,21 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.plot.solid import draw_facets, finish_axes
-from adaptmg.plot.style import INK, ORANGE, PALE, axes_of, bounds, canvas, scaled, styled
+from adaptmg.plot.solid import finish_axes
+from adaptmg.plot.style import BODY_COLORS, INK, ORANGE, PALE, axes_of, bounds, canvas, scaled, styled
+from adaptmg.plot.surface import draw_facets
 
 __all__ = ["grids", "mesh"]
 
 
 @styled
 def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = ()) -> Figure:
-    """Draw a mesh.
+    """Draw a mesh; several bodies in different colours.
 
     Parameters
     ----------
@@ -91,15 +93,20 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
     scale, unit = scaled(bounds(drawn.points)[2], "m")
     points = drawn.points * scale
     marked = np.isin(drawn.facet_labels, [drawn.boundaries.index(name) for name in contact if name in drawn.boundaries])
+    several = len(drawn.bodies) > 1
+    fills = to_rgba_array([BODY_COLORS[k % len(BODY_COLORS)] for k in range(len(drawn.bodies))] if several else [PALE])
     if drawn.dim == 3:
-        colors = np.where(marked[:, None], np.array([0.93, 0.55, 0.25, 1.0]), np.array([0.90, 0.92, 0.94, 1.0]))
+        body = np.zeros(drawn.n_nodes, dtype=int)
+        body[drawn.elements] = drawn.element_body[:, None]
+        colors = np.where(marked[:, None], np.array([0.93, 0.55, 0.25, 1.0]), fills[body[drawn.facets[:, 0]]])
         draw_facets(ax, points[drawn.facets], colors)
         finish_axes(ax, points, unit)
         if marked.any() and _mean_normal(points, drawn.facets[marked])[2] < -0.5:
             ax.view_init(elev=-24, azim=-58)
         return
     width = float(np.clip(18 / np.sqrt(len(drawn.elements)), 0.12, 0.7))
-    ax.add_collection(PolyCollection(points[drawn.elements], facecolor=PALE, edgecolor=INK, linewidth=width))
+    ax.add_collection(PolyCollection(points[drawn.elements], facecolor=fills[drawn.element_body],
+                                     edgecolor=INK, linewidth=width))
     ax.add_collection(LineCollection(points[drawn.facets], color=INK, linewidth=0.9))
     ax.add_collection(LineCollection(points[drawn.facets[marked]], color=ORANGE, linewidth=2.4, capstyle="butt"))
     ax.set_aspect("equal")

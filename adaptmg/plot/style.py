@@ -10,11 +10,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-__all__ = ["BLUE", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "axes_of", "bounds", "canvas", "number",
-           "scaled", "styled"]
+__all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "axes_of", "bounds",
+           "canvas", "number", "scaled", "styled"]
 
 INK, GREY, PALE = "#1f2328", "#8a9099", "#eceef1"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
+#: fills of bodies: pale, so that lines, marks and the colours of states show on them
+BODY_COLORS = ("#b9d3ea", "#f3d9b1", "#bfe0c8", "#e3c8dd", "#d9d6cf", "#f4efb5", "#b8e2e8", "#e9bdb5")
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#806000", INK)
 
 _STYLE: dict[str, Any] = {

@@ -1,12 +1,18 @@
-"""What is posed: problems, materials, laws, loads, obstacles, domains. Pure data in SI units, no NGSolve."""
+"""What is posed: problems, materials, laws, loads, obstacles, pairs, domains. Pure data in SI units, no NGSolve."""
 
+from adaptmg.problem.assembly import Assembly
 from adaptmg.problem.contact_problem import Contact, ContactProblem
-from adaptmg.problem.domains import Box, Polygon, Rectangle
+from adaptmg.problem.domains import Box, Domain, Polygon, Rectangle
 from adaptmg.problem.laws import Coulomb, Frictionless, Law, Tresca
-from adaptmg.problem.loads import BodyForce, Pressure, Support, Traction
-from adaptmg.problem.materials import Elastic, PlaneStrain, PlaneStress, Solid
+from adaptmg.problem.load_path import LoadPath
+from adaptmg.problem.loads import BodyForce, InitialStrain, Pressure, Support, Traction
+from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStrain, PlaneStress, Solid
 from adaptmg.problem.obstacles import GapFunction, Plane
+from adaptmg.problem.outlines import Outline
+from adaptmg.problem.pairs import ContactPair
+from adaptmg.problem.solids import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
 
-__all__ = ["BodyForce", "Box", "Contact", "ContactProblem", "Coulomb", "Elastic", "Frictionless", "GapFunction", "Law",
-           "Plane", "PlaneStrain", "PlaneStress", "Polygon", "Pressure", "Rectangle", "Solid", "Support", "Traction",
-           "Tresca"]
+__all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Common", "Contact", "ContactPair", "ContactProblem",
+           "Coulomb", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless", "Fuse", "GapFunction",
+           "InitialStrain", "Law", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain", "PlaneStress", "Polygon",
+           "Pressure", "Rectangle", "Revolution", "Solid", "StepFile", "Support", "Traction", "Tresca"]

@@ -1,4 +1,4 @@
-"""ContactProblem: an elastic body, its loads and supports, and the obstacle it may touch."""
+"""ContactProblem: elastic bodies, their loads and supports, and what they may touch."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from adaptmg.problem import checks
-from adaptmg.problem.domains import Box, Domain, Polygon, Rectangle
+from adaptmg.problem.domains import Domain
 from adaptmg.problem.laws import Law
-from adaptmg.problem.loads import BodyForce, Pressure, Support, Traction
-from adaptmg.problem.materials import Elastic
+from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Support, Traction
+from adaptmg.problem.materials import Axisymmetric, Elastic
 from adaptmg.problem.obstacles import GapFunction, Plane
+from adaptmg.problem.pairs import ContactPair
 
 __all__ = ["Contact", "ContactProblem"]
 
@@ -45,28 +46,28 @@ class ContactProblem:
 
     Parameters
     ----------
-    material : PlaneStrain, PlaneStress or Solid
-        The elastic body.
-    contact : Contact or sequence of Contact
-        The boundaries that may touch a rigid obstacle.
+    material : PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping of str to these
+        Of all bodies, or of each body by its name.
+    contact : Contact, ContactPair or sequence of them
+        The boundaries that may touch a rigid obstacle, or each other.
     law : Frictionless, Tresca, Coulomb or one's own
         The contact law, the same on all contact boundaries (its parameters may vary in space).
-    loads : sequence of Pressure, Traction, BodyForce
-        What acts on the body.
+    loads : sequence of Pressure, Traction, BodyForce, InitialStrain
+        What acts on the bodies.
     supports : sequence of Support
         Prescribed displacement components.
-    domain : Rectangle, Box, Polygon, optional
-        The geometry; not needed when every mesh is given by the user.
+    domain : Domain, optional
+        The geometry: Rectangle, Box, Polygon, Outline, Assembly, ...; not needed when every mesh is given by the user.
     name : str
         For tables and pictures.
     reference : mapping
         Reference values and their sources, as the case provides them.
     """
 
-    material: Elastic
-    contact: Contact | tuple[Contact, ...]
+    material: Elastic | Mapping[str, Elastic]
+    contact: Contact | ContactPair | tuple[Contact | ContactPair, ...]
     law: Law
-    loads: tuple[Pressure | Traction | BodyForce, ...] = ()
+    loads: tuple[Load, ...] = ()
     supports: tuple[Support, ...] = ()
     domain: Domain | None = None
     name: str = "contact problem"
@@ -74,10 +75,10 @@ class ContactProblem:
 
     def __post_init__(self) -> None:
         if not isinstance(self.material, Elastic):
-            raise TypeError(f"material must be PlaneStrain, PlaneStress or Solid, got {self.material!r}")
-        contact = (self.contact,) if isinstance(self.contact, Contact) else tuple(self.contact)
-        if not contact or not all(isinstance(c, Contact) for c in contact):
-            raise TypeError(f"contact must be a Contact or a sequence of them, got {self.contact!r}")
+            object.__setattr__(self, "material", _materials(self.material))
+        contact = (self.contact,) if isinstance(self.contact, Contact | ContactPair) else tuple(self.contact)
+        if not contact or not all(isinstance(c, Contact | ContactPair) for c in contact):
+            raise TypeError(f"contact must be a Contact, a ContactPair or a sequence of them, got {self.contact!r}")
         if not isinstance(self.law, Law) or isinstance(self.law, type):
             raise TypeError(f"law must be Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds, "
                             f"got {self.law!r}")
@@ -85,44 +86,131 @@ class ContactProblem:
         object.__setattr__(self, "loads", tuple(self.loads))
         object.__setattr__(self, "supports", tuple(self.supports))
         for load in self.loads:
-            if not isinstance(load, Pressure | Traction | BodyForce):
-                raise TypeError(f"loads must be Pressure, Traction or BodyForce, got {load!r}")
-            if not isinstance(load, Pressure) and len(load.components) != self.dim:
-                raise ValueError(f"{load!r} has {len(load.components)} components in a {self.dim}D problem")
+            _check_load(load, self.dim)
         for support in self.supports:
             if not isinstance(support, Support):
                 raise TypeError(f"supports must be Support, got {support!r}")
             support.components(self.dim)
-        names = [c.boundary for c in contact]
-        if len(set(names)) < len(names):
-            raise ValueError(f"a boundary is named twice as contact boundary: {names}")
-        for c in contact:
-            if isinstance(c.obstacle, Plane) and c.obstacle.dim != self.dim:
-                raise ValueError(f"the plane in front of {c.boundary!r} is {c.obstacle.dim}D, the material {self.dim}D")
+        _check_contact(contact, self.dim)
         if self.domain is not None:
-            if not isinstance(self.domain, Rectangle | Box | Polygon):
-                raise TypeError(f"domain must be Rectangle, Box or Polygon, got {self.domain!r}")
-            if self.domain.dim != self.dim:
-                raise ValueError(f"domain is {self.domain.dim}D, material {self.dim}D: use Solid in 3D, "
-                                 "PlaneStrain or PlaneStress in 2D")
-            self.check_boundaries(self.domain.boundaries)
+            self._check_domain(self.domain)
+        if self.bodies:
+            self.check_bodies(self.bodies)
+
+    def _check_domain(self, domain: Domain) -> None:
+        if not isinstance(domain, Domain):
+            raise TypeError("domain must be a Domain (Rectangle, Box, Polygon, Outline, Assembly, ...), "
+                            f"got {domain!r}")
+        if domain.dim != self.dim:
+            raise ValueError(f"domain is {domain.dim}D, material {self.dim}D: use Solid in 3D, "
+                             "PlaneStrain, PlaneStress or Axisymmetric in 2D")
+        if self.axisymmetric and not domain.lower[0] >= 0:
+            raise ValueError(f"domain reaches to x = {domain.lower[0]:g} m, but x is the radius of an axisymmetric "
+                             "problem: it must be >= 0")
+        if domain.boundaries is not None:
+            self.check_boundaries(domain.boundaries)
 
     @property
     def dim(self) -> int:
         """Space dimension."""
-        return self.material.dim
+        return self._any_material.dim
+
+    @property
+    def axisymmetric(self) -> bool:
+        """Whether the bodies are :class:`Axisymmetric`."""
+        return isinstance(self._any_material, Axisymmetric)
+
+    @property
+    def _any_material(self) -> Elastic:
+        return self.material if isinstance(self.material, Elastic) else next(iter(self.material.values()))
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies: those of the domain, or else of the materials; () where only the mesh knows them."""
+        if self.domain is not None and self.domain.bodies is not None:
+            return self.domain.bodies
+        return () if isinstance(self.material, Elastic) else tuple(self.material)
+
+    def material_of(self, body: str) -> Elastic:
+        """The material of a body; ValueError if materials are named by body and this one is not."""
+        if isinstance(self.material, Elastic):
+            return self.material
+        if body not in self.material:
+            raise ValueError(f"body {body!r} has no material; material names {', '.join(map(repr, self.material))}")
+        return self.material[body]
 
     @property
     def contact_boundaries(self) -> tuple[str, ...]:
-        """Names of the contact boundaries."""
+        """Names of the boundaries that carry contact nodes, in the order of ``contact``; of a pair the slave."""
         return tuple(c.boundary for c in self.contact)
+
+    @property
+    def masters(self) -> tuple[str, ...]:
+        """For each of ``contact`` the master boundary, "" for a rigid obstacle."""
+        return tuple(c.master if isinstance(c, ContactPair) else "" for c in self.contact)
+
+    @property
+    def pair_boundaries(self) -> tuple[str, ...]:
+        """Distinct names of all boundaries that may touch something, masters too: where meshes are to be fine."""
+        return tuple(dict.fromkeys(name for pair in zip(self.contact_boundaries, self.masters, strict=True)
+                                   for name in pair if name))
 
     def check_boundaries(self, known: tuple[str, ...]) -> None:
         """Raise ValueError unless every boundary named by the problem is one of ``known``."""
-        used = {c.boundary: "contact" for c in self.contact}
-        used |= {load.boundary: "a load" for load in self.loads if not isinstance(load, BodyForce)}
+        used = dict.fromkeys(self.pair_boundaries, "contact")
+        used |= {load.boundary: "a load" for load in self.loads if isinstance(load, Pressure | Traction)}
         used |= {s.boundary: "a support" for s in self.supports}
         for boundary, use in used.items():
             if boundary not in known:
                 raise ValueError(f"boundary {boundary!r}, used for {use}, does not exist; "
                                  f"the boundaries are {', '.join(sorted(set(known)))}")
+
+    def check_bodies(self, known: tuple[str, ...]) -> None:
+        """Raise ValueError unless the materials name exactly the bodies ``known``, and loads name some of them."""
+        if not isinstance(self.material, Elastic) and set(self.material) != set(known):
+            raise ValueError(f"material must name each body once: the bodies are {', '.join(map(repr, known))}, "
+                             f"material names {', '.join(map(repr, self.material))}")
+        for load in self.loads:
+            body = load.body if isinstance(load, BodyForce | InitialStrain) else None
+            if body is not None and body not in known:
+                raise ValueError(f"body {body!r}, used for a load, does not exist; "
+                                 f"the bodies are {', '.join(map(repr, known))}")
+
+
+def _materials(material: object) -> dict[str, Elastic]:
+    """Materials by body, checked to belong to one problem."""
+    if not isinstance(material, Mapping) or not material or not all(isinstance(m, Elastic) for m in material.values()):
+        raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or map each body's name to "
+                        f"one of them, got {material!r}")
+    kinds = {name: type(m).__name__ for name, m in material.items()}
+    if len({(m.dim, isinstance(m, Axisymmetric)) for m in material.values()}) > 1:
+        raise ValueError(f"material: the bodies must be all Solid, all Axisymmetric, or all plane, got {kinds}")
+    return dict(material)
+
+
+def _check_load(load: Load, dim: int) -> None:
+    if not isinstance(load, Load):
+        raise TypeError(f"loads must be Pressure, Traction, BodyForce or InitialStrain, got {load!r}")
+    if isinstance(load, Pressure) or (isinstance(load, InitialStrain) and dim == 2):
+        return
+    if len(load.components) != dim:
+        raise ValueError(f"{load!r} has {len(load.components)} components in a {dim}D problem")
+
+
+def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int) -> None:
+    names = [c.boundary for c in contact]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"boundary {name!r} is named twice as contact boundary (slave of a pair, or in front of "
+                             "an obstacle): its nodes can carry one condition; swap slave and master of a pair, or "
+                             "cut the boundary in two")
+    for c in contact:
+        if isinstance(c, ContactPair) and c.master in names and not _rigid(contact, c.master):
+            raise ValueError(f"boundary {c.master!r} is the master of {c.slave!r} and slave of another pair: "
+                             "swap slave and master in one of the pairs, or cut the boundary in two")
+        if isinstance(c, Contact) and isinstance(c.obstacle, Plane) and c.obstacle.dim != dim:
+            raise ValueError(f"the plane in front of {c.boundary!r} is {c.obstacle.dim}D, the material {dim}D")
+
+
+def _rigid(contact: tuple[Contact | ContactPair, ...], name: str) -> bool:
+    return any(isinstance(c, Contact) and c.boundary == name for c in contact)

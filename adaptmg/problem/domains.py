@@ -12,8 +12,30 @@ from adaptmg.problem import checks
 __all__ = ["Box", "Domain", "Polygon", "Rectangle"]
 
 
+class Domain:
+    """What a mesh generator can mesh: the base class of all domains.
+
+    Attributes
+    ----------
+    dim : int
+        Space dimension.
+    boundaries : tuple of str or None
+        Names of the boundaries; those of several bodies are "body.edge". None where only the mesh knows them.
+    bodies : tuple of str or None
+        Names of the bodies; ``("body",)`` unless a subclass says otherwise. None where only the mesh knows them.
+    """
+
+    dim: int
+    boundaries: tuple[str, ...] | None
+
+    @property
+    def bodies(self) -> tuple[str, ...] | None:
+        """Names of the bodies."""
+        return ("body",)
+
+
 @dataclass(frozen=True, kw_only=True)
-class Rectangle:
+class Rectangle(Domain):
     """An axis-parallel rectangle; boundaries ``bottom``, ``right``, ``top``, ``left``.
 
     Parameters
@@ -53,7 +75,7 @@ class Rectangle:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Box:
+class Box(Domain):
     """An axis-parallel box; ``left``/``right`` are x, ``front``/``back`` y, ``bottom``/``top`` z.
 
     Parameters
@@ -88,7 +110,7 @@ class Box:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Polygon:
+class Polygon(Domain):
     """A simple polygon.
 
     Parameters
@@ -123,5 +145,12 @@ class Polygon:
         """Itself: every plane domain offers its polygon."""
         return self
 
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower left corner of the bounding box (2,), m."""
+        return np.min(self.vertices, axis=0)
 
-Domain = Rectangle | Box | Polygon
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper right corner of the bounding box (2,), m."""
+        return np.max(self.vertices, axis=0)

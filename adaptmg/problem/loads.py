@@ -1,4 +1,7 @@
-"""Loads and supports, by boundary name. SI units; numbers, or vectorised functions of position (n, dim) -> (n,)."""
+"""Loads and supports, by boundary or body name. SI units.
+
+Values are numbers, or vectorised functions of position (n, dim) -> (n,).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import numpy as np
 
 from adaptmg.problem import checks
 
-__all__ = ["BodyForce", "Load", "Pressure", "Support", "Traction"]
+__all__ = ["BodyForce", "InitialStrain", "Load", "Pressure", "Support", "Traction"]
 
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
 
@@ -66,21 +69,50 @@ class Traction:
 
 @dataclass(frozen=True)
 class BodyForce:
-    """Force per volume on the whole body.
+    """Force per volume on one body or all.
 
     Parameters
     ----------
     components : sequence of float or callable
         Cartesian components, N/m^3.
+    body : str, optional
+        Name of the body it acts on; all by default.
     """
 
     components: tuple[FieldLike, ...]
+    body: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "components", _check_components("components", self.components))
+        if self.body is not None:
+            checks.boundary_name("body", self.body)
 
 
-Load = Pressure | Traction | BodyForce
+@dataclass(frozen=True)
+class InitialStrain:
+    r"""Stress-free strain of one body: thermal expansion, the imposed shortening of a bolt.
+
+    The stress is :math:`\sigma = C (\varepsilon - \varepsilon_0)`, the load
+    :math:`\int C \varepsilon_0 : \varepsilon(v)`.
+
+    Parameters
+    ----------
+    body : str
+        Name of the body.
+    components : sequence of float or callable
+        Normal strains; shear strains are zero. In 2D (xx, yy) or (xx, yy, zz), axisymmetric (rr, zz) or (rr, zz,
+        hoop), the third being 0 where it is left out; in 3D (xx, yy, zz). Negative shortens.
+    """
+
+    body: str
+    components: tuple[FieldLike, ...]
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("body", self.body)
+        object.__setattr__(self, "components", _check_components("components", self.components))
+
+
+Load = Pressure | Traction | BodyForce | InitialStrain
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@ r"""Linear elastic, isotropic materials.
 
 The stress is :math:`\sigma = \lambda\,\mathrm{tr}(\varepsilon) I + 2\mu\,\varepsilon` with
 :math:`\mu = E / (2(1+\nu))` and :math:`\lambda = E\nu / ((1+\nu)(1-2\nu))` in three dimensions and in plane strain;
-plane stress has :math:`\lambda = E\nu / (1-\nu^2)`.
+plane stress has :math:`\lambda = E\nu / (1-\nu^2)`. Axisymmetric bodies have, besides the strains of the meridian plane
+(r, z), the hoop strain :math:`\varepsilon_{\theta\theta} = u_r / r`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import ClassVar
 
 from adaptmg.problem import checks
 
-__all__ = ["Elastic", "PlaneStrain", "PlaneStress", "Solid"]
+__all__ = ["Axisymmetric", "Elastic", "PlaneStrain", "PlaneStress", "Solid"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +67,16 @@ class PlaneStress(Elastic):
     def lame(self) -> float:
         """First Lame constant of plane stress, Pa."""
         return self.young * self.poisson / (1 - self.poisson**2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axisymmetric(Elastic):
+    """A body of revolution without torsion: x is the radius r >= 0, y the axial coordinate z.
+
+    All forces are those over the full circumference, N: integrals are weighted with 2 pi r.
+    """
+
+    dim: ClassVar[int] = 2
 
 
 @dataclass(frozen=True, kw_only=True)

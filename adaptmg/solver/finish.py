@@ -36,8 +36,7 @@ def relative_residual(local: LocalProblem, unknowns: np.ndarray) -> float:
     return 0.0 if size == 0.0 else float("inf")
 
 
-def contact_result(local: LocalProblem, unknowns: np.ndarray, displacement: np.ndarray,
-                   reaction: np.ndarray) -> ContactResult:
+def contact_result(local: LocalProblem, unknowns: np.ndarray, solved: np.ndarray) -> ContactResult:
     """Contact quantities at a solution.
 
     Parameters
@@ -45,11 +44,11 @@ def contact_result(local: LocalProblem, unknowns: np.ndarray, displacement: np.n
     local : LocalProblem
     unknowns : (n_dofs,) array
         Local components.
-    displacement, reaction : (n_nodes, dim) arrays
-        Cartesian, m and N.
+    solved : (n_nodes, dim) array
+        Cartesian, m; between bodies in relative coordinates.
     """
     discrete, contact = local.discrete, local.discrete.contact
-    u = np.einsum("nij,nj->ni", local.frames, displacement[contact.nodes])
+    u = np.einsum("nij,nj->ni", local.frames, solved[contact.nodes])
     force = -residual(local.system, local.load, unknowns).reshape(-1, discrete.dim)[contact.nodes]
     force_n = np.maximum(-force[:, 0], 0.0)
     reference = np.einsum("nij,nj->ni", local.frames, contact.slip_reference)[:, 1:]
@@ -58,4 +57,4 @@ def contact_result(local: LocalProblem, unknowns: np.ndarray, displacement: np.n
                          u_t=u[:, 1:], slip=u[:, 1:] - reference, force_n=force_n, force_t=force[:, 1:],
                          weights=contact.weights, limit=local.contact.limit + local.contact.friction * force_n,
                          state=contact_state(local.system, local.contact, local.load, unknowns),
-                         boundary=contact.boundary, names=contact.names)
+                         boundary=contact.boundary, names=contact.names, masters=contact.masters)

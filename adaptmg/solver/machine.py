@@ -75,7 +75,7 @@ class Machine:
                 if self.options.correction.needs_initial:
                     defect = runner.residual(level, local.load, unknowns)
                     self.initial.append(initial_contact(local, unknowns, defect))
-                nodal = self.hierarchy[level + 1].prolongation
+                nodal = self.hierarchy[level + 1].contact_prolongation
                 unknowns = prolonged_start(nodal, local, unknowns, self.problems[level + 1])
                 self.run.visit(level + 1, "start")
         self.run.start_work_units = self.run.work_units

@@ -23,6 +23,8 @@ _FORMAT = 1
 class ContactResult:
     """Contact quantities, one entry a contact node; SI units.
 
+    Between bodies these are displacements of the slave relative to the master, and forces on the slave.
+
     Attributes
     ----------
     node : (n,) int array
@@ -50,6 +52,8 @@ class ContactResult:
         Index into ``names``.
     names : tuple of str
         Contact boundaries.
+    masters : tuple of str
+        For each of ``names`` the boundary of the other body, "" for a rigid obstacle.
     """
 
     node: np.ndarray
@@ -66,6 +70,15 @@ class ContactResult:
     state: np.ndarray
     boundary: np.ndarray
     names: tuple[str, ...] = ("contact",)
+    masters: tuple[str, ...] = ()
+
+    @property
+    def pair(self) -> np.ndarray:
+        """Name of the contact boundary or pair ("slave on master") of each node (n,), str."""
+        masters = self.masters or ("",) * len(self.names)
+        labels = [f"{slave} on {master}" if master else slave
+                  for slave, master in zip(self.names, masters, strict=True)]
+        return np.array(labels)[self.boundary]
 
     @property
     def pressure(self) -> np.ndarray:
@@ -209,7 +222,7 @@ class Result:
         ----------
         boundary : str
             'contact' for all contact nodes, or a contact boundary (contact forces), or any other boundary
-            (reactions of its supports).
+            (reactions of its supports; at the master side of a pair the contact forces on the master).
         about : (dim,) array-like, optional
             Point of the moment, m; default the origin.
 
@@ -253,7 +266,7 @@ class Result:
                 "residual": self.residual, "error_estimate": self.error_estimate, "rate": self.rate, "rtol": self.rtol,
                 "timings": self.timings, "path": self.path, "levels": self.levels, "problem_name": self.problem_name,
                 "solver_name": self.solver_name, "start_work_units": self.start_work_units, "versions": self.versions,
-                "names": self.contact.names}
+                "names": self.contact.names, "masters": self.contact.masters}
         if self.mesh is not None:
             arrays |= {f"mesh.{k}": getattr(self.mesh, k)
                        for k in ("points", "elements", "facets", "facet_labels", "element_body")}
@@ -281,7 +294,9 @@ class Result:
             if groups["mesh"]:
                 mesh = MeshArrays(**groups["mesh"], boundaries=tuple(meta.pop("boundaries")),
                                   bodies=tuple(meta.pop("bodies")))
-            contact = ContactResult(**groups["contact"], names=tuple(meta.pop("names")))
+            names = tuple(meta.pop("names"))
+            contact = ContactResult(**groups["contact"], names=names,
+                                    masters=tuple(meta.pop("masters", ())))
             meta["status"] = Status[meta["status"]]
             meta["path"] = [tuple(step) for step in meta["path"]]
             return cls(displacement=data["displacement"], reaction=data["reaction"], contact=contact, mesh=mesh,

@@ -70,16 +70,18 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     _warn_of_large_friction(local)
     run = Run(unit=discrete.matrix.nnz, callback=callback, reference=_displacement("reference", reference, discrete))
     outcome = solver.run(grids, run, _displacement("start", start, discrete))
-    displacement = np.asarray(outcome.displacement).reshape(discrete.n_nodes, discrete.dim)
-    unknowns = local.to_local(displacement)
-    reaction = (discrete.matrix @ displacement.reshape(-1) - discrete.load).reshape(displacement.shape)
+    solved = np.asarray(outcome.displacement).reshape(discrete.n_nodes, discrete.dim)
+    unknowns = local.to_local(solved)
+    reaction = discrete.matrix @ solved.reshape(-1) - discrete.load
+    if discrete.coupling is not None:
+        reaction = discrete.coupling.physical_forces(reaction)
     residual = relative_residual(local, unknowns)
     status = _confirmed(outcome, residual)
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
-    result = Result(displacement=displacement, reaction=reaction, status=status, cycles=outcome.cycles,
-                    contact=contact_result(local, unknowns, displacement, reaction), work_units=run.work_units,
-                    residual=residual, error_estimate=outcome.error_estimate,
+    result = Result(displacement=discrete.physical(solved), reaction=reaction.reshape(solved.shape),
+                    status=status, cycles=outcome.cycles, contact=contact_result(local, unknowns, solved),
+                    work_units=run.work_units, residual=residual, error_estimate=outcome.error_estimate,
                     rate=outcome.rate, rtol=outcome.rtol, history=history, timings=run.timings, path=run.path,
                     levels=grids.table(), problem_name=_problem_name(grids), solver_name=label(solver),
                     mesh=grids.finest.mesh, start_work_units=run.start_work_units, versions=versions())
@@ -156,4 +158,4 @@ def _displacement(name: str, value: np.ndarray | Result | None, discrete: Discre
         raise ValueError(f"{name} must have shape {wanted} (nodes of the finest level), got {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite")
-    return np.array(array)
+    return np.array(discrete.relative(array))

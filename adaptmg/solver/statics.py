@@ -78,16 +78,32 @@ class _Body:
     motions: np.ndarray
     several: bool
 
+    @property
+    def pieces(self) -> list[tuple[str, np.ndarray]]:
+        """The bodies of this part, by what they are called, and their nodes."""
+        known = self.problem.bodies or {}
+        inside = [(f"body {name!r}", nodes) for name, nodes in known.items() if np.isin(nodes[0], self.nodes)]
+        if inside and (self.several or len(inside) > 1):
+            return inside
+        return [(f"the body of node {self.nodes[0]} ({len(self.nodes)} nodes)" if self.several else "", self.nodes)]
+
     def describe(self, coefficients: np.ndarray) -> str:
         """The motion with these coefficients, in words."""
-        field = (self.motions @ coefficients).reshape(len(self.nodes), -1)
+        problem = self.problem
+        relative = np.zeros((problem.n_nodes, problem.dim))
+        relative[self.nodes] = (self.motions @ coefficients).reshape(len(self.nodes), -1)
+        field = problem.physical(relative)
+        moving = [(whose, nodes) for whose, nodes in self.pieces
+                  if np.abs(field[nodes]).max() > 1e-6 * np.abs(field).max()]
+        return " and ".join(self._words(nodes, field[nodes]) + (f" of {whose}" if whose else "")
+                            for whose, nodes in moving)
+
+    def _words(self, nodes: np.ndarray, field: np.ndarray) -> str:
         if np.ptp(field, axis=0).max() <= 1e-6 * np.abs(field).max():
-            words = f"translation along {_axis(field[0])}"
-        elif self.problem.coordinates is None:
-            words = "rigid motion (a combination of near_nullspace)"
-        else:
-            words = _describe_turn(self.problem.coordinates[self.nodes], field)
-        return f"{words} of the body of node {self.nodes[0]} ({len(self.nodes)} nodes)" if self.several else words
+            return f"translation along {_axis(field[0])}"
+        if self.problem.coordinates is None:
+            return "rigid motion (a combination of near_nullspace)"
+        return _describe_turn(self.problem.coordinates[nodes], field)
 
 
 def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -231,19 +247,31 @@ def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
 
 def _plain_motions(body: _Body) -> np.ndarray:
     """Coefficients (n, k) of those plain motions, both ways, that are free: along and about the coordinate axes."""
-    dim, n = body.problem.dim, len(body.nodes)
-    fields = [np.tile(axis, (n, 1)) for axis in np.eye(dim)]
-    if body.problem.coordinates is not None:
-        x = body.problem.coordinates[body.nodes]
-        x = (x - x.mean(axis=0)) / np.ptp(x, axis=0).max()
-        for a, b in ((0, 1), (1, 2), (2, 0))[:1 if dim == 2 else 3]:
-            turn = np.zeros((n, dim))
-            turn[:, a], turn[:, b] = -x[:, b], x[:, a]
-            fields.append(turn)
+    problem, n = body.problem, len(body.nodes)
+    fields = []
+    for _, nodes in body.pieces:
+        for motion in _axis_motions(problem, nodes):
+            field = np.zeros((problem.n_nodes, problem.dim))
+            field[nodes] = motion
+            fields.append(problem.relative(field)[body.nodes])
     wanted = np.stack([field.reshape(-1) for field in fields], axis=1)
     coefficients = body.motions.T @ wanted / n
     free = np.abs(body.motions @ coefficients - wanted).max(axis=0) <= 1e-8
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
+
+
+def _axis_motions(problem: DiscreteProblem, nodes: np.ndarray) -> list[np.ndarray]:
+    """Motions (n, dim) of some nodes along, and where there are coordinates about, the coordinate axes."""
+    dim = problem.dim
+    fields = [np.tile(axis, (len(nodes), 1)) for axis in np.eye(dim)]
+    if problem.coordinates is not None:
+        x = problem.coordinates[nodes]
+        x = (x - x.mean(axis=0)) / np.ptp(x, axis=0).max()
+        for a, b in ((0, 1), (1, 2), (2, 0))[:1 if dim == 2 else 3]:
+            turn = np.zeros((len(nodes), dim))
+            turn[:, a], turn[:, b] = -x[:, b], x[:, a]
+            fields.append(turn)
+    return fields
 
 
 def _plainest(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:

@@ -55,6 +55,8 @@ class TruncatedMachine:
 
     #: complete nested starts stop after so many cycles on a level
     COMPLETE_LIMIT = 60
+    #: natural residual, relative, above which a nested start is not left to Newton cycles nor to the next level
+    TRUSTED = 0.1
     #: times that safe cycles are tried when the residual stops falling
     TROUBLES = 1
 
@@ -131,8 +133,9 @@ class TruncatedMachine:
             problem, levels = self.problems[number], self.cycle.levels
             obstacle = Obstacle.of(problem, levels[number])
             obstacle.place(unknowns)
-            runner = TruncatedCycle(self.cycle, number, obstacle, _load(problem), unknowns,
-                                    self.options.correction.recombine)
+            options = self.options.correction
+            runner = TruncatedCycle(self.cycle, number, obstacle, _load(problem), unknowns, options.recombine,
+                                    options.interface_sweeps if problem.coupling is not None else 0)
             if number == len(levels) - 1:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:]:
@@ -146,10 +149,15 @@ class TruncatedMachine:
             watch = TruncatedWatch(self.problems[number], start.rtol)
             self._cycles(runner, watch, False, self.COMPLETE_LIMIT, None)
             return
-        for _ in range(start.cycles):
+        watch = TruncatedWatch(self.problems[number], 0.0)
+        safe = self.options.correction.safe_cycles
+        for cycle in range(max(start.cycles, safe)):
             runner.smooth()
-            runner.look(safe=False)
+            look = runner.look(safe=False, trusted=self.TRUSTED * watch.scale)
+            watch.check(look.residual, look.reactions, 0.0)
             runner.correct()
+            if cycle + 1 >= start.cycles and watch.residual <= self.TRUSTED:
+                return
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
         """The coarsest level as its own coarse level: truncated Newton steps with direct solves between sweeps."""

@@ -30,6 +30,8 @@ class TruncatedWatch:
 
     Attributes
     ----------
+    scale : float
+        Norm of the load, N: what residuals are related to unless reactions are larger.
     size : float
         A-norm of the unknowns.
     residual, error_estimate : float
@@ -51,7 +53,7 @@ class TruncatedWatch:
         self.residuals: list[float] = []
         self._first = self._last = np.nan
         lift = problem.matrix @ problem.fixed_values if problem.fixed_values.any() else np.zeros(1)
-        self._scale = max(float(np.linalg.norm(problem.load)), float(np.linalg.norm(lift)))
+        self.scale = max(float(np.linalg.norm(problem.load)), float(np.linalg.norm(lift)))
         self._since = 0
 
     def check(self, residual: float, reactions: float, floor: float) -> bool:
@@ -59,7 +61,7 @@ class TruncatedWatch:
 
         A residual of ``Convergence.ROUNDING`` times ``floor`` cannot be bettered.
         """
-        scale = max(self._scale, reactions)
+        scale = max(self.scale, reactions)
         self.residual = residual / scale if scale > 0 else (0.0 if residual == 0 else np.inf)
         self.residuals.append(self.residual)
         self._last = residual

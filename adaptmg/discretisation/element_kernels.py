@@ -1,0 +1,226 @@
+r"""Kernels of P1 elasticity: the pattern of the matrix, and element matrices added into it, element by element.
+
+With the constant gradients g_a of the shape functions phi_a and the volume V of an element, the block of nodes a, b is
+
+.. math:: K_{ab} = V \left(\lambda\, g_a g_b^T + \mu\, g_b g_a^T + \mu\,(g_a \cdot g_b) I\right),
+
+exact in Cartesian components. In axisymmetry (r, z) the hoop strain :math:`u_r / r` joins in and all is weighted with
+:math:`2 \pi r`: the integrals :math:`\int r` and :math:`\int \varphi_a` are exact, :math:`\int \varphi_a \varphi_b / r`
+takes a rule with interior points and positive weights. Any rule that is exact for polynomials of degree 1 gives those
+other integrals too: the sum is one quadrature of the energy, hence positive semidefinite, and constant strains
+(:math:`u_r = c r`) are exact.
+
+Both blocks (a, b) and (b, a) come from one computation and are added in the order of the elements: the matrix is
+bitwise symmetric, and the same in every run.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["add_axisymmetric", "add_plane", "add_solid", "count_neighbours", "fill_neighbours"]
+
+
+@njit(cache=True)
+def _elements_of_nodes(elements, start, listed):
+    """Elements of each node, ascending: ``listed[start[i]:start[i + 1]]``; ``start`` (n_nodes + 1,) comes as 0."""
+    n = len(start) - 1
+    for e in range(len(elements)):
+        for v in elements[e]:
+            start[v + 1] += 1
+    for i in range(n):
+        start[i + 1] += start[i]
+    for e in range(len(elements)):
+        for v in elements[e]:
+            listed[start[v]] = e
+            start[v] += 1
+    for i in range(n, 0, -1):
+        start[i] = start[i - 1]
+    start[0] = 0
+
+
+@njit(cache=True)
+def count_neighbours(elements, start, listed, marker, indptr):
+    """Row pointers of the pattern: nodes that share an element, each node with itself.
+
+    ``start`` (n_nodes + 1,) comes as 0, ``listed`` (elements.size,) as it is; both are filled for the next kernel.
+    ``marker`` (n_nodes,) comes as -1.
+    """
+    _elements_of_nodes(elements, start, listed)
+    indptr[0] = 0
+    for i in range(len(start) - 1):
+        count = 0
+        for at in range(start[i], start[i + 1]):
+            for v in elements[listed[at]]:
+                if marker[v] != i:
+                    marker[v] = i
+                    count += 1
+        indptr[i + 1] = indptr[i] + count
+
+
+@njit(cache=True)
+def fill_neighbours(elements, start, listed, marker, end, indices):
+    """Columns of the pattern, ascending. ``end`` (n_nodes,) comes as ``indptr[:-1]``, ``marker`` as -1.
+
+    The pattern is symmetric: when rows are run through in order and i is written into the rows of its neighbours,
+    every row is sorted.
+    """
+    for i in range(len(start) - 1):
+        for at in range(start[i], start[i + 1]):
+            for v in elements[listed[at]]:
+                if marker[v] != i:
+                    marker[v] = i
+                    indices[end[v]] = i
+                    end[v] += 1
+
+
+@njit(cache=True)
+def _plane_gradients(points, corners, g):
+    """Write the gradients (3, 2) of the shape functions; returns the area, and nothing if that is not positive."""
+    a, b, c = corners[0], corners[1], corners[2]
+    x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+    x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+    det = x1 * y2 - y1 * x2
+    if det > 0.0:
+        g[1, 0], g[1, 1] = y2 / det, -x2 / det
+        g[2, 0], g[2, 1] = -y1 / det, x1 / det
+        g[0, 0], g[0, 1] = -(g[1, 0] + g[2, 0]), -(g[1, 1] + g[2, 1])
+    return det / 2.0
+
+
+@njit(cache=True)
+def _solid_gradients(points, corners, g):
+    """Write the gradients (4, 3) of the shape functions; returns the volume, and nothing if that is not positive."""
+    a, b, c, d = corners[0], corners[1], corners[2], corners[3]
+    x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    x2, y2, z2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+    x3, y3, z3 = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1], points[d, 2] - points[a, 2]
+    g[1, 0], g[1, 1], g[1, 2] = y2 * z3 - z2 * y3, z2 * x3 - x2 * z3, x2 * y3 - y2 * x3
+    g[2, 0], g[2, 1], g[2, 2] = y3 * z1 - z3 * y1, z3 * x1 - x3 * z1, x3 * y1 - y3 * x1
+    g[3, 0], g[3, 1], g[3, 2] = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+    det = x1 * g[1, 0] + y1 * g[1, 1] + z1 * g[1, 2]
+    if det > 0.0:
+        for j in range(3):
+            g[1, j] /= det
+            g[2, j] /= det
+            g[3, j] /= det
+            g[0, j] = -(g[1, j] + g[2, j] + g[3, j])
+    return det / 6.0
+
+
+@njit(cache=True)
+def _position(indptr, indices, a, b):
+    """Where the block (a, b), which is there, is stored."""
+    at = indptr[a]
+    while indices[at] != b:
+        at += 1
+    return at
+
+
+@njit(cache=True)
+def _add_plane_block(a, b, xx, xy, yx, yy, indptr, indices, data):
+    """Add the block of nodes a, b, and off the diagonal its transpose at (b, a)."""
+    at = _position(indptr, indices, a, b)
+    data[at, 0, 0] += xx
+    data[at, 0, 1] += xy
+    data[at, 1, 0] += yx
+    data[at, 1, 1] += yy
+    if a != b:
+        at = _position(indptr, indices, b, a)
+        data[at, 0, 0] += xx
+        data[at, 0, 1] += yx
+        data[at, 1, 0] += xy
+        data[at, 1, 1] += yy
+
+
+@njit(cache=True)
+def add_plane(points, elements, body, lame, shear, indptr, indices, data):
+    """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies.
+
+    Returns
+    -------
+    int
+        -1, or the first element whose area is not positive.
+    """
+    g = np.empty((3, 2))
+    for e in range(len(elements)):
+        area = _plane_gradients(points, elements[e], g)
+        if not area > 0.0:
+            return e
+        first, mu = area * lame[body[e]], area * shear[body[e]]
+        both = first + 2.0 * mu
+        for a in range(3):
+            for b in range(a, 3):
+                xx, yy, xy, yx = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
+                _add_plane_block(elements[e, a], elements[e, b], both * xx + mu * yy, first * xy + mu * yx,
+                                 first * yx + mu * xy, both * yy + mu * xx, indptr, indices, data)
+    return -1
+
+
+@njit(cache=True)
+def add_solid(points, elements, body, lame, shear, indptr, indices, data):
+    """Add the element matrices of solid elasticity; ``lame`` and ``shear`` are those of the bodies.
+
+    Returns
+    -------
+    int
+        -1, or the first element whose volume is not positive.
+    """
+    g = np.empty((4, 3))
+    for e in range(len(elements)):
+        volume = _solid_gradients(points, elements[e], g)
+        if not volume > 0.0:
+            return e
+        first, mu = volume * lame[body[e]], volume * shear[body[e]]
+        for a in range(4):
+            for b in range(a, 4):
+                dot = mu * (g[a, 0] * g[b, 0] + g[a, 1] * g[b, 1] + g[a, 2] * g[b, 2])
+                here = _position(indptr, indices, elements[e, a], elements[e, b])
+                there = _position(indptr, indices, elements[e, b], elements[e, a])
+                for i in range(3):
+                    for j in range(3):
+                        value = first * (g[a, i] * g[b, j]) + mu * (g[a, j] * g[b, i])
+                        if i == j:
+                            value += dot
+                        data[here, i, j] += value
+                        if a != b:
+                            data[there, j, i] += value
+    return -1
+
+
+@njit(cache=True)
+def add_axisymmetric(points, elements, body, lame, shear, rule, weights, indptr, indices, data):
+    """Add the element matrices of axisymmetric elasticity, x = r, y = z, over the full circumference.
+
+    ``rule`` (n, 3) and ``weights`` (n,), of sum 1, are the barycentric points and weights of int . / r.
+
+    Returns
+    -------
+    int
+        -1, or the first element whose area is not positive.
+    """
+    g, hoop = np.empty((3, 2)), np.empty((3, 3))
+    for e in range(len(elements)):
+        area = _plane_gradients(points, elements[e], g)
+        if not area > 0.0:
+            return e
+        r0, r1, r2 = points[elements[e, 0], 0], points[elements[e, 1], 0], points[elements[e, 2], 0]
+        hoop[:] = 0.0
+        for q in range(len(rule)):
+            weight = weights[q] / (rule[q, 0] * r0 + rule[q, 1] * r1 + rule[q, 2] * r2)
+            for a in range(3):
+                for b in range(a, 3):
+                    hoop[a, b] += weight * rule[q, a] * rule[q, b]
+        first, mu = 2.0 * np.pi * area * lame[body[e]], 2.0 * np.pi * area * shear[body[e]]
+        both = first + 2.0 * mu
+        r = (r0 + r1 + r2) / 3.0
+        for a in range(3):
+            for b in range(a, 3):
+                rr, zz, rz, zr = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
+                radial = r * (both * rr + mu * zz) + first * (g[a, 0] + g[b, 0]) / 3.0 + both * hoop[a, b]
+                _add_plane_block(elements[e, a], elements[e, b], radial,
+                                 r * (first * rz + mu * zr) + first * g[b, 1] / 3.0,
+                                 r * (first * zr + mu * rz) + first * g[a, 1] / 3.0,
+                                 r * (both * zz + mu * rr), indptr, indices, data)
+    return -1

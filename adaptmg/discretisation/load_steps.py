@@ -1,0 +1,103 @@
+r"""Load steps: nodal loads and prescribed displacements by name, so that every step is a combination of them.
+
+.. math:: b_k = \sum_j \lambda_{kj}\, b_j, \qquad u_{\mathrm{fixed},k} = \lambda_{kj}\, u_{\mathrm{fixed},j}
+   \text{ on support } j .
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg.coupling import Coupling
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.discretisation.loads import load_vector
+from adaptmg.discretisation.supports import fixed_dofs
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.load_path import DEFAULT, name_in_path
+
+__all__ = ["LoadSteps", "load_steps", "whole_load"]
+
+
+@dataclass(frozen=True, eq=False)
+class LoadSteps:
+    """Loads and prescribed displacements of one mesh, by the names that a load path knows.
+
+    Attributes
+    ----------
+    n_dofs : int
+    loads : dict of str to (n_dofs,) array
+        Nodal forces at factor 1, dual, N; with a coupling in relative coordinates.
+    prescribed : dict of str to ((n,) int array, (n,) array)
+        Fixed dofs of the supports and their displacements at factor 1, m.
+    """
+
+    n_dofs: int
+    loads: Mapping[str, np.ndarray]
+    prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+    def load(self, factors: Mapping[str, float]) -> np.ndarray:
+        """Nodal forces (n_dofs,) of a step, N."""
+        result = np.zeros(self.n_dofs)
+        for name, load in self.loads.items():
+            if factors[name]:
+                result += factors[name] * load
+        return result
+
+    def fixed_values(self, factors: Mapping[str, float]) -> np.ndarray:
+        """Prescribed displacement (n_dofs,) of a step, zero at free dofs, m.
+
+        Raises
+        ------
+        ValueError
+            If two supports want different values of one dof.
+        """
+        result = np.zeros(self.n_dofs)
+        owner = np.full(self.n_dofs, -1)
+        for k, (name, (dofs, values)) in enumerate(self.prescribed.items()):
+            wanted = factors.get(name, 1.0) * values
+            clash = (owner[dofs] >= 0) & ~np.isclose(result[dofs], wanted, rtol=1e-12, atol=0.0)
+            if clash.any():
+                dof = int(dofs[np.argmax(clash)])
+                other = list(self.prescribed)[owner[dof]]
+                raise ValueError(f"the factors of {other!r} and {name!r} prescribe different displacements, "
+                                 f"{result[dof]:g} and {wanted[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
+                                 "give both the same factors")
+            result[dofs], owner[dofs] = wanted, k
+        return result
+
+
+def load_steps(problem: ContactProblem, mesh: MeshArrays, coupling: Coupling | None = None) -> LoadSteps:
+    """The loads and supports of a problem one by one.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    mesh : MeshArrays
+    coupling : Coupling, optional
+        Of the discrete problem on this mesh: the loads are then in its relative coordinates.
+
+    Returns
+    -------
+    LoadSteps
+        With all factors 1 the load and the fixed values that :func:`adaptmg.discretise` makes.
+    """
+    loads = {}
+    for name in dict.fromkeys(map(name_in_path, problem.loads)):
+        forces = load_vector(mesh, [load for load in problem.loads if name_in_path(load) == name], problem.material)
+        loads[name] = forces if coupling is None else coupling.relative_forces(forces)
+    prescribed = {}
+    for name in dict.fromkeys(map(name_in_path, problem.supports)):
+        fixed, values = fixed_dofs(mesh, [support for support in problem.supports if name_in_path(support) == name])
+        dofs = np.flatnonzero(fixed)
+        prescribed[name] = dofs, values[dofs]
+    return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed)
+
+
+def whole_load(discrete: DiscreteProblem) -> LoadSteps:
+    """All loads and prescribed displacements of a problem without names, as one."""
+    dofs = np.flatnonzero(discrete.fixed)
+    return LoadSteps(discrete.n_dofs, {DEFAULT: discrete.load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])})

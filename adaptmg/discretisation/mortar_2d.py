@@ -1,0 +1,278 @@
+r"""Mortar coupling of two surfaces in 2D (plane or axisymmetric) with dual Lagrange multipliers.
+
+The continuous normal field of the slave surface is n(s), linear on every edge between averaged nodal normals. On the
+covered part of an edge, where the rays :math:`x(s) + \alpha\,n(s)` meet the master surface, the dual basis
+:math:`\psi_j = \sum_i (d\,m^{-1})_{ji}\,\phi_i` with :math:`d_j = \int\phi_j,\ m_{ij} = \int\phi_i\phi_j` over that
+part is biorthogonal to the shape functions and adds up to 1. With the weighted mean :math:`\bar s` and variance v of s
+over the covered part it is, for ends a (s = 0) and b (s = 1),
+
+.. math:: \psi_a = (1 - \bar s)\Big(1 - \bar s\,\frac{s - \bar s}{v}\Big),\qquad \psi_b = 1 - \psi_a .
+
+.. math:: D_{jj} = \int\psi_j\phi_j,\quad M_{jk} = \int\psi_j\,\phi_k^{\mathrm{master}},\quad B = D^{-1}M,\quad
+   g_j = D_{jj}^{-1}\int\psi_j\,\alpha|n| .
+
+In axisymmetry all integrals carry :math:`2\pi r`. If end b of an edge may carry no multiplier, :math:`\psi_a = 1` there
+(the crosspoint modification), and with :math:`D_{ab} = \int\psi_a\phi_b` node b is one of those that a follows:
+:math:`u_a - (\sum_k M_{ak} u_k - D_{ab} u_b)/D_{aa}`.
+
+Sources: B. Wohlmuth, SIAM J. Numer. Anal. 38, 2000, doi:10.1137/S0036142999350929 (dual multipliers); B. Yang,
+T. Laursen, X. Meng, Int. J. Numer. Meth. Engng 62, 2005, doi:10.1002/nme.1222 (normal field and segments);
+T. Cichosz, M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011, doi:10.1016/j.cma.2010.11.004 (dual basis on
+partly covered edges).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from adaptmg.discretisation.interface import NEVER_FACING, Interface, Surfaces
+from adaptmg.discretisation.mortar_kernels_2d import SHORTEST, nearest_pieces, search_strips
+from adaptmg.problem.checks import nonnegative, positive
+
+__all__ = ["mortar_2d"]
+
+_DEEPEST = 0.25  # of the size of the surfaces: overlap that is found without a given reach
+_NEGLIGIBLE = 1e-13  # of the largest weight in a row of B
+_STACK = 128  # more than the levels of any tree that fits in memory
+_GAUSS = np.polynomial.legendre.leggauss(4)
+
+
+def mortar_2d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
+              excluded: Iterable[int] = (), axisymmetric: bool = False, reach: float | None = None,
+              min_coverage: float = 1e-3) -> Interface:
+    r"""Couple the nodes of a slave surface to a master surface.
+
+    Parameters
+    ----------
+    points : (n_nodes, 2) array
+        m; in axisymmetry (radius, axial position).
+    slave_facets, master_facets : (n, 2) array of int
+        Edges, oriented so that the outward normal is their direction turned by -90 degrees. No common nodes.
+    normals : (n_nodes, 2) array
+        Unit normals out of the slave body; rows of slave nodes are read, see
+        :func:`~adaptmg.discretisation.surface_normals.surface_normals`.
+    excluded : iterable of int
+        Nodes that carry no multiplier (of another pair, or held); those not on the slave surface are ignored.
+    axisymmetric : bool
+        Weight all integrals with 2 pi r.
+    reach : float, optional
+        Largest distance along the normal, forwards (gap) and backwards (overlap), at which the master is looked for,
+        m. Default: forwards the diagonal of the bounding box of both surfaces, backwards a quarter of it.
+    min_coverage : float
+        Slave edges of which a smaller fraction has the master opposite are left out.
+
+    Returns
+    -------
+    Interface
+        Slave nodes with the master opposite to a part, at least, of one of their edges. Weights are > 0, as shape
+        functions are >= 0. The coupling may have negative entries, as dual functions change sign; they are large, of
+        the order of one over the fraction, where only a small part of an edge is covered.
+
+    Raises
+    ------
+    ValueError
+        If no part of the slave surface has the master surface opposite within reach, and on arrays that do not fit
+        together (see :class:`~adaptmg.discretisation.interface.Surfaces`).
+
+    Notes
+    -----
+    Of several master edges on a ray the nearest counts, among those that face the slave (normals at more than 90
+    degrees) and lie before the centre of curvature of the slave's normal field. Integrals are exact (to rounding) for
+    parallel normals, else by 4 Gauss points a segment. O(n log n).
+    """
+    if np.shape(points)[1:] != (2,):
+        raise ValueError(f"points must have shape (n_nodes, 2), got {np.shape(points)}")
+    surfaces = Surfaces(points, slave_facets, master_facets, normals, excluded, axisymmetric)
+    min_coverage = nonnegative("min_coverage", min_coverage)
+    backward, forward = (_DEEPEST * surfaces.size, surfaces.size) if reach is None else (positive("reach", reach),) * 2
+    edge, facet, ends = _pieces(surfaces, backward, forward)
+    covered = np.bincount(edge, ends[:, 1] - ends[:, 0], minlength=len(surfaces.slave))
+    kept = ((covered >= min_coverage) & surfaces.carries[surfaces.slave].any(axis=1))[edge]
+    if not kept.any():
+        raise ValueError(_nothing_covered(surfaces, covered, reach))
+    return _integrate(surfaces, edge[kept], facet[kept], ends[kept])
+
+
+def _nothing_covered(surfaces: Surfaces, covered: np.ndarray, reach: float | None) -> str:
+    if covered.any():
+        return ("the surfaces face each other only where slave nodes are excluded, or on less than min_coverage of an "
+                "edge; take the other surface as slave")
+    within = "" if reach is None else f" within a reach of {reach:.6g} m"
+    return (f"{NEVER_FACING}{within}: no ray along a normal of the slave surface meets the outer side of the master "
+            "surface. Check their positions and the orientation of their edges, or give a larger reach")
+
+
+def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+
+
+def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Slave edge, master edge and ends (n, 2) in s of the covered parts of all slave edges."""
+    edge, facet = _candidates(surfaces, backward, forward)
+    ends = _in_front(surfaces, edge, facet)
+    real = ends[:, 1] - ends[:, 0] > SHORTEST
+    edge, facet, ends = edge[real], facet[real], ends[real]
+    order = np.lexsort((ends[:, 0], edge))
+    edge, facet, ends = edge[order], facet[order], ends[order]
+    counts = np.bincount(edge, minlength=len(surfaces.slave))
+    starts = np.r_[0, np.cumsum(counts)]
+    breaks = ends.ravel()[np.lexsort((ends.ravel(), np.repeat(edge, 2)))]
+    room = 2 * len(edge)
+    found = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty((room, 2))
+    n = nearest_pieces(surfaces.points, surfaces.normals, surfaces.slave, surfaces.master, starts, facet,
+                       np.ascontiguousarray(ends[:, 0]), np.ascontiguousarray(ends[:, 1]), breaks, backward, forward,
+                       np.empty(counts.max(initial=0), dtype=np.int64), *found)
+    return found[0][:n], found[1][:n], found[2][:n]
+
+
+def _candidates(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray]:
+    """Slave and master edges whose bounding boxes say that a ray from the one may meet the other."""
+    boxes, order = _box_tree(surfaces.points[surfaces.master])
+    n = surfaces.normals[surfaces.slave]
+    x = surfaces.points[surfaces.slave]
+    mean = n.mean(axis=1)
+    shortest = np.linalg.norm(mean, axis=1)[:, None, None]  # of n(s), for unit normals at the ends
+    corners = np.concatenate([x - backward / shortest * n, x + forward / shortest * n], axis=1)
+    axis = np.column_stack([mean[:, 1], -mean[:, 0]]) / shortest[:, :, 0]
+    along = np.einsum("ekd,ed->ek", corners, axis)
+    pad = 1e-12 * surfaces.size
+    strips = np.column_stack([corners.min(axis=1) - pad, corners.max(axis=1) + pad, axis,
+                              along.min(axis=1) - pad, along.max(axis=1) + pad])
+    counts, stack = np.zeros(len(strips), dtype=np.int64), np.empty(_STACK, dtype=np.int64)
+    search_strips(boxes, strips, counts, counts, np.empty(0, dtype=np.int64), stack)
+    starts = np.cumsum(counts) - counts
+    found = np.empty(counts.sum(), dtype=np.int64)
+    search_strips(boxes, strips, starts, counts, found, stack)
+    return np.repeat(np.arange(len(strips)), counts), order[found]
+
+
+def _box_tree(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounding boxes (2 n, 4) of edges (m, 2, 2) as a complete binary tree, and the edge of each of its leaves."""
+    order = cKDTree(edges.mean(axis=1)).indices.astype(np.int64)
+    n = 1
+    while n < len(edges):
+        n *= 2
+    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2 * n, 1))
+    boxes[n:n + len(edges)] = np.column_stack([edges.min(axis=1), edges.max(axis=1)])[order]
+    while n > 1:
+        n //= 2
+        left, right = boxes[2 * n:4 * n:2], boxes[2 * n + 1:4 * n:2]
+        boxes[n:2 * n, :2] = np.minimum(left[:, :2], right[:, :2])
+        boxes[n:2 * n, 2:] = np.maximum(left[:, 2:], right[:, 2:])
+    return boxes, order
+
+
+def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.ndarray:
+    """Part (n, 2) of each slave edge in front of which its master edge lies, without regard to the distance."""
+    start, end = surfaces.master[facet].T
+    slave = surfaces.slave[edge]
+    # the surfaces run in opposite directions, so that the master's end comes first; small parts at the ends of a slave
+    # edge are rounding
+    parts = np.column_stack([_projection(surfaces, slave, end), _projection(surfaces, slave, start)])
+    parts[parts < 1e-12] = 0.0
+    parts[parts > 1 - 1e-12] = 1.0
+    return parts
+
+
+def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.ndarray:
+    r"""Where on slave edges the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times n(s) = 0`.
+
+    Of the two roots of this quadratic equation the one where q falls: there the node is before the centre of
+    curvature. If there is none, 1 where q > 0 and 0 where q < 0: the node is beside all of the edge.
+    """
+    x, n = surfaces.points[slave], surfaces.normals[slave]
+    e, turn, r = x[:, 1] - x[:, 0], n[:, 1] - n[:, 0], x[:, 0] - surfaces.points[node]
+    a, b, c = _cross(e, turn), _cross(r, turn) + _cross(e, n[:, 0]), _cross(r, n[:, 0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(b * b - 4 * a * c)
+        s = np.where(b <= 0, 2 * c / (root - b), -(b + root) / (2 * a))
+    none = ~np.isfinite(s)
+    s[none] = np.where((0.25 * a + 0.5 * b + c)[none] > 0, 1.0, 0.0)
+    return s
+
+
+def _integrate(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray, ends: np.ndarray) -> Interface:
+    """Interface from the covered parts ``ends`` of slave edges, and the master edges in front of them."""
+    slave, master = surfaces.slave[edge], surfaces.master[facet]
+    origin = np.full(len(surfaces.slave), np.inf)
+    np.minimum.at(origin, edge, ends[:, 0])
+    # positions relative to where the covered part begins: a small part must not suffer from cancellation
+    offset = (ends[:, :1] - origin[edge][:, None]) + np.diff(ends) * 0.5 * (1 + _GAUSS[0])
+    s = origin[edge][:, None] + offset
+    x, e = surfaces.points[slave[:, 0]], np.diff(surfaces.points[slave], axis=1)[:, 0]
+    measure = np.linalg.norm(e, axis=1)[:, None] * np.diff(ends) * 0.5 * _GAUSS[1]
+    if surfaces.axisymmetric:
+        measure = measure * (2 * np.pi * np.maximum(x[:, :1] + s * e[:, :1], 0.0))
+    psi, phi = _bases(surfaces, edge, origin, offset, measure)
+    eta, distance = _opposite(surfaces, slave, master, s)
+
+    n_nodes = len(surfaces.points)
+    diagonal, gap = np.zeros(n_nodes), np.zeros(n_nodes)
+    rows, columns, values = [], [], []
+    for j in (0, 1):
+        weighted = measure * psi[j]
+        own = surfaces.carries[slave[:, j]]
+        np.add.at(diagonal, slave[own, j], (measure * phi[j]).sum(axis=1)[own])
+        np.add.at(gap, slave[own, j], (weighted * distance).sum(axis=1)[own])
+        other = own & ~surfaces.carries[slave[:, 1 - j]]
+        for k, shape, used, sign in ((master[:, 0], 1 - eta, own, 1.0), (master[:, 1], eta, own, 1.0),
+                                     (slave[:, 1 - j], phi[1 - j], other, -1.0)):
+            rows.append(slave[used, j])
+            columns.append(k[used])
+            values.append(sign * (weighted * shape).sum(axis=1)[used])
+    nodes = np.flatnonzero(diagonal > 0)
+    total = sparse.csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
+                             shape=(n_nodes, n_nodes))
+    coupling = sparse.csr_array(sparse.diags_array(1 / diagonal[nodes]) @ total[nodes])
+    return Interface(nodes=nodes, normals=surfaces.normals[nodes], weights=diagonal[nodes],
+                     gaps=gap[nodes] / diagonal[nodes], coupling=_without_rounding(coupling))
+
+
+def _bases(surfaces: Surfaces, edge: np.ndarray, origin: np.ndarray, offset: np.ndarray, measure: np.ndarray
+           ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Dual and shape functions of both ends at the integration points ``origin`` + ``offset`` of slave edges."""
+    n = len(surfaces.slave)
+    total = np.bincount(edge, measure.sum(axis=1), minlength=n)
+    total[total == 0] = 1.0  # an edge on the axis of symmetry
+    mean = np.bincount(edge, (measure * offset).sum(axis=1), minlength=n) / total
+    around = offset - mean[edge][:, None]
+    variance = np.bincount(edge, (measure * around**2).sum(axis=1), minlength=n) / total
+    variance[variance == 0] = 1.0
+    at_a, at_b = ((1 - origin) - mean)[edge][:, None], (origin + mean)[edge][:, None]  # means of the shape functions
+    slope = at_a * at_b * around / variance[edge][:, None]
+    first, second = at_a - slope, at_b + slope
+    carries = surfaces.carries[surfaces.slave[edge]]
+    first[~carries[:, 1]], second[~carries[:, 0]] = 1.0, 1.0
+    return (first, second), ((1 - origin)[edge][:, None] - offset, origin[edge][:, None] + offset)
+
+
+def _opposite(surfaces: Surfaces, slave: np.ndarray, master: np.ndarray, s: np.ndarray
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """Position 0 .. 1 on the master edge, and distance along the unit normal, at points s (n, n_points)."""
+    x, n, y = surfaces.points[slave], surfaces.normals[slave], surfaces.points[master]
+    s = s[:, :, None]
+    at = x[:, :1] + s * (x[:, 1:] - x[:, :1]) - y[:, :1]
+    normal = n[:, :1] + s * (n[:, 1:] - n[:, :1])
+    along = y[:, 1:] - y[:, :1]
+    facing = _cross(along, normal)
+    return _cross(at, normal) / facing, _cross(at, along) / facing * np.linalg.norm(normal, axis=2)
+
+
+def _without_rounding(coupling: sparse.csr_array) -> sparse.csr_array:
+    """A matrix without entries that are zero to rounding; what they add up to goes to the largest of their row."""
+    coupling.sum_duplicates()
+    row = np.repeat(np.arange(coupling.shape[0]), np.diff(coupling.indptr))
+    size = np.abs(coupling.data)
+    largest = np.maximum.reduceat(size, coupling.indptr[:-1])
+    small = size <= _NEGLIGIBLE * largest[row]
+    left_out = np.bincount(row[small], coupling.data[small], minlength=coupling.shape[0])
+    coupling.data[small] = 0.0
+    first = np.lexsort((-size, row))[coupling.indptr[:-1]]
+    coupling.data[first] += left_out
+    coupling.eliminate_zeros()
+    coupling.sort_indices()
+    return coupling

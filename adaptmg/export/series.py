@@ -1,0 +1,92 @@
+"""vtk_series: results of load steps as a ParaView collection, a .vtu file a step and a .pvd file that lists them."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from adaptmg.atomic import write_bytes
+from adaptmg.export.vtu import Materials, document
+from adaptmg.problem import checks
+from adaptmg.solver.result import Result
+
+__all__ = ["vtk_series"]
+
+
+def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None,
+               problem: Materials | None = None) -> Path:
+    """Write a sequence of results for ParaView; see :mod:`adaptmg.export.vtu` for the fields.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        With meshes, one a step.
+    path : path
+        The ``.pvd`` file, in a directory that exists; or a folder, made where it is missing (its parent exists), for a
+        ``.pvd`` file of the folder's name. The steps lie beside the ``.pvd`` file: ``run_0000.vtu``, ... for
+        ``run.pvd``. All steps are written before any is put in place, and the ``.pvd`` file comes last: where it is
+        there, all it lists is there. An older one of the same name is removed before its steps are replaced.
+    times : sequence of float, optional
+        Strictly increasing; default 0, 1, 2, ... (load factors that fall are no times: give pseudo-times).
+    problem : ContactProblem, or a material, or mapping of body name to material, optional
+        For the stress.
+
+    Returns
+    -------
+    pathlib.Path
+        The ``.pvd`` file: what to open.
+
+    Raises
+    ------
+    ValueError
+        For no results, times that do not increase, or whatever :func:`adaptmg.export.vtk` refuses in a step; nothing
+        is written then.
+    """
+    results = list(results)
+    if not results:
+        raise ValueError("results is empty: a series needs at least one step")
+    times = np.arange(len(results), dtype=float) if times is None else checks.vector("times", times)
+    if len(times) != len(results):
+        raise ValueError(f"times must have one value a result: {len(results)} results, {len(times)} times")
+    if (np.diff(times) <= 0).any():
+        raise ValueError(f"times must increase strictly, got {times.tolist()}: for load factors that fall or stay give "
+                         "pseudo-times, or leave times out")
+    target = _target(Path(path))
+    names = [f"{target.stem}_{k:04d}.vtu" for k in range(len(results))]
+    folder_is_new = not target.parent.exists()
+    if folder_is_new:
+        target.parent.mkdir()
+    try:
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.stem}") as waiting:
+            for name, result in zip(names, results, strict=True):
+                write_bytes(Path(waiting, name), document(result, problem))
+            target.unlink(missing_ok=True)
+            for name in names:
+                os.replace(Path(waiting, name), target.parent / name)
+        write_bytes(target, _collection(names, times))
+    except BaseException:
+        if folder_is_new and not any(target.parent.iterdir()):
+            target.parent.rmdir()
+        raise
+    return target
+
+
+def _target(path: Path) -> Path:
+    """The .pvd file for a .pvd file or a folder."""
+    if path.suffix == ".pvd":
+        return path
+    if path.suffix in (".vtu", ".vtk", ".xdmf") or path.is_file():
+        raise ValueError(f"path must be a .pvd file or a folder, got {os.fspath(path)!r}")
+    return path / f"{path.name}.pvd"
+
+
+def _collection(names: Sequence[str], times: np.ndarray) -> bytes:
+    lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="1.0">', "<Collection>"]
+    lines += [f'<DataSet timestep="{float(time)!r}" part="0" file={quoteattr(name)}/>'
+              for name, time in zip(names, times, strict=True)]
+    return "\n".join([*lines, "</Collection>", "</VTKFile>", ""]).encode()

@@ -1,0 +1,123 @@
+"""Solid problems of any shape: the surface of a mesh, coloured by what its boundaries are for, with arrows of loads."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.colors import to_rgba, to_rgba_array
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from mpl_toolkits.mplot3d import Axes3D
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.plot.bodies_3d import sharp_edges
+from adaptmg.plot.labels import describe_law, support_text
+from adaptmg.plot.plan import values_at
+from adaptmg.plot.solid import finish_axes
+from adaptmg.plot.style import BLUE, BODY_COLORS, INK, PALE, bounds, number, scaled
+from adaptmg.plot.surface import Lines, draw_facets
+from adaptmg.problem import BodyForce, ContactPair, ContactProblem, Domain, InitialStrain, Pressure, Traction
+
+__all__ = ["coarse_mesh", "draw_on_mesh"]
+
+_CONTACT, _MASTER, _SUPPORT = "#f0a46a", "#f7df72", "#8fcab0"
+
+
+def coarse_mesh(domain: Domain) -> MeshArrays:
+    """A mesh that shows the shape: edges of about a twelfth of each body's extent."""
+    from adaptmg.mesh import graded
+
+    def size(part: Domain) -> float:
+        return float(np.max(part.upper - part.lower)) / 12
+
+    parts = getattr(domain, "parts", None)
+    if parts is None and not hasattr(domain, "lower"):
+        raise ValueError(f"the size of a {type(domain).__name__} is not known before it is meshed: give mesh=..., say "
+                         "that of a level of the hierarchy")
+    return graded(domain, size(domain) if parts is None else {body: size(part) for body, part in parts.items()})
+
+
+def draw_on_mesh(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: float) -> None:
+    """Draw a solid problem; see :func:`adaptmg.plot.problem`."""
+    posed.check_boundaries(mesh.boundaries)
+    scale, unit = scaled(bounds(mesh.points)[2], "m")
+    body_of_node = np.zeros(mesh.n_nodes, dtype=int)
+    body_of_node[mesh.elements] = mesh.element_body[:, None]
+    points = (mesh.points + _apart(mesh, explode)[body_of_node]) * scale
+    fills = BODY_COLORS if len(mesh.bodies) > 1 else (PALE,)
+    body = body_of_node[mesh.facets[:, 0]]
+    colors = to_rgba_array([fills[k % len(fills)] for k in range(len(mesh.bodies))])[body]
+    legend: list[tuple[Artist, str]] = []
+    if len(mesh.bodies) > 1:
+        legend += [(Patch(facecolor=fills[k % len(fills)], edgecolor=INK, linewidth=0.6), name)
+                   for k, name in enumerate(mesh.bodies)]
+    for boundary, color, text in _uses(posed):
+        colors[mesh.facet_labels == mesh.boundaries.index(boundary)] = to_rgba(color)
+        legend.append((Patch(facecolor=color, edgecolor=INK, linewidth=0.6), text))
+    edges = np.concatenate([sharp_edges(points, mesh.facets[body == k]) for k in range(len(mesh.bodies))])
+    draw_facets(ax, points[mesh.facets], colors, lines=False, extra=(Lines(points[edges], INK, 0.9),))
+    legend += _draw_loads(posed, mesh, points, ax)
+    finish_axes(ax, points, unit)
+    handles, labels = zip(*legend, strict=True)
+    ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.02, 0.95), title=describe_law(posed.law),
+              alignment="left")
+
+
+def _apart(mesh: MeshArrays, explode: float) -> np.ndarray:
+    """How far each body is moved (n_bodies, 3), m."""
+    centres = np.array([np.mean(bounds(mesh.points[np.unique(mesh.elements[mesh.element_body == k])])[:2], axis=0)
+                        for k in range(len(mesh.bodies))])
+    return float(explode) * (centres - centres.mean(axis=0))
+
+
+def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
+    """Boundary, colour and words for supports and contact; what comes later is painted over what came before."""
+    found = []
+    for support in posed.supports:
+        text = support_text(support, 3).replace("\n", ", ")
+        found.append((support.boundary, _SUPPORT, f"{text} on {support.boundary!r}"))
+    for contact in posed.contact:
+        found.append((contact.boundary, _CONTACT, f"contact on {contact.boundary!r}"))
+        if isinstance(contact, ContactPair):
+            found.append((contact.master, _MASTER, f"  its master {contact.master!r}"))
+    return found
+
+
+def _draw_loads(posed: ContactProblem, mesh: MeshArrays, points: np.ndarray, ax: Axes3D) -> list[tuple[Artist, str]]:
+    """Arrows at some facets of loaded boundaries, the largest a sixth of the size; legend entries of all loads."""
+    surface = [load for load in posed.loads if isinstance(load, Pressure | Traction)]
+    places = [_places(load, mesh) for load in surface]
+    sizes = [float(np.linalg.norm(traction, axis=1).max()) for _, traction in places]
+    reach = float(np.max(np.ptp(points, axis=0))) / 6 / max(max(sizes, default=0.0), np.finfo(float).tiny)
+    entries: list[tuple[Artist, str]] = []
+    for load, (facets, traction), size in zip(surface, places, sizes, strict=True):
+        x = points[facets].mean(axis=1)
+        normals = np.cross(points[facets[:, 1]] - points[facets[:, 0]], points[facets[:, 2]] - points[facets[:, 0]])
+        pushing = np.einsum("nd,nd->n", traction, normals) <= 0
+        tails = np.where(pushing[:, None], x - reach * traction, x)
+        if size > 0:
+            ax.quiver(*tails.T, *(reach * traction).T, color=BLUE, linewidth=1.1, arrow_length_ratio=0.3)
+        factor, unit = scaled(size, "Pa")
+        kind = "pressure" if isinstance(load, Pressure) else "traction"
+        entries.append((Line2D([], [], color=BLUE), f"{kind} {number(size * factor)} {unit} on {load.boundary!r}"))
+    for load in posed.loads:
+        if isinstance(load, BodyForce | InitialStrain):
+            values = ", ".join("f(x)" if callable(c) else number(c) for c in load.components)
+            what = "body force" if isinstance(load, BodyForce) else "initial strain"
+            unit = " N/m³" if isinstance(load, BodyForce) else ""
+            where = "" if load.body is None else f" in {load.body!r}"
+            entries.append((Line2D([], [], color=BLUE, linestyle=":"), f"{what} ({values}){unit}{where}"))
+    return entries
+
+
+def _places(load: Pressure | Traction, mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
+    """Facets (n, 3) spread over a loaded boundary, at most 24, and the traction there (n, 3), Pa."""
+    facets = mesh.boundary_facets(load.boundary)
+    facets = facets[np.unique(np.linspace(0, len(facets) - 1, 24).astype(int))]
+    corners = mesh.points[facets]
+    x = corners.mean(axis=1)
+    if isinstance(load, Traction):
+        return facets, np.stack([values_at(c, x) for c in load.components], axis=1)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return facets, -values_at(load.value, x)[:, None] * normals

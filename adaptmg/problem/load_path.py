@@ -1,0 +1,138 @@
+"""LoadPath: a history of loads and prescribed displacements in steps, each a factor times what is posed.
+
+Friction remembers: what a body does under a load depends on how the load came about. A path says it step by step,
+quasi-static, without time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from adaptmg.problem import checks
+from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Support
+
+__all__ = ["BODY_FORCE", "DEFAULT", "LoadPath", "name_in_path", "names_in_path"]
+
+BODY_FORCE = "body force"
+"""Name of body forces that act on all bodies."""
+
+DEFAULT = "default"
+"""Name of all loads together where there is no ContactProblem that tells them apart."""
+
+Factors = float | Sequence[float]
+
+
+@dataclass(frozen=True, eq=False)
+class LoadPath:
+    """Load steps.
+
+    Parameters
+    ----------
+    factors : mapping of str to float or sequence of float
+        Factor of each step, by name: a boundary (all loads and prescribed displacements there), a body (its
+        InitialStrain and BodyForce) or "body force" (body forces of all bodies). A single number holds in all steps.
+    default : float or sequence of float
+        Factor of what is not named.
+
+    Raises
+    ------
+    TypeError, ValueError
+        On factors that are not finite numbers, or sequences of different lengths.
+
+    Examples
+    --------
+    >>> am.LoadPath({"top": [1, 1, 1], "left": [0, 0.5, 1]})
+    """
+
+    factors: Mapping[str, Factors] = field(default_factory=dict)
+    default: Factors = 1.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.factors, Mapping):
+            raise TypeError(f"factors must map names of boundaries or bodies to factors, got {self.factors!r}")
+        given = {}
+        for name, value in self.factors.items():
+            checks.boundary_name("the names in factors", name)
+            given[name] = _factors(f"factors[{name!r}]", value)
+        default = _factors("default", self.default)
+        lengths = {name: value.size for name, value in {**given, DEFAULT: default}.items() if value.ndim}
+        if len(set(lengths.values())) > 1:
+            raise ValueError("factors must have the same number of steps, got "
+                             + ", ".join(f"{n} for {name!r}" for name, n in lengths.items()))
+        steps = next(iter(lengths.values()), 1)
+        if not steps:
+            raise ValueError("factors are empty: give a factor for each step, one at least")
+        object.__setattr__(self, "factors", {name: _spread(value, steps) for name, value in given.items()})
+        object.__setattr__(self, "default", _spread(default, steps))
+
+    def __len__(self) -> int:
+        return len(self.default)
+
+    def of(self, name: str) -> np.ndarray:
+        """Factors (n_steps,) of a name, those of ``default`` where it is not named."""
+        return self.factors.get(name, self.default)
+
+    def resolved(self, problem: ContactProblem | None) -> dict[str, np.ndarray]:
+        """Factors (n_steps,) of everything a problem has to scale.
+
+        Parameters
+        ----------
+        problem : ContactProblem or None
+            None stands for a bare DiscreteProblem, whose loads have no names: then only ``default`` counts.
+
+        Raises
+        ------
+        ValueError
+            If the path names something that the problem does not load or move.
+        """
+        known = (DEFAULT,) if problem is None else names_in_path(problem)
+        for name in self.factors:
+            if problem is None:
+                raise ValueError(f"path names {name!r}, but the loads of a bare DiscreteProblem have no names: give "
+                                 "default=... alone, or a hierarchy made from a ContactProblem")
+            if name not in known:
+                raise ValueError(f"path names {name!r}, where the problem has no load and no prescribed displacement "
+                                 f"other than zero; known are {', '.join(map(repr, known)) or 'none'}")
+        return {name: self.of(name) for name in known}
+
+
+def name_in_path(item: Load | Support) -> str:
+    """The name under which a path scales a load or support."""
+    if isinstance(item, InitialStrain):
+        return item.body
+    if isinstance(item, BodyForce):
+        return BODY_FORCE if item.body is None else item.body
+    return item.boundary
+
+
+def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
+    """Names of all loads and of the supports that prescribe a displacement other than zero, each once.
+
+    Raises
+    ------
+    ValueError
+        If a body has the name of a boundary that carries a load.
+    """
+    moved = [s for s in problem.supports if any(s.components(problem.dim))]
+    bodies = {name_in_path(load) for load in problem.loads if isinstance(load, BodyForce | InitialStrain)}
+    rest = [name_in_path(item) for item in (*problem.loads, *moved) if not isinstance(item, BodyForce | InitialStrain)]
+    for name in rest:
+        if name in bodies:
+            raise ValueError(f"{name!r} is the name of a body and of a boundary that both carry loads: a path could "
+                             "not tell them apart; rename one")
+    return tuple(dict.fromkeys([*map(name_in_path, problem.loads), *rest]))
+
+
+def _factors(name: str, value: Factors) -> np.ndarray:
+    """A finite array of no or one dimension."""
+    return np.array(checks.number(name, value)) if np.ndim(value) == 0 else checks.vector(name, value)
+
+
+def _spread(value: np.ndarray, steps: int) -> np.ndarray:
+    result = np.array(np.broadcast_to(value, (steps,)))
+    result.flags.writeable = False
+    return result

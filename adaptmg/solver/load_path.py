@@ -1,0 +1,115 @@
+r"""solve_path: quasi-static load histories, step by step.
+
+Friction acts on increments: at step k the slip is :math:`u_t^k - u_t^{k-1}`, against the displacement of the step
+before (implicit Euler; no time occurs). Every step is a contact problem of its own with other loads, prescribed values
+and slip references; matrices and transfers stay.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import numpy as np
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem.load_path import LoadPath
+from adaptmg.solver.path_result import PathResult
+from adaptmg.solver.path_store import PathStore
+from adaptmg.solver.path_walk import PathWalk
+from adaptmg.solver.result import Result
+from adaptmg.solver.run import Solver
+from adaptmg.solver.solve import _default_solver, _displacement, _warn_of_large_friction
+from adaptmg.solver.status import NotConverged
+
+__all__ = ["StepNotConverged", "solve_path"]
+
+class StepNotConverged(NotConverged):
+    """Raised by :func:`solve_path` when a step did not reach its tolerance.
+
+    Attributes
+    ----------
+    result : Result
+        The last iterate of that step.
+    step : int
+    partial : PathResult
+        The steps before it, and it.
+    """
+
+    def __init__(self, result: Result, step: int, described: str, partial: PathResult) -> None:
+        super().__init__(result)
+        self.step, self.partial = step, partial
+        self.args = (f"step {step} of {partial.n_steps} ({described}): {self.args[0]} Smaller load steps help where "
+                     "the contact status changes much; the steps before it are in .partial.",)
+
+
+def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
+               start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
+               throw: bool = True, callback: Callable[[int, Result], None] | None = None,
+               progress: Callable[[int, dict[str, float]], None] | None = None) -> PathResult:
+    """Solve a contact problem along a load path on the finest level of a hierarchy.
+
+    Parameters
+    ----------
+    grids : Hierarchy or DiscreteProblem
+        A bare DiscreteProblem is a hierarchy of one level; its loads have no names, so that ``path`` has ``default``
+        alone.
+    path : LoadPath
+    solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or one's own, optional
+        The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a step;
+        "discretisation" sets it once, in the first step. Multigrid with :class:`adaptmg.Truncated` is set up once.
+    start : (n_nodes, dim) array or Result, optional
+        Displacement against which the first step slips, m. Default: the unloaded, undeformed bodies.
+    store : path, optional
+        A folder where every finished step is kept at once. A path that was interrupted goes on there; a folder with
+        steps of another problem, hierarchy, path or solver is refused.
+    throw : bool
+        Raise :class:`StepNotConverged` if a step does not reach the tolerance. False ends the path with that step,
+        whose status says it; ``complete`` is then False.
+    callback : callable, optional
+        Called with the number and the Result of each step when it is finished, and kept.
+    progress : callable, optional
+        Called with the number of the step and each row of its history.
+
+    Returns
+    -------
+    PathResult
+
+    Raises
+    ------
+    ValueError
+        Bad input, or a rigid motion that neither supports nor contact hold in a step.
+    StepNotConverged
+    """
+    if isinstance(grids, DiscreteProblem):
+        grids = Hierarchy.single(grids)
+    elif not isinstance(grids, Hierarchy):
+        raise TypeError(f"grids must be a Hierarchy or a DiscreteProblem, got {type(grids).__name__}")
+    if not isinstance(path, LoadPath):
+        raise TypeError(f"path must be a LoadPath, got {type(path).__name__}")
+    solver = _default_solver(grids) if solver is None else solver
+    if not callable(getattr(solver, "run", None)):
+        raise TypeError("solver must be SingleGrid, Multigrid, FullMultigrid, ActiveSet or offer run(), "
+                        f"got {solver!r}")
+    walk = PathWalk(grids, path, solver, _displacement("start", start, grids.finest.discrete))
+    mark = {} if store is None else walk.fingerprint()
+    kept = None if store is None else PathStore(store, walk.factors, len(path), mark)
+    results = [] if kept is None else kept.results
+    for k, result in enumerate(results):
+        walk.replay(k, result)
+    if len(results) < len(path):
+        _warn_of_large_friction(walk.local)
+    for k in range(len(results), len(path)):
+        result = walk.step(k, progress)
+        results.append(result)
+        if not result.status.ok:
+            partial_result = PathResult(tuple(results), walk.factors, mark, len(path))
+            if throw:
+                raise StepNotConverged(result, k, walk.described(k), partial_result)
+            return partial_result
+        if kept is not None:
+            kept.put(k, result)
+        if callback is not None:
+            callback(k, result)
+    return PathResult(tuple(results), walk.factors, mark, len(path))

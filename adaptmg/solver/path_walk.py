@@ -1,0 +1,188 @@
+"""PathWalk: what is posed at each step of a load path, and what is known of the steps before."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.discretisation.load_steps import LoadSteps, load_steps, whole_load
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.load_path import LoadPath
+from adaptmg.smoother.system import LocalProblem, local_contact, local_system, rotate
+from adaptmg.solver.path_machine import coarse_displacements, lifted_load
+from adaptmg.solver.path_store import fingerprint
+from adaptmg.solver.result import Result
+from adaptmg.solver.result_of import result_of
+from adaptmg.solver.run import Run, Solver
+from adaptmg.solver.solve import label
+from adaptmg.solver.statics import check_statics
+from adaptmg.solver.step_solvers import Past, past_of, step_solver
+
+__all__ = ["PathWalk"]
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(eq=False)
+class _Known:
+    """The displacement of a step on the finest level, and the forces that led there (n_dofs,), None if unknown."""
+
+    displacement: np.ndarray
+    forces: np.ndarray | None
+
+
+class PathWalk:
+    """The way along a path.
+
+    Parameters
+    ----------
+    grids : Hierarchy
+    path : LoadPath
+    solver : Solver
+    start : (n_nodes, dim) array or None
+        Displacement before the first step, m; between bodies relative.
+
+    Attributes
+    ----------
+    factors : dict of str to (n_steps,) array
+        Of everything that the path scales.
+    local : LocalProblem
+        The finest level at the present step.
+    """
+
+    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None) -> None:
+        self.grids, self.path, self.solver, self.start = grids, path, solver, start
+        self.factors = path.resolved(_problem_with_names(grids))
+        self.loads = _loads(grids)
+        for k in range(len(path)):
+            # two supports that no longer agree should show before the first step is solved
+            self.loads[-1].fixed_values(self._factors_at(k))
+        self.local: LocalProblem = local_system(grids.finest.discrete)
+        self.method = step_solver(solver)
+        begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
+        self.past = past_of(grids, begin, start is not None)
+        self.known = [_Known(begin, np.zeros_like(begin) if start is None else None)]
+
+    def fingerprint(self) -> dict[str, Any]:
+        """What the steps depend on."""
+        return fingerprint(self.grids, self.loads, self.factors, len(self.path), self.solver, self.start)
+
+    def described(self, k: int) -> str:
+        """The factors of a step, for messages."""
+        return ", ".join(f"{name}={factor:g}" for name, factor in self._factors_at(k).items())
+
+    def _factors_at(self, k: int) -> dict[str, float]:
+        return {name: float(values[k]) for name, values in self.factors.items()}
+
+    def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
+        """Solve a step and remember it."""
+        finest = self.grids.finest.discrete
+        run = Run(unit=finest.matrix.nnz, callback=None if progress is None else partial(progress, k))
+        with run.phase("setup"):
+            grids = self._posed(k)
+            forces = lifted_load(grids.finest.discrete)
+            self.local = _at_step(self.local, grids.finest.discrete, forces)
+            past = replace(self.past, extrapolated=self._extrapolated(forces))
+        with run.phase("statics"):
+            self._check_statics(k, grids)
+        outcome, coarse = self.method.run(grids, self.local, run, past)
+        with run.phase("result"):
+            result = result_of(grids, self.local, run, outcome, label(self.solver))
+            self._remember(grids, result, forces, coarse)
+        _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,
+                  result.cycles)
+        return result
+
+    def replay(self, k: int, result: Result) -> None:
+        """Take over a step that is known already."""
+        grids = self._posed(k)
+        if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
+            raise ValueError(f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
+                             f"{grids.finest.n_nodes}")
+        coarse = self.method.replay(grids, self.past, result.rtol)
+        self._remember(grids, result, lifted_load(grids.finest.discrete), coarse)
+
+    def _posed(self, k: int) -> Hierarchy:
+        """The hierarchy with loads, prescribed values and slip references of a step."""
+        factors, levels = self._factors_at(k), []
+        offset = len(self.grids) - len(self.past.levels)
+        for number, (level, loads) in enumerate(zip(self.grids.levels, self.loads, strict=True)):
+            if loads is not None and number >= offset:
+                problem, reference = level.discrete, level.discrete.contact.slip_reference
+                if self.past.given:
+                    before = self.past.levels[number - offset].reshape(problem.n_nodes, problem.dim)
+                    reference = before[problem.contact.nodes]
+                step = problem.with_step(loads.load(factors), loads.fixed_values(factors), reference)
+                level = replace(level, discrete=step)
+            levels.append(level)
+        return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))
+
+    def _check_statics(self, k: int, grids: Hierarchy) -> None:
+        """As :func:`adaptmg.solve` does; after the first step on the coarsest grid, and on the finest in doubt."""
+        coarsest = grids[0].discrete
+        try:
+            if k and coarsest is not None and len(grids) > 1:
+                try:
+                    check_statics(coarsest)
+                    return
+                except ValueError:
+                    _LOG.info("step %d: the coarsest grid cannot be held; asking the finest", k)
+            check_statics(grids.finest.discrete)
+        except ValueError as error:
+            raise ValueError(f"step {k} of {len(self.path)} ({self.described(k)}): {error}") from error
+
+    def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
+        """What the next step wants to know."""
+        discrete = grids.finest.discrete
+        # from the result, as a path that goes on from its store has it
+        displacement = discrete.relative(result.displacement).reshape(-1)
+        self.known = [*self.known[-1:], _Known(displacement, forces)]
+        if coarse is not None:
+            levels = [*coarse, displacement]
+        elif grids.discretised:
+            levels = coarse_displacements(grids, displacement)
+        else:
+            levels = [displacement]
+        self.past = Past(levels, displacement, True)
+
+    def _extrapolated(self, forces: np.ndarray) -> np.ndarray:
+        """The displacement for new forces if all goes on as between the last two steps, least squares in the forces."""
+        before, last = self.known[0], self.known[-1]
+        if len(self.known) < 2 or before.forces is None:
+            return last.displacement
+        change = last.forces - before.forces
+        # not through BLAS, whose threads cost more than they gain
+        size = float(np.einsum("i,i->", change, change))
+        if size == 0.0:
+            return last.displacement
+        ratio = float(np.einsum("i,i->", forces - last.forces, change)) / size
+        return last.displacement + ratio * (last.displacement - before.displacement)
+
+
+def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
+    """The problem, if its loads can be told apart on every level."""
+    known = all(level.mesh is not None for level in grids.levels if level.discrete is not None)
+    return grids.problem if known else None
+
+
+def _loads(grids: Hierarchy) -> list[LoadSteps | None]:
+    """Loads and supports one by one on each level; None where a level is only a space."""
+    named = _problem_with_names(grids) is not None
+    return [None if level.discrete is None
+            else load_steps(grids.problem, level.mesh, level.discrete.coupling) if named else whole_load(level.discrete)
+            for level in grids.levels]
+
+
+def _at_step(local: LocalProblem, discrete: DiscreteProblem, forces: np.ndarray) -> LocalProblem:
+    """The local problem of the same matrix with the data of a step; ``forces`` is b - A u_fixed, Cartesian."""
+    contact, frames = local_contact(discrete)
+    load = rotate(forces, frames, local.system.nodes)
+    load[local.system.fixed] = 0.0
+    return LocalProblem(local.system, load, contact, frames, discrete)

@@ -1,0 +1,46 @@
+"""result_of: the Result of what a solver returned for a local problem that is already set up."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.smoother.system import LocalProblem
+from adaptmg.solver.finish import contact_result, relative_residual
+from adaptmg.solver.result import Result
+from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.solve import _confirmed, _problem_name, versions
+
+__all__ = ["result_of"]
+
+
+def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome, solver_name: str) -> Result:
+    """The Result on the finest level; its residual is computed anew and must confirm the status.
+
+    Parameters
+    ----------
+    grids : Hierarchy
+    local : LocalProblem
+        Of the finest level.
+    run : Run
+        Of the solver.
+    outcome : Outcome
+        What it returned; between bodies relative.
+    solver_name : str
+    """
+    discrete = local.discrete
+    solved = np.asarray(outcome.displacement).reshape(discrete.n_nodes, discrete.dim)
+    unknowns = local.to_local(solved)
+    reaction = discrete.matrix @ solved.reshape(-1) - discrete.load
+    if discrete.coupling is not None:
+        reaction = discrete.coupling.physical_forces(reaction)
+    residual = relative_residual(local, unknowns)
+    keys = dict.fromkeys(key for row in run.history for key in row)
+    history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
+    return Result(displacement=discrete.physical(solved), reaction=reaction.reshape(solved.shape),
+                  status=_confirmed(outcome, residual), cycles=outcome.cycles,
+                  contact=contact_result(local, unknowns, solved), work_units=run.work_units, residual=residual,
+                  error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
+                  timings=run.timings, path=run.path, levels=grids.table(), problem_name=_problem_name(grids),
+                  solver_name=solver_name, mesh=grids.finest.mesh, start_work_units=run.start_work_units,
+                  versions=versions())

@@ -1,0 +1,89 @@
+r"""Prolongations between two levels of a contact problem: contact rows, and relative coordinates of coupled bodies.
+
+With the nodal prolongation P of displacements and the couplings W_f, W_c of the two levels there are two forms for
+relative values w:
+
+.. math:: P_w = (I - W_f)\,P\,(I - W_c)^{-1},
+
+which spans the same space as P, rigid motions of all bodies included; and the same with the rows of the slave nodes
+replaced by interpolation of relative values along the coarse slave surface, weights >= 0 with sums 1, as the monotone
+correction wants them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
+from adaptmg.transfer.protocol import Transfer
+
+__all__ = ["LevelTransfer", "between_levels"]
+
+
+@dataclass(frozen=True, eq=False)
+class LevelTransfer:
+    """Nodal prolongations from a level to the next finer.
+
+    Attributes
+    ----------
+    prolongation : (n_nodes, n_nodes coarse) csr_array
+        Of relative values where there is a coupling.
+    surface : csr_array or None
+        With a coupling the form whose slave rows interpolate along the slave surface.
+    """
+
+    prolongation: sparse.csr_array
+    surface: sparse.csr_array | None = None
+
+
+def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coarse_problem: DiscreteProblem,
+                   fine_problem: DiscreteProblem, contact_rows: bool = True) -> LevelTransfer:
+    """Prolongations between the discretisations of one problem on two meshes.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    coarse, fine : MeshArrays
+    coarse_problem, fine_problem : DiscreteProblem
+        Of them.
+    contact_rows : bool
+        Interpolate the nodes of contact surfaces (of pairs: both) along the coarse surface.
+
+    Raises
+    ------
+    ValueError
+        If the transfer returns a matrix of another shape or entries that are not finite.
+    """
+    nodal = sparse.csr_array(transfer.build(coarse, fine))
+    wanted = (fine.n_nodes, coarse.n_nodes)
+    if nodal.shape != wanted:
+        raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
+                         f"got {nodal.shape}")
+    if not np.isfinite(nodal.data).all():
+        raise ValueError(f"transfer.build of {transfer!r} returned entries that are not finite")
+    contact, coupling = fine_problem.contact, fine_problem.coupling
+    slave_rows = [_along(coarse, fine, name, contact.nodes[contact.boundary == k])
+                  for k, name in enumerate(contact.names)]
+    if contact_rows:
+        master_rows = [_along(coarse, fine, name, fine.boundary_nodes(name)) for name in contact.masters if name]
+        for nodes, rows in (*master_rows, *slave_rows):
+            nodal = with_contact_rows(nodal, nodes, rows)
+    if coupling is None:
+        return LevelTransfer(nodal)
+    relative = coupling.prolongation(nodal, coarse_problem.coupling)
+    surface = relative
+    for name, (nodes, rows) in zip(contact.masters, slave_rows, strict=True):
+        if name:
+            surface = with_contact_rows(surface, nodes, rows)
+    return LevelTransfer(relative, surface)
+
+
+def _along(coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarray
+           ) -> tuple[np.ndarray, sparse.csr_array]:
+    """Nodes and their rows of interpolation along a boundary."""
+    return nodes, surface_interpolation(coarse, fine, coarse.boundary_facets(boundary), nodes)

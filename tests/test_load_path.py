@@ -1,0 +1,453 @@
+"""Load histories: friction acts on increments, every step is solved, and an interrupted path goes on where it was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.discretisation.load_steps import load_steps, whole_load
+from adaptmg.mesh import structured
+from adaptmg.mesh.assembled import merged
+from adaptmg.solver.load_path import StepNotConverged
+from adaptmg.solver.path_machine import coarse_displacements
+
+FINE = am.FullMultigrid(rtol=1e-11)
+EXACT = am.ActiveSet(rtol=1e-12)
+#: side pressure on, and off again, under constant pressure on the top
+CYCLE = am.LoadPath({"left": [0.5, 1, 0.5, 0]}, default=1.0)
+STEEL = am.PlaneStrain(young=2.1e11, poisson=0.3)
+
+
+def bar(law: am.problem.Law = am.Coulomb(1.0), n: int = 16) -> am.Hierarchy:  # noqa: B008
+    return am.Hierarchy.uniform(am.cases.greco_bar(law=law), divisions=[d for d in (4, 8, 16, 32) if d <= n])
+
+
+@pytest.fixture(scope="module")
+def rough() -> am.Hierarchy:
+    return bar()
+
+
+@pytest.fixture(scope="module")
+def cycle(rough: am.Hierarchy) -> am.PathResult:
+    return am.solve_path(rough, CYCLE, FINE)
+
+
+@pytest.fixture(scope="module")
+def bodies() -> am.Hierarchy:
+    """A block pressed on a wider one and pushed along it."""
+    upper = am.Rectangle(width=0.04, height=0.04)
+    lower = am.Rectangle(width=0.06, height=0.04, origin=(-0.02, -0.04))
+    problem = am.ContactProblem(
+        name="two blocks", material=STEEL, domain=am.Assembly(parts={"upper": upper, "lower": lower}),
+        contact=am.ContactPair("upper.bottom", "lower.top"), law=am.Coulomb(0.3),
+        loads=(am.Pressure("upper.top", 5e7), am.Pressure("upper.left", 1.5e8)),
+        supports=(am.Support("upper.right", x=0.0), am.Support("lower.right", x=0.0),
+                  am.Support("lower.bottom", y=0.0)))
+    meshes = [merged({"upper": structured(upper, (n, n)), "lower": structured(lower, (5 * n // 4, n))})
+              for n in (4, 8, 16)]
+    return am.Hierarchy.from_meshes(problem, meshes)
+
+
+def pulled(law: am.problem.Law = am.Coulomb(0.3)) -> am.Hierarchy:  # noqa: B008
+    """A block pressed on a plane and moved along it by its top."""
+    problem = am.ContactProblem(
+        name="moved block", material=STEEL, domain=am.Rectangle(width=0.04, height=0.02),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
+        loads=(am.Pressure("left", 1e6),), supports=(am.Support("top", x=4e-6, y=-1e-5),))
+    return am.Hierarchy.uniform(problem, divisions=[(4, 2), (8, 4), (16, 8)])
+
+
+def distance(a: am.Result, b: am.Result) -> float:
+    return np.abs(a.displacement - b.displacement).max() / np.abs(b.displacement).max()
+
+
+def scaled(problem: am.ContactProblem, factors: dict[str, float]) -> am.ContactProblem:
+    """The problem of one step, posed anew."""
+    loads = tuple(replace(load, value=factors[load.boundary] * load.value) for load in problem.loads)
+    supports = tuple(replace(s, **{c: None if v is None else factors.get(s.boundary, 1.0) * v
+                                   for c, v in zip("xy", s.components(2), strict=True)}) for s in problem.supports)
+    return replace(problem, loads=loads, supports=supports)
+
+
+def check_step(grids: am.Hierarchy, factors: dict[str, float], before: np.ndarray, result: am.Result) -> None:
+    """Equilibrium and the contact conditions, from matrix and load made anew; ``before`` is relative."""
+    discrete = am.discretise(scaled(grids.problem, factors), grids.finest.mesh, slip_reference=before)
+    u = discrete.relative(result.displacement)
+    contact = discrete.contact
+    force = (discrete.matrix @ u.reshape(-1) - discrete.load).reshape(u.shape)
+    size = max(np.abs(force).max(), np.abs(discrete.load).max())
+    inner = ~discrete.fixed.reshape(u.shape)
+    inner[contact.nodes] = False
+    assert np.abs(force[inner]).max() <= 1e-8 * size
+    np.testing.assert_allclose(u.reshape(-1)[discrete.fixed], discrete.fixed_values[discrete.fixed], atol=1e-18)
+    n = contact.normals
+    t = np.stack([-n[:, 1], n[:, 0]], axis=1)
+    free = ~(discrete.fixed.reshape(u.shape)[contact.nodes] & (np.abs(t) > 0.5)).any(axis=1)
+    gap = contact.gaps - np.sum(u[contact.nodes] * n, axis=1)
+    pressure = -np.sum(force[contact.nodes] * n, axis=1)
+    along = np.sum(force[contact.nodes] * t, axis=1)[free]
+    slip = np.sum((u - before)[contact.nodes] * t, axis=1)[free]
+    length, bound = np.abs(u).max(), discrete.law.bounds(len(contact))[1][free] * pressure[free]
+    assert (gap >= -1e-12 * length).all() and (pressure >= -1e-8 * size).all()
+    assert np.abs(gap * pressure).max() <= 1e-8 * length * size
+    assert (np.abs(along) <= bound + 1e-7 * size).all()
+    assert np.abs(slip * (np.abs(along) - bound)).max() <= 1e-7 * length * size
+    assert (along * slip <= 1e-8 * size * length).all()
+
+
+class TestSteps:
+    def test_one_step_is_solve(self, rough):
+        path, single = am.solve_path(rough, am.LoadPath()), am.solve(rough)
+        assert len(path) == 1 and path.complete
+        assert path[0].cycles == single.cycles and distance(path[0], single) <= 1e-14
+        assert path[0].solver_name == single.solver_name and path[0].problem_name == single.problem_name
+
+    def test_each_step_satisfies_its_own_contact_conditions(self, rough, cycle):
+        before = np.zeros_like(cycle[0].displacement)
+        for k, result in enumerate(cycle):
+            check_step(rough, {"top": 1.0, "left": CYCLE.of("left")[k]}, before, result)
+            before = result.displacement
+
+    def test_two_bodies(self, bodies):
+        path = am.LoadPath({"upper.left": [0.5, 1, 0.5, 0]}, default=1.0)
+        results, exact = am.solve_path(bodies, path, FINE), am.solve_path(bodies, path, EXACT)
+        before = np.zeros_like(results[0].displacement)
+        for k, result in enumerate(results):
+            assert distance(result, exact[k]) <= 1e-8
+            check_step(bodies, {"upper.top": 1.0, "upper.left": path.of("upper.left")[k]}, before, result)
+            before = bodies.finest.discrete.relative(result.displacement)
+            # along x the support of the lower block, at the end of its top, takes part
+            on_slave, on_master = (result.resultant(name).force[1] for name in ("upper.bottom", "lower.top"))
+            assert on_slave == pytest.approx(-on_master, rel=1e-6) == pytest.approx(5e7 * 0.04)
+        # unloaded: what has slipped is held back by friction
+        assert np.abs(results[-1].contact.u_t).max() > 0.05 * np.abs(results[1].contact.u_t).max()
+
+    @pytest.mark.parametrize("solver", [FINE, am.Multigrid(rtol=1e-11),
+                                        am.FullMultigrid(correction=am.Monotone(), rtol=1e-11)], ids=str)
+    def test_agrees_with_the_active_set(self, rough, solver):
+        exact = am.solve_path(rough, CYCLE, EXACT)
+        for result, wanted in zip(am.solve_path(rough, CYCLE, solver), exact, strict=True):
+            assert distance(result, wanted) <= 1e-8
+            assert (result.contact.state == wanted.contact.state).all()
+
+    def test_a_path_may_be_cut_in_two(self, rough, cycle):
+        rest = am.solve_path(rough, am.LoadPath({"left": [0.5, 0]}), FINE, start=cycle[1])
+        assert distance(rest[1], cycle[3]) <= 1e-9
+
+    def test_3d(self):
+        grids = am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4))
+        side = next(load.boundary for load in grids.problem.loads if load.boundary != "top")
+        path = am.LoadPath({side: [1, 0.3]})
+        results, exact = am.solve_path(grids, path, FINE), am.solve_path(grids, path, EXACT)
+        assert distance(results[1], exact[1]) <= 1e-8
+
+    @pytest.mark.parametrize("law", [am.Coulomb(0.0), am.Coulomb(1.0)], ids=["smooth", "rough"])
+    def test_proportional_loading_is_one_step(self, law):
+        grids = bar(law)
+        path = am.solve_path(grids, am.LoadPath(default=np.linspace(0.2, 1, 5)), FINE)
+        assert distance(path[-1], am.solve(grids, FINE)) <= 1e-9
+
+    def test_extrapolation_makes_proportional_steps_cheap(self):
+        path = am.solve_path(bar(n=32), am.LoadPath(default=np.linspace(0.2, 1, 5)))
+        assert path[0].cycles >= 5 and all(result.cycles <= 2 for result in path[1:])
+
+    def test_increments_cost_no_more_than_a_start_from_scratch(self):
+        grids = bar(n=32)
+        path = am.solve_path(grids, am.LoadPath({"left": [1, 0.8, 0.6]}))
+        scratch = am.solve(grids)
+        assert all(result.work_units <= 1.1 * scratch.work_units for result in path)
+
+
+class TestHistory:
+    def test_friction_keeps_slip_and_turns_round(self, cycle):
+        loaded, unloaded = cycle[1].contact, cycle[-1].contact
+        assert np.abs(unloaded.u_t).max() > 0.05 * np.abs(loaded.u_t).max()
+        slides = unloaded.state == am.SLIP
+        assert slides.any() and (unloaded.force_t[slides] * loaded.force_t[slides] < 0).any()
+
+    def test_without_friction_nothing_is_kept(self):
+        results = am.solve_path(bar(am.Frictionless()), am.LoadPath({"left": [0, 1, 0]}), FINE)
+        assert distance(results[2], results[0]) <= 1e-9
+
+    def test_the_order_of_loads_matters(self, rough):
+        side_first = am.solve_path(rough, am.LoadPath({"left": [1, 1], "top": [0.05, 1]}), FINE)
+        top_first = am.solve_path(rough, am.LoadPath({"left": [0.05, 1], "top": [1, 1]}), FINE)
+        assert distance(side_first[-1], top_first[-1]) > 1e-2
+
+    def test_equal_steps_change_nothing(self, rough):
+        results = am.solve_path(rough, am.LoadPath({"left": [0.5, 1, 1]}), FINE)
+        assert distance(results[2], results[1]) <= 1e-10
+        assert not (results[2].contact.state == am.SLIP).any()
+
+    def test_prescribed_displacement(self):
+        grids = pulled()
+        path = am.LoadPath({"top": [1, 2, 1, 0], "left": 0.0})
+        results = am.solve_path(grids, path, FINE)
+        before = np.zeros_like(results[0].displacement)
+        for k, result in enumerate(results[:3]):
+            np.testing.assert_allclose(result.displacement[grids.finest.mesh.boundary_nodes("top")],
+                                       [[4e-6 * path.of("top")[k], -1e-5 * path.of("top")[k]]] * 17)
+            check_step(grids, {"top": path.of("top")[k], "left": 0.0}, before, result)
+            before = result.displacement
+        # nothing acts any more
+        assert results.complete and not results[3].displacement.any()
+
+    @pytest.mark.parametrize("solver", [am.Multigrid(), EXACT, am.SingleGrid()], ids=str)
+    def test_unloaded_is_undeformed(self, solver):
+        results = am.solve_path(pulled(), am.LoadPath(default=[0, 1, 0]), solver)
+        assert not results[0].displacement.any() and not results[2].displacement.any()
+
+    def test_loads_of_bodies(self):
+        problem = replace(pulled().problem, loads=(am.BodyForce((1e7, 0.0)), am.BodyForce((0.0, -1e7), body="body"),
+                                                   am.InitialStrain("body", (1e-4, 1e-4))))
+        grids = am.Hierarchy.uniform(problem, divisions=[(8, 4), (16, 8)])
+        path = am.LoadPath({"body": [0, 1], "body force": [1, 0]})
+        results = am.solve_path(grids, path, FINE)
+        only = replace(problem, loads=problem.loads[:1])
+        alone = am.solve(am.Hierarchy.uniform(only, divisions=[(8, 4), (16, 8)]), FINE)
+        assert distance(results[0], alone) <= 1e-9
+        assert set(results.factors) == {"body", "body force", "top"}
+
+
+class TestOtherGrids:
+    def test_bare_discrete_problem(self, rough, cycle):
+        path = am.LoadPath(default=[0.5, 1])
+        results = am.solve_path(rough.finest.discrete, path, EXACT)
+        assert distance(results[1], am.solve(rough, FINE)) <= 1e-8 and list(results.factors) == ["default"]
+        with pytest.raises(ValueError, match="have no names: give default"):
+            am.solve_path(rough.finest.discrete, CYCLE, EXACT)
+
+    def test_coarse_spaces_only(self, rough):
+        grids = am.Hierarchy.algebraic(rough.finest.discrete, max_coarse=60)
+        path = am.LoadPath(default=[1, 0.5])
+        results, exact = am.solve_path(grids, path, am.Multigrid(rtol=1e-10)), am.solve_path(rough, path, EXACT)
+        assert distance(results[1], exact[1]) <= 1e-8
+
+    def test_tolerance_of_the_discretisation(self, rough, cycle):
+        results = am.solve_path(rough, CYCLE, am.FullMultigrid(rtol="discretisation"))
+        assert results.complete and len({result.rtol for result in results}) == 1
+        assert 1e-9 < distance(results[-1], cycle[-1]) < 1e-2
+
+    def test_a_given_slip_reference_counts_in_the_first_step(self, rough):
+        moved = rough.finest.discrete
+        shift = np.full_like(moved.contact.slip_reference, 1e-5)
+        moved = replace(moved, contact=replace(moved.contact, slip_reference=shift))
+        assert distance(am.solve_path(moved, am.LoadPath(), EXACT)[0], am.solve(moved, EXACT)) <= 1e-14
+
+    def test_coarse_displacements_are_those_whose_interpolation_it_is(self, rough, bodies):
+        for grids in (rough, bodies):
+            coarse = np.random.default_rng(1).normal(size=(grids[-2].n_nodes, 2))
+            found = coarse_displacements(grids, (grids.finest.prolongation @ coarse).reshape(-1))
+            np.testing.assert_allclose(found[-2], coarse.reshape(-1), atol=1e-6)
+
+
+class TestData:
+    def test_a_step_shares_the_matrix(self, rough):
+        discrete = rough.finest.discrete
+        zero = np.zeros(discrete.n_dofs)
+        step = discrete.with_step(zero, zero + 1.0, np.ones_like(discrete.contact.normals))
+        assert step.matrix is discrete.matrix and not step.load.any() and step.contact.slip_reference.all()
+        assert (step.fixed_values == discrete.fixed).all()
+        assert discrete.load.any() and not discrete.contact.slip_reference.any()
+        with pytest.raises(ValueError, match="load must have shape"):
+            discrete.with_step(zero[1:], zero, discrete.contact.normals)
+
+    def test_combinations_are_what_discretise_makes(self, bodies):
+        for grids in (bodies, pulled()):
+            discrete, names = grids.finest.discrete, am.LoadPath().resolved(grids.problem)
+            steps = load_steps(grids.problem, grids.finest.mesh, discrete.coupling)
+            factors = dict.fromkeys(names, 1.0)
+            np.testing.assert_allclose(steps.load(factors), discrete.load, rtol=1e-12, atol=1e-9)
+            np.testing.assert_array_equal(steps.fixed_values(factors), discrete.fixed_values)
+            assert not steps.load(dict.fromkeys(names, 0.0)).any()
+            whole = whole_load(discrete)
+            np.testing.assert_array_equal(whole.load({"default": 2.0}), 2 * discrete.load)
+            np.testing.assert_array_equal(whole.fixed_values({"default": 2.0}), 2 * discrete.fixed_values)
+
+    def test_factors(self):
+        path = am.LoadPath({"top": [1, 2], "left": 3}, default=0.5)
+        assert len(path) == 2
+        assert [path.of(name).tolist() for name in ("top", "left", "x")] == [[1, 2], [3, 3], [0.5, 0.5]]
+
+    @pytest.mark.parametrize(("factors", "default", "message"), [
+        ({"top": [1, 2], "left": [1, 2, 3]}, 1.0, "same number of steps, got 2 for 'top', 3 for 'left'"),
+        ({"top": [1, 2]}, [1.0], "1 for 'default'"),
+        ({"top": [1, np.nan]}, 1.0, r"factors\['top'\] must be finite"),
+        ({"top": np.inf}, 1.0, r"factors\['top'\] must be finite"),
+        ({"top": []}, 1.0, "one at least"),
+        ({"top": [[1, 2]]}, 1.0, "must be a vector"),
+        ({"": [1]}, 1.0, "must not be empty")])
+    def test_bad_factors(self, factors, default, message):
+        with pytest.raises(ValueError, match=message):
+            am.LoadPath(factors, default)
+
+    def test_bad_types(self, rough):
+        with pytest.raises(TypeError, match="must map names"):
+            am.LoadPath([1, 2])
+        with pytest.raises(TypeError, match=r"factors\['top'\] must be a sequence of numbers"):
+            am.LoadPath({"top": ["a", "b"]})
+        with pytest.raises(TypeError, match="path must be a LoadPath"):
+            am.solve_path(rough, {"top": [1]})
+        with pytest.raises(TypeError, match="grids must be"):
+            am.solve_path(rough.problem, am.LoadPath())
+        with pytest.raises(TypeError, match="solver must be"):
+            am.solve_path(rough, am.LoadPath(), 1.0)
+
+    @pytest.mark.parametrize("name", ["lid", "right", "bottom", "body"])
+    def test_unknown_names(self, rough, name):
+        with pytest.raises(ValueError, match=f"names '{name}'.*known are 'top', 'left'"):
+            am.solve_path(rough, am.LoadPath({name: [1, 2]}))
+
+    def test_a_name_of_two_things(self):
+        problem = replace(am.cases.greco_bar(), domain=None,
+                          loads=(am.Pressure("part", 1.0), am.InitialStrain("part", (1e-5, 0.0))))
+        with pytest.raises(ValueError, match="'part' is the name of a body and of a boundary"):
+            am.LoadPath().resolved(problem)
+
+    def test_supports_that_part(self):
+        problem = replace(pulled().problem, supports=(am.Support("top", x=1e-6, y=-1e-5), am.Support("left", x=1e-6)))
+        grids = am.Hierarchy.uniform(problem, divisions=[(4, 2), (8, 4)])
+        am.solve_path(grids, am.LoadPath({"top": [1, 2], "left": [1, 2]}))
+        with pytest.raises(ValueError, match="'top' and 'left' prescribe different displacements"):
+            am.solve_path(grids, am.LoadPath({"top": [1, 2], "left": [1, 1]}))
+
+    def test_rigid_motion_in_a_step_is_told(self, rough):
+        with pytest.raises(ValueError, match=r"step 1 of 2 \(top=-1, left=1\): .*translation along y"):
+            am.solve_path(rough, am.LoadPath({"top": [1, -1]}))
+
+
+class Killed(Exception):
+    pass
+
+
+def kill_after(step: int):
+    def callback(k: int, result: am.Result) -> None:
+        if k == step:
+            raise Killed
+    return callback
+
+
+class TestStore:
+    @pytest.mark.parametrize("solver", [am.FullMultigrid(), am.Multigrid(), EXACT,
+                                        am.FullMultigrid(rtol="discretisation")], ids=str)
+    @pytest.mark.parametrize("grids", ["rough", "bodies"])
+    def test_an_interrupted_path_goes_on(self, grids, solver, tmp_path, request):
+        grids = request.getfixturevalue(grids)
+        side = "left" if grids.problem.name == "GRECO bar" else "upper.left"
+        path = am.LoadPath({side: [0.5, 1, 0.5, 0]})
+        whole = am.solve_path(grids, path, solver)
+        with pytest.raises(Killed):
+            am.solve_path(grids, path, solver, store=tmp_path, callback=kill_after(1))
+        assert len(am.PathResult.load(tmp_path)) == 2 and not am.PathResult.load(tmp_path).complete
+        done = []
+        resumed = am.solve_path(grids, path, solver, store=tmp_path, callback=lambda k, r: done.append(k))
+        assert done == [2, 3] and resumed.complete
+        for result, wanted in zip(resumed, whole, strict=True):
+            np.testing.assert_array_equal(result.displacement, wanted.displacement)
+            assert result.cycles == wanted.cycles
+        am.solve_path(grids, path, solver, store=tmp_path, callback=kill_after(0))
+
+    def test_another_run_is_refused(self, rough, tmp_path):
+        path = am.LoadPath({"left": [0.5, 1]})
+        am.solve_path(rough, path, store=tmp_path)
+        others = {"path": (rough, am.LoadPath({"left": [0.5, 0.9]}), None),
+                  "grids, transfers, loads, supports, contact, law": (bar(n=8), path, None),
+                  "solver": (rough, path, am.FullMultigrid(rtol=1e-6)),
+                  "law": (bar(am.Coulomb(0.9)), path, None),
+                  "problem, loads": (am.Hierarchy.uniform(replace(am.cases.greco_bar(top_pressure=6e7), name="other"),
+                                                          divisions=(4, 8, 16)), path, None)}
+        for named, (grids, other, solver) in others.items():
+            with pytest.raises(ValueError, match=f"belongs to another run: {named} differ"):
+                am.solve_path(grids, other, solver, store=tmp_path)
+        with pytest.raises(ValueError, match="start differs"):
+            am.solve_path(rough, path, start=np.zeros((289, 2)), store=tmp_path)
+
+    def test_rounding_is_not_another_run(self, rough, tmp_path):
+        path = am.LoadPath({"left": [0.5, 1]})
+        am.solve_path(rough, path, store=tmp_path)
+        problem = am.cases.greco_bar(top_pressure=5e7 * (1 + 1e-14))
+        done = []
+        am.solve_path(am.Hierarchy.uniform(problem, divisions=(4, 8, 16)), path, store=tmp_path,
+                      callback=lambda k, r: done.append(k))
+        assert not done
+
+    def test_damage_is_told(self, rough, tmp_path):
+        path = am.LoadPath({"left": [0.5, 1]})
+        am.solve_path(rough, path, store=tmp_path)
+        (tmp_path / "step_0001.npz").write_bytes(b"PK\x03\x04 half")
+        with pytest.raises(ValueError, match=r"step_0001.npz is damaged"):
+            am.solve_path(rough, path, store=tmp_path)
+        (tmp_path / "path.json").write_text('{"format"')
+        with pytest.raises(ValueError, match=r"path.json is damaged"):
+            am.solve_path(rough, path, store=tmp_path)
+        (tmp_path / "path.json").unlink()
+        with pytest.raises(ValueError, match="holds no load path"):
+            am.solve_path(rough, path, store=tmp_path)
+        file = tmp_path / "file"
+        file.write_text("x")
+        with pytest.raises(ValueError, match="must be a folder"):
+            am.solve_path(rough, path, store=file)
+
+    def test_save_and_load(self, cycle, tmp_path):
+        cycle.save(tmp_path / "a")
+        loaded = am.PathResult.load(tmp_path / "a")
+        assert loaded.complete and len(loaded) == 4
+        assert loaded.table().equals(cycle.table())
+        np.testing.assert_array_equal(loaded.factors["left"], CYCLE.of("left"))
+        np.testing.assert_allclose(loaded[3].probe([(0.01, 0.0)]), cycle[3].probe([(0.01, 0.0)]))
+        with pytest.raises(ValueError, match="holds a load path already"):
+            cycle.save(tmp_path / "a")
+
+    def test_what_was_saved_is_no_store(self, rough, cycle, tmp_path):
+        cycle.save(tmp_path)
+        with pytest.raises(ValueError, match="was written by PathResult"):
+            am.solve_path(rough, CYCLE, FINE, store=tmp_path)
+
+
+class TestFailure:
+    HARD = am.FullMultigrid(max_cycles=3)
+
+    def test_it_says_which_step_and_keeps_the_others(self, rough, tmp_path):
+        path = am.LoadPath({"left": [1, 1, 0.4]}, default=1.0)
+        first = am.solve(rough).displacement
+        with pytest.raises(StepNotConverged, match=r"step 2 of 3 \(top=1, left=0.4\): .*LIMIT") as caught:
+            am.solve_path(rough, path, am.Multigrid(max_cycles=3), start=first, store=tmp_path)
+        assert caught.value.step == 2 and len(caught.value.partial) == 3 and not caught.value.partial.complete
+        assert caught.value.result is caught.value.partial[-1]
+        assert len(am.PathResult.load(tmp_path)) == 2
+        assert isinstance(caught.value, am.NotConverged)
+
+    def test_without_throw_the_path_ends_there(self, rough):
+        results = am.solve_path(rough, CYCLE, self.HARD, throw=False)
+        assert len(results) == 1 and not results.complete and results[-1].status is am.Status.LIMIT
+        assert "1 of 4 steps" in repr(results)
+
+    def test_multigrid_needs_levels(self, rough):
+        with pytest.raises(ValueError, match="at least two levels"):
+            am.solve_path(rough.finest.discrete, am.LoadPath(), am.FullMultigrid())
+
+
+class TestResult:
+    def test_table(self, rough, cycle):
+        table = cycle.table()
+        assert list(table["factor left"]) == [0.5, 1, 0.5, 0] and (table["status"] == "CONVERGED").all()
+        assert (table[["open", "slip", "stick"]].sum(axis=1) == len(rough.finest.discrete.contact)).all()
+        np.testing.assert_allclose(table["force_y"], 5e7 * 0.04)
+
+    def test_it_is_a_sequence(self, cycle):
+        assert cycle[-1] is cycle.results[3] and len(cycle[1:3]) == 2 and list(cycle) == list(cycle.results)
+
+    def test_progress(self, rough):
+        rows = []
+        am.solve_path(rough, am.LoadPath({"left": [0.5, 1]}), progress=lambda k, row: rows.append((k, row["cycle"])))
+        assert {k for k, _ in rows} == {0, 1}
+
+    def test_when_the_fast_cycle_gives_up_the_path_goes_on(self, rough, cycle, monkeypatch):
+        from adaptmg.solver import truncated_machine
+
+        monkeypatch.setattr(truncated_machine.TruncatedWatch, "stalled", property(lambda watch: True))
+        results = am.solve_path(rough, CYCLE, FINE)
+        assert distance(results[-1], cycle[-1]) <= 1e-8

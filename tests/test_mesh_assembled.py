@@ -1,0 +1,328 @@
+"""Meshes of several bodies and of outlines with arcs: nothing shared, nodes on the circles, sizes as asked."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from adaptmg.mesh import (
+    MeshArrays,
+    SizeNear,
+    bisect,
+    check_mesh,
+    graded,
+    merged,
+    quality,
+    refine_near,
+    sized,
+    structured,
+)
+from adaptmg.mesh.assembled import boundaries_of, per_body
+from adaptmg.mesh.geometry import distance_to_boundaries, require_simple
+from adaptmg.problem import Assembly, Ball, Box, Outline, Polygon, Rectangle, StepFile
+
+UPPER = Rectangle(width=1.0, height=0.5)
+LOWER = Rectangle(width=2.0, height=1.0, origin=(-0.5, -1.0))
+TWO = Assembly(parts={"upper": UPPER, "lower": LOWER})
+BOXES = Assembly(parts={"a": Box(width=1, depth=1, height=1), "b": Box(width=2, depth=1, height=1, origin=(0, 0, -1))})
+ANGLES = np.radians([0, 85, 200, 290])
+DISK = Outline(vertices=[(3 + math.cos(a), 5 + math.sin(a)) for a in ANGLES], boundaries=("a", "b", "a", "b"),
+               arcs=dict.fromkeys(range(4), (3.0, 5.0)))
+# arcs that turn both ways, straight edges that share a name with an arc and leave it along its tangent
+RING = Outline(vertices=((1, 0), (2, 0), (2, 1), (0, 3), (-1, 3), (-1, 2), (0, 1)),
+               boundaries=("x", "out", "out", "top", "y", "in", "in"), arcs={2: (0, 1), 6: (0, 0)})
+BALL_ON_BLOCK = Assembly(parts={
+    "ball": Outline(vertices=((0, 0), (8e-3, 8e-3), (0, 8e-3)), boundaries=("arc", "top", "axis"), arcs={0: (0, 8e-3)}),
+    "block": Rectangle(width=8e-3, height=8e-3, origin=(0, -8e-3))})
+
+
+def lengths(mesh: MeshArrays, boundary: str) -> np.ndarray:
+    a, b = mesh.points[mesh.boundary_facets(boundary)[:, :2]].transpose(1, 0, 2)
+    return np.linalg.norm(b - a, axis=1)
+
+
+def off_circle(mesh: MeshArrays, boundary: str, center: tuple[float, float], radius: float) -> float:
+    distance = np.linalg.norm(mesh.points[mesh.boundary_nodes(boundary)] - center, axis=1)
+    return np.abs(distance / radius - 1).max()
+
+
+class TestMerged:
+    @pytest.mark.parametrize("assembly", [TWO, BOXES], ids=["2D", "3D"])
+    def test_bodies_are_concatenated(self, assembly):
+        parts = {name: structured(part, 2 + i) for i, (name, part) in enumerate(assembly.parts.items())}
+        mesh = check_mesh(merged(parts), assembly.boundaries)
+        assert mesh.bodies == assembly.bodies and mesh.boundaries == assembly.boundaries
+        start = 0
+        for i, (name, part) in enumerate(parts.items()):
+            mine = mesh.elements[mesh.element_body == i]
+            np.testing.assert_array_equal(mine - start, part.elements)
+            np.testing.assert_array_equal(mesh.points[start:start + part.n_nodes], part.points)
+            for edge in part.boundaries:
+                np.testing.assert_array_equal(mesh.boundary_facets(f"{name}.{edge}") - start,
+                                              part.boundary_facets(edge))
+            start += part.n_nodes
+        assert start == mesh.n_nodes
+
+    def test_the_source_is_the_same_mesh(self):
+        import ngsolve
+
+        mesh = structured(TWO, {"upper": 3, "lower": (4, 2)})
+        source = mesh.source
+        assert source.nv == mesh.n_nodes and source.ne == len(mesh.elements)
+        assert source.GetMaterials() == TWO.bodies and source.GetBoundaries() == TWO.boundaries
+        normal, x = ngsolve.specialcf.normal(2), ngsolve.CF((ngsolve.x, ngsolve.y))
+        for body, area in (("upper", 0.5), ("lower", 2.0)):
+            inside = ngsolve.Integrate(1, source, definedon=source.Materials(body))
+            around = ngsolve.Integrate(normal * x, source, ngsolve.BND, definedon=source.Boundaries(f"{body}[.].*"))
+            assert inside == pytest.approx(area) and around == pytest.approx(2 * area)
+
+    def test_touching_bodies_share_no_node(self):
+        mesh = structured(TWO, {"upper": 2, "lower": (4, 2)})
+        upper, lower = (mesh.points[mesh.boundary_nodes(name)] for name in ("upper.bottom", "lower.top"))
+        assert len({tuple(p) for p in upper} & {tuple(p) for p in lower}) == 3
+        assert not set(mesh.boundary_nodes("upper.bottom")) & set(mesh.boundary_nodes("lower.top"))
+
+    @pytest.mark.parametrize(("meshes", "error", "message"), [
+        ({}, ValueError, "meshes is empty"),
+        ([structured(UPPER, 1)], TypeError, "meshes must map"),
+        ({"a.b": structured(UPPER, 1)}, ValueError, r"must not contain '\.'"),
+        ({"a": UPPER}, TypeError, r"meshes\['a'\] must be MeshArrays, got Rectangle"),
+        ({"a": structured(TWO, 1)}, ValueError, r"has 2 bodies \(upper, lower\)"),
+        ({"a": structured(UPPER, 1), "b": structured(BOXES.parts["a"], 1)}, ValueError, "same dimension"),
+    ])
+    def test_refuses(self, meshes, error, message):
+        with pytest.raises(error, match=message):
+            merged(meshes)
+
+    def test_an_unsound_part_is_found(self):
+        part = structured(UPPER, 2)
+        holed = MeshArrays(part.points, part.elements[1:], part.facets, part.facet_labels, part.boundaries)
+        with pytest.raises(ValueError, match=r"hole|no edge|belong"):
+            merged({"a": part, "b": holed})
+
+
+class TestStructured:
+    def test_divisions_by_body(self):
+        mesh = structured(TWO, {"lower": (4, 3), "upper": 2}, "left")
+        assert np.bincount(mesh.element_body).tolist() == [8, 24]
+        assert structured(TWO, 2).n_nodes == 18
+        alone = structured(LOWER, (4, 3), "left")
+        np.testing.assert_array_equal(mesh.points[9:], alone.points)
+
+    def test_nested(self):
+        coarse, fine = structured(BOXES, 1), structured(BOXES, {"a": 2, "b": 2})
+        for body in BOXES.bodies:
+            name = f"{body}.top"
+            on_coarse, on_fine = ({tuple(p) for p in m.points[m.boundary_nodes(name)]} for m in (coarse, fine))
+            assert on_coarse < on_fine
+
+    @pytest.mark.parametrize(("domain", "divisions", "error", "message"), [
+        (TWO, {"upper": 2}, ValueError, "divisions must name each body once: the bodies are 'upper', 'lower'"),
+        (TWO, {"upper": 2, "lower": 0}, ValueError, "divisions must be >= 1"),
+        (UPPER, {"upper": 2}, TypeError, "for an Assembly only"),
+        (DISK, 2, TypeError, "graded meshes other domains"),
+        (Assembly(parts={"disk": DISK}), 2, TypeError, "graded meshes other domains"),
+    ])
+    def test_refuses(self, domain, divisions, error, message):
+        with pytest.raises(error, match=message):
+            structured(domain, divisions)
+
+
+class TestOutline:
+    @pytest.mark.parametrize("size", [1.0, 0.2])
+    def test_nodes_lie_on_the_circle(self, size):
+        mesh = graded(DISK, size)
+        assert mesh.boundaries == ("a", "b") and mesh.bodies == ("body",)
+        assert max(off_circle(mesh, name, (3, 5), 1) for name in "ab") < 1e-15
+        assert lengths(mesh, "a").max() < 2 * math.sin(math.radians(35 / 2))
+        for vertex in DISK.vertices:
+            assert (mesh.points == vertex).all(axis=1).sum() == 1
+
+    def test_area_error_is_of_second_order(self):
+        errors = [math.pi - graded(DISK, h).volumes.sum() for h in (0.2, 0.1, 0.05)]
+        # chords of length h cut off h^2 / 6 of the area times 2 pi / 2 pi, whatever the inside looks like
+        assert all(3.3 < a / b < 4.7 for a, b in pairwise(errors))
+        assert errors[-1] == pytest.approx(math.pi / 6 * 0.05**2, rel=0.1)
+
+    @pytest.mark.parametrize("ratio", [1, 6, 100])
+    def test_mixed_edges(self, ratio):
+        mesh = check_mesh(graded(RING, 0.4, "in", ratio), RING.boundaries)
+        assert mesh.boundaries == ("x", "out", "top", "y", "in")
+        inner = mesh.points[mesh.boundary_nodes("in")]
+        arc = inner[inner[:, 0] > 0]
+        straight = inner[inner[:, 0] <= 0]
+        np.testing.assert_allclose(np.linalg.norm(arc, axis=1), 1, rtol=1e-15)
+        np.testing.assert_allclose(distance_to_boundaries(RING, ["in"], straight), 0, atol=1e-15)
+        outer = mesh.points[mesh.boundary_nodes("out")]
+        assert (outer[outer[:, 1] < 1, 0] == 2).all()
+        curved = outer[outer[:, 1] > 1]
+        np.testing.assert_allclose(np.linalg.norm(curved - [0, 1], axis=1), 2, rtol=1e-15)
+        relative = lengths(mesh, "in") * ratio / 0.4
+        assert relative.max() < 1.5 and relative.min() > 0.4
+        assert quality(mesh).min_angle > 15
+
+    def test_what_bisection_adds_lies_on_the_circle_too(self):
+        # beyond the ratio that Netgen takes
+        mesh = graded(DISK, 0.5, "a", 200)
+        assert max(off_circle(mesh, name, (3, 5), 1) for name in "ab") < 1e-15
+        assert lengths(mesh, "a").max() < 1.5 * 0.5 / 200 and lengths(mesh, "b").max() > 0.2
+        assert quality(mesh).min_angle > 15
+
+    def test_refine_near_stays_on_the_chords(self):
+        coarse = graded(DISK, 0.3)
+        fine = refine_near(coarse, "a")[-1]
+        assert fine.volumes.sum() == pytest.approx(coarse.volumes.sum(), rel=1e-14)
+        assert off_circle(fine, "a", (3, 5), 1) > 1e-3
+
+    def test_the_same_arguments_give_the_same_mesh(self):
+        first, second = (graded(RING, 0.4, "in", 40) for _ in range(2))
+        for name in ("points", "elements", "facets", "facet_labels"):
+            np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+    def test_without_arcs_it_meshes_like_a_polygon(self):
+        vertices, names = ((0, 0), (2, 0.5), (1, 2)), ("a", "b", "c")
+        one, other = (graded(kind(vertices=vertices, boundaries=names), 0.3, "b", 4) for kind in (Outline, Polygon))
+        np.testing.assert_allclose(one.points, other.points, atol=1e-15)
+        np.testing.assert_array_equal(one.facet_labels, other.facet_labels)
+
+    def test_distance(self):
+        points = np.array([[0.0, 0.0], [0.0, 0.5], [2.0, 2.0], [-1.0, -1.0]])
+        np.testing.assert_allclose(distance_to_boundaries(RING, ["in"], points),
+                                   [1, 0.5, math.sqrt(8) - 1, math.sqrt(5)])
+
+    def test_crossing_outlines_are_refused(self):
+        # the arc dips through the edge opposite
+        sickle = Outline(vertices=((0, 0), (4, 0), (4, 0.5), (0, 0.5)), boundaries=("b", "r", "t", "l"),
+                         arcs={2: (2, 4)})
+        with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 2 \('t'\) of the outline meet"):
+            require_simple(sickle)
+        with pytest.raises(ValueError, match="of the outline meet"):
+            graded(sickle, 0.5)
+        assert require_simple(RING) is None and require_simple(DISK) is None
+
+
+class TestGradedAssembly:
+    def test_each_body_is_meshed_apart(self):
+        mesh = graded(TWO, {"upper": 0.2, "lower": 0.4}, ("upper.bottom", "lower.top"), {"upper": 4, "lower": 2})
+        assert check_mesh(mesh, TWO.boundaries) is mesh and mesh.bodies == TWO.bodies
+        alone = merged({"upper": graded(UPPER, 0.2, "bottom", 4), "lower": graded(LOWER, 0.4, "top", 2)})
+        np.testing.assert_array_equal(mesh.points, alone.points)
+        np.testing.assert_array_equal(mesh.elements, alone.elements)
+        assert mesh.source.nv == mesh.n_nodes
+
+    def test_one_ratio_leaves_bodies_without_contact_alone(self):
+        mesh = graded(TWO, 0.4, "upper.bottom", 8)
+        assert lengths(mesh, "upper.bottom").max() < 0.08 and lengths(mesh, "lower.top").min() > 0.2
+
+    def test_names_that_begin_alike(self):
+        assert boundaries_of("a", ("a.top", "ab.top", "a.b.top", "top")) == ("top", "b.top")
+
+    def test_solids(self):
+        mesh = graded(Assembly(parts={"ball": Ball((0, 0, 1), 1.0), "box": BOXES.parts["b"]}), 0.8, "box.top", 2)
+        assert mesh.boundaries[0] == "ball.surface" and mesh.bodies == ("ball", "box")
+        on_ball = mesh.points[mesh.boundary_nodes("ball.surface")]
+        np.testing.assert_allclose(np.linalg.norm(on_ball - [0, 0, 1], axis=1), 1, rtol=1e-6)
+
+    def test_step_files(self, tmp_path):
+        from netgen import occ
+
+        low, up = occ.Box(occ.Pnt(0, 0, 0), occ.Pnt(10, 10, 10)), occ.Box(occ.Pnt(0, 0, 10), occ.Pnt(8, 8, 20))
+        for name, solid in (("low", low), ("up", up)):
+            solid.name = name
+            solid.faces.Max(occ.Z).name, solid.faces.Min(occ.Z).name = "top", "bottom"
+        occ.Compound([low, up]).WriteStep(str(tmp_path / "two.step"))
+        domain = StepFile(tmp_path / "two.step")
+        mesh = graded(domain, {"low": 8e-3, "up": 6e-3}, ("low.top", "up.bottom"), {"low": 3, "up": 1})
+        assert mesh.bodies == ("low", "up") and {"low.top", "up.bottom"} < set(mesh.boundaries)
+        assert 1.2 * np.median(lengths(mesh, "low.top")) < np.median(lengths(mesh, "up.bottom"))
+        fine = sized(domain, SizeNear([(0, 0, 10e-3)], size=1e-3, grading=0.5), 8e-3)
+        near = np.linalg.norm(fine.points - [0, 0, 10e-3], axis=1)
+        assert fine.volumes.sum() == pytest.approx(1.64e-6) and 1 < (near < 2e-3).sum() < 100
+        with pytest.raises(ValueError, match="not the body 'up' of a contact boundary"):
+            graded(domain, {"low": 8e-3}, "up.bottom", 2)
+        with pytest.raises(ValueError, match="contact_ratio must be >= 1"):
+            graded(domain, 8e-3, "up.bottom", 0.5)
+
+    @pytest.mark.parametrize(("arguments", "error", "message"), [
+        (({"upper": 1.0},), ValueError, "size must name each body once"),
+        (({"upper": 1.0, "lower": -1.0},), ValueError, "size must be > 0"),
+        ((1.0, "bottom", 2), ValueError, r"'bottom' does not exist; the boundaries are upper\.bottom"),
+        ((1.0, (), 2), ValueError, "contact_boundaries is empty"),
+        ((1.0, "upper.bottom", {"upper": 2, "lower": 2}), ValueError, "contact_boundaries is empty"),
+        ((1.0, "upper.bottom", 0.5), ValueError, "contact_ratio must be >= 1"),
+    ])
+    def test_refuses(self, arguments, error, message):
+        with pytest.raises(error, match=message):
+            graded(TWO, *arguments)
+
+    def test_a_single_body_takes_no_mapping(self):
+        with pytest.raises(TypeError, match="size must be a number"):
+            graded(UPPER, {"upper": 1.0})
+        with pytest.raises(TypeError, match="max_size must be a number"):
+            sized(UPPER, 1.0, {"upper": 1.0})
+
+
+class TestSizedAssembly:
+    def test_fine_where_balls_touch(self):
+        h, radius = 1e-5, 2e-4
+        mesh = sized(BALL_ON_BLOCK, SizeNear([(0.0, 0.0)], size=h, radius=radius), 1e-3)
+        for name in ("ball.arc", "block.top"):
+            facets = mesh.boundary_facets(name)
+            near = np.linalg.norm(mesh.points[facets].mean(axis=1), axis=1) < radius
+            assert near.sum() > 15 and 0.45 * h < lengths(mesh, name)[near].min()
+            assert lengths(mesh, name)[near].max() < 1.45 * h
+        assert off_circle(mesh, "ball.arc", (0, 8e-3), 8e-3) < 1e-15
+        assert mesh.n_nodes < 4000 and quality(mesh).min_angle > 15 and quality(mesh).h_max > 0.7e-3
+
+    def test_sizes_by_body(self):
+        mesh = sized(TWO, {"upper": 0.1, "lower": lambda x: 0.2 + 0 * x[:, 0]}, {"upper": 1.0, "lower": 2.0}, rounds=1)
+        fine, coarse = (np.median(mesh.element_sizes[mesh.element_body == i]) for i in (0, 1))
+        assert 0.07 < fine < 0.15 < coarse < 0.3
+        with pytest.raises(ValueError, match="size_function must name each body once"):
+            sized(TWO, {"upper": 0.1}, 1.0)
+
+    def test_size_near(self):
+        field = SizeNear([(0, 0), (4, 0)], size=0.1, radius=1.0, grading=0.5)
+        np.testing.assert_allclose(field(np.array([[0.5, 0], [2, 0], [4, 3]])), [0.1, 0.6, 1.1])
+        assert hash(field) == hash(SizeNear(((0.0, 0.0), (4.0, 0.0)), size=0.1, radius=1.0, grading=0.5))
+
+    @pytest.mark.parametrize(("points", "options", "message"), [
+        ([], {"size": 1.0}, "at least one point"),
+        ([(0, 0), (0, 0, 0)], {"size": 1.0}, "same dimension"),
+        ([(0, 0)], {"size": 0.0}, "size must be > 0"),
+        ([(0, 0)], {"size": 1.0, "radius": -1}, "radius must be >= 0"),
+        ([(0, 0)], {"size": 1.0, "grading": 2}, "grading must be at most 1"),
+        ([(0, math.nan)], {"size": 1.0}, "points must be finite"),
+    ])
+    def test_size_near_refuses(self, points, options, message):
+        with pytest.raises(ValueError, match=message):
+            SizeNear(points, **options)
+        with pytest.raises(ValueError, match="are 3D, the mesh is 2D"):
+            sized(UPPER, SizeNear([(0, 0, 0)], size=0.1), 1.0)
+
+
+class TestBisected:
+    @pytest.mark.parametrize("assembly", [TWO, BOXES], ids=["2D", "3D"])
+    def test_bodies_stay(self, assembly):
+        coarse = structured(assembly, 2)
+        fine, parents = bisect(coarse, coarse.element_body == 1)
+        assert fine.bodies == assembly.bodies and fine.boundaries == assembly.boundaries
+        np.testing.assert_array_equal(fine.points[:coarse.n_nodes], coarse.points)
+        # no parent of a new node lies on the body that was not marked
+        first = np.unique(coarse.elements[coarse.element_body == 0])
+        assert fine.n_nodes > coarse.n_nodes and not np.isin(parents[coarse.n_nodes:], first).any()
+
+    def test_refine_near_a_pair(self):
+        meshes = refine_near(structured(TWO, {"upper": 2, "lower": 4}), ("upper.bottom", "lower.top"), 2)
+        counts = [(len(m.boundary_facets("upper.bottom")), len(m.boundary_facets("lower.top"))) for m in meshes]
+        assert counts == [(2, 4), (4, 8), (8, 16)]
+
+
+def test_an_argument_for_each_body():
+    assert per_body("size", 2.0, ("a", "b")) == {"a": 2.0, "b": 2.0}
+    assert per_body("size", {"b": 1, "a": 2}, ("a", "b")) == {"a": 2, "b": 1}
+    with pytest.raises(ValueError, match="size names 'a', 'c'"):
+        per_body("size", {"a": 1, "c": 2}, ("a", "b"))

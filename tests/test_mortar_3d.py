@@ -1,0 +1,369 @@
+"""Mortar coupling in 3D: consistency, patch test, gaps, visibility; and the polygon kernels below it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull, Delaunay
+from scipy.spatial.transform import Rotation
+
+from adaptmg.discretisation import polygon_kernels as kernels
+from adaptmg.discretisation.facets import area_vectors
+from adaptmg.discretisation.interface import NEVER_FACING
+from adaptmg.discretisation.mortar_3d import mortar_3d
+from adaptmg.discretisation.surface_normals import surface_normals
+
+HERE = Path(__file__).parent
+DOWN, UP = False, True
+
+
+def square(n, seed, *, up, low=(0.0, 0.0), high=(1.0, 1.0), z=0.0):
+    """Random triangulation of a rectangle: points (m, 3) and facets whose normals point along +z or -z."""
+    rng = np.random.default_rng(seed)
+    side = np.linspace(0, 1, int(np.sqrt(n)) + 1)[:-1]
+    edges = [np.column_stack(c) for c in ((side, 0 * side), (0 * side + 1, side), (1 - side, 0 * side + 1),
+                                          (0 * side, 1 - side))]
+    plane = np.array(low) + np.concatenate([rng.random((n, 2)), *edges]) * (np.array(high) - low)
+    facets = Delaunay(plane).simplices
+    corners = plane[facets]
+    double = np.linalg.det(corners[:, 1:] - corners[:, :1])
+    facets, double = facets[np.abs(double) > 1e-12], double[np.abs(double) > 1e-12]
+    facets = np.where((double > 0)[:, None] == up, facets, facets[:, ::-1])
+    return np.column_stack([plane, np.full(len(plane), z)]), facets
+
+
+def regular(n, *, up):
+    """Square (-1, 1)^2 in n x n x 2 triangles."""
+    x = np.linspace(-1, 1, n + 1)
+    plane = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    facets = np.concatenate([np.column_stack([a, a + n + 1, a + n + 2]), np.column_stack([a, a + n + 2, a + 1])])
+    return plane, facets if up else facets[:, ::-1]
+
+
+def joined(slave, *masters):
+    """Points of all, slave facets, master facets."""
+    surfaces = (slave, *masters)
+    first = np.cumsum([0, *(len(points) for points, _ in surfaces)])
+    facets = [facets + offset for (_, facets), offset in zip(surfaces, first, strict=False)]
+    return np.concatenate([points for points, _ in surfaces]), facets[0], np.concatenate(facets[1:])
+
+
+def couple(points, slave, master, **options):
+    return mortar_3d(points, slave, master, surface_normals(points, slave), **options)
+
+
+def lumped(points, facets):
+    """Integral of each shape function over a surface."""
+    areas = np.linalg.norm(area_vectors(points, facets), axis=1)
+    return np.bincount(facets.ravel(), np.repeat(areas / 3, 3), minlength=len(points))
+
+
+def total(interface):
+    """M'1: what a unit pressure on the slave gives on the master (and takes from nodes that are followed)."""
+    return interface.coupling.T @ interface.weights
+
+
+def rigid(points, seed):
+    return points @ Rotation.random(random_state=seed).as_matrix().T + [0.3, -2.0, 1.0]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_matching_meshes_give_the_identity(seed):
+    top = square(80, seed, up=DOWN, z=0.1)
+    points, slave, master = joined(top, (top[0] - [0, 0, 0.1], top[1][:, ::-1]))
+    interface = couple(rigid(points, seed), slave, master)
+    n = len(top[0])
+    np.testing.assert_array_equal(interface.nodes, np.arange(n))
+    np.testing.assert_allclose(interface.coupling[:, n:].toarray(), np.eye(n), atol=1e-12)
+    assert interface.coupling.nnz == n
+    np.testing.assert_allclose(interface.gaps, 0.1, rtol=1e-12)
+    np.testing.assert_allclose(interface.weights, lumped(points, slave)[:n], rtol=1e-12)
+
+
+# the slave covers the same, a smaller or a larger rectangle than the master, or one that sticks out at two sides
+RECTANGLES = [((0, 0), (1, 1)), ((0.1, 0.2), (0.7, 0.9)), ((-0.3, -0.2), (1.4, 1.1)), ((0.35, -0.4), (1.5, 0.8))]
+
+
+@pytest.mark.parametrize("sizes", [(40, 70), (200, 40)])
+@pytest.mark.parametrize(("low", "high"), RECTANGLES)
+def test_flat_interfaces_pass_the_patch_test(low, high, sizes):
+    flat, slave, master = joined(square(sizes[0], 1, up=DOWN, low=low, high=high, z=0.2), square(sizes[1], 2, up=UP))
+    points = rigid(flat, 5)
+    interface = couple(points, slave, master)
+    assert np.abs(interface.coupling.sum(axis=1) - 1).max() < 1e-12
+    # linear fields are reproduced: the opposite point of a slave node is its projection, also outside the master
+    np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-12)
+    np.testing.assert_allclose(interface.gaps, 0.2, rtol=1e-12)
+    covered = np.prod(np.minimum(high, 1.0) - np.maximum(low, 0.0))
+    assert interface.weights.sum() == pytest.approx(covered, rel=1e-12)
+    np.testing.assert_allclose(total(interface), master_integrals(flat, master, low, high), atol=1e-12 * covered)
+
+
+def master_integrals(points, facets, low, high):
+    """Integrals of the shape functions of plane facets over a rectangle, by cutting along its sides."""
+    result = np.zeros(len(points))
+    for facet in facets:
+        pieces = [np.column_stack([points[facet, :2], np.eye(3)])]
+        for axis in (0, 1):
+            for bound, sign in ((low[axis], 1), (high[axis], -1)):
+                pieces = [part for piece in pieces for part in cut(piece, sign * (piece[:, axis] - bound))]
+        for piece in pieces:
+            area = 0.5 * abs(np.linalg.det(piece[1:, :2] - piece[0, :2]))
+            result[facet] += area * piece[:, 2:].mean(axis=0)
+    return result
+
+
+def cut(triangle, values):
+    """Triangles of the part of a triangle (rows: any affine data) with values >= 0."""
+    corners = []
+    for i in range(3):
+        j = (i + 1) % 3
+        if values[i] >= 0:
+            corners.append(triangle[i])
+        if values[i] * values[j] < 0:
+            t = values[i] / (values[i] - values[j])
+            corners.append((1 - t) * triangle[i] + t * triangle[j])
+    return [np.array([corners[0], *corners[i:i + 2]]) for i in range(1, len(corners) - 1)]
+
+
+@pytest.mark.parametrize("count", [1, 3, 25])
+def test_excluded_nodes_are_followed(count):
+    flat, slave, master = joined(square(50, 1, up=DOWN, z=0.2), square(70, 2, up=UP))
+    n = slave.max() + 1
+    excluded = np.random.default_rng(count).choice(n, count, replace=False)
+    points = rigid(flat, 1)
+    interface = couple(points, slave, master, excluded=[*excluded, len(points) - 1])
+    assert not np.isin(interface.nodes, excluded).any()
+    columns = np.unique(interface.coupling.nonzero()[1])
+    assert np.isin(columns, np.r_[excluded, np.arange(n, len(points))]).all()
+    assert np.abs(interface.coupling.sum(axis=1) - 1).max() < 1e-12
+    np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-12)
+    # a unit pressure on what has a multiplier left: the forces on both sides have the same sum and moment
+    carried = slave[~np.isin(slave, excluded).all(axis=1)]
+    forces = total(interface)
+    on_slave = lumped(points, carried)
+    np.testing.assert_allclose(interface.weights, on_slave[interface.nodes], rtol=1e-12)
+    np.testing.assert_allclose(-forces[excluded], on_slave[excluded], atol=1e-12)
+    assert forces[n:].sum() == pytest.approx(on_slave.sum(), rel=1e-12)
+    np.testing.assert_allclose(forces[n:] @ flat[n:, :2], on_slave @ flat[:, :2], rtol=1e-11)
+    # gap of u_a + sum_b D_ab/D_aa u_b
+    followed = -interface.coupling[:, excluded].sum(axis=1)
+    np.testing.assert_allclose(interface.gaps, 0.2 * (1 + followed), rtol=1e-11)
+
+
+def test_nodes_without_coverage_are_left_out():
+    points, slave, master = joined(square(100, 1, up=DOWN, high=(3, 1), z=0.1), square(30, 2, up=UP))
+    interface = couple(points, slave, master)
+    reached = np.unique(slave[(points[slave, 0] < 1).any(axis=1)])
+    np.testing.assert_array_equal(interface.nodes, reached)
+
+
+def test_a_plane_gap_is_exact_at_the_nodes():
+    flat, slave, master = joined(square(60, 3, up=DOWN), square(60, 4, up=UP, low=(-0.2, -0.2), high=(0.8, 1.3)))
+    points = flat.copy()
+    height = -0.2 + 0.3 * flat[:, 0] - 0.1 * flat[:, 1]
+    points[slave.max() + 1:, 2] = height[slave.max() + 1:]
+    interface = couple(rigid(points, 2), slave, master)
+    np.testing.assert_allclose(interface.gaps, -height[interface.nodes], atol=1e-12)
+
+
+def test_the_gap_of_a_sphere_over_a_plane_converges_with_second_order():
+    radius, errors = 3.0, {"plane": [], "sphere": []}
+    for n in (20, 40):
+        plane, lower = regular(n, up=UP)
+        other, upper = regular(n + n // 2 + 1, up=DOWN)
+        sag = radius - np.sqrt(radius**2 - np.sum(other**2, axis=1))
+        flat, ball = np.column_stack([1.5 * plane, 0 * plane[:, 0]]), np.column_stack([other, sag])
+        interface = couple(*joined((flat, lower), (ball, upper)))
+        inner = np.abs(flat[interface.nodes, :2]).max(axis=1) < 0.9
+        r2 = np.sum(flat[interface.nodes, :2]**2, axis=1)[inner]
+        errors["plane"].append(np.abs(interface.gaps[inner] - (radius - np.sqrt(radius**2 - r2))).max())
+        interface = couple(*joined((ball, upper), (flat, lower)))
+        # one-sided normals at the rim have errors of first order: away from it
+        inner = np.abs(ball[interface.nodes, :2]).max(axis=1) < 0.5
+        along = sag * radius / (radius - sag)
+        errors["sphere"].append(np.abs(interface.gaps - along[interface.nodes])[inner].max())
+    for found in errors.values():
+        assert found[0] / found[1] > 3.5 and found[1] < 4e-4
+
+
+def ball(n, radius, turn=0.0):
+    i = np.arange(n) + 0.5
+    polar, around = np.arccos(1 - 2 * i / n), np.pi * (1 + np.sqrt(5)) * i + turn
+    points = np.column_stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)])
+    facets = ConvexHull(points).simplices
+    inward = np.linalg.det(points[facets]) < 0
+    return radius * points, np.where(inward[:, None], facets[:, ::-1], facets)
+
+
+def test_closed_surfaces_are_covered_on_every_side():
+    inner, outer = ball(400, 1.0), ball(600, 1.05, 1.0)
+    outer = outer[0], outer[1][:, ::-1]
+    for slave, master, sign in ((inner, outer, 1), (outer, inner, 1), (inner, (0.9 * outer[0], outer[1]), -1)):
+        points, first, second = joined(slave, master)
+        interface = couple(points, first, second)
+        assert len(interface) == len(slave[0])
+        assert interface.weights.sum() == pytest.approx(np.linalg.norm(area_vectors(points, first), axis=1).sum())
+        assert (sign * interface.gaps > 0).all()
+        np.testing.assert_allclose(interface.gaps, 0.05 if sign > 0 else -0.055, atol=0.02)
+
+
+@pytest.mark.parametrize("fine", [10, 400])
+def test_the_nearest_of_several_masters_counts(fine):
+    # a wing in front of the left part of the master, something behind both, and something that faces away before them
+    slave = square(30, 1, up=DOWN, z=0.1)
+    masters = (square(60, 2, up=UP), square(fine, 3, up=UP, high=(0.37, 1), z=0.06), square(20, 4, up=UP, z=-0.3),
+               square(20, 5, up=DOWN, z=0.08))
+    points, slave, master = joined(slave, *masters)
+    interface = couple(points, slave, master)
+    assert interface.weights.sum() == pytest.approx(1, rel=1e-12)
+    assert interface.weights @ interface.gaps == pytest.approx(0.37 * 0.04 + 0.63 * 0.1, rel=1e-12)
+    first = np.cumsum([slave.max() + 1, *(len(points) for points, _ in masters)])
+    used = np.unique(interface.coupling.nonzero()[1])
+    assert used.max() < first[2]
+    np.testing.assert_allclose(total(interface)[first[1]:first[2]], lumped(points, master)[first[1]:first[2]],
+                               atol=1e-14)
+
+
+def test_any_soup_of_masters_is_sorted_by_sight():
+    """Random triangles over one slave triangle: area and mean gap are those of the nearest, sampled."""
+    rng = np.random.default_rng(3)
+    slave = np.array([[0.0, 0, 0], [0, 1, 0], [1, 0, 0]])
+    bary = np.array([(i, j, 119 - i - j) for i in range(120) for j in range(120 - i)]) / 119
+    at = (0.98 * bary + 0.02 / 3) @ slave[[0, 2, 1], :2]
+    for _ in range(20):
+        k = rng.integers(1, 12)
+        corners = np.concatenate([rng.uniform(-0.4, 1.2, (k, 3, 2)), rng.uniform(-0.3, -0.1, (k, 3, 1))], axis=2)
+        vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        corners[vectors[:, 2] < 0] = corners[vectors[:, 2] < 0][:, ::-1]
+        points = np.concatenate([slave, corners.reshape(-1, 3)])
+        nearest = np.full(len(at), np.inf)
+        for a, b, c in corners:
+            weights = np.linalg.solve(np.column_stack([b - a, c - a])[:2], (at - a[:2]).T).T
+            inside = (weights >= 0).all(axis=1) & (weights.sum(axis=1) <= 1)
+            height = a[2] + weights @ np.array([b[2] - a[2], c[2] - a[2]])
+            nearest[inside] = np.minimum(nearest[inside], -height[inside])
+        seen = np.isfinite(nearest)
+        # the normal of the slave is -z: height 0 looking down on the masters
+        interface = couple(points, np.array([[0, 1, 2]]), 3 + np.arange(3 * k).reshape(k, 3))
+        assert interface.weights.sum() == pytest.approx(0.5 * seen.mean(), abs=0.01)
+        assert interface.weights @ interface.gaps == pytest.approx(0.5 * np.where(seen, nearest, 0).mean(), abs=0.005)
+
+
+def test_reach_and_depth():
+    slave, low = square(30, 1, up=DOWN), square(30, 2, up=UP, z=-0.2)
+    points, first, second = joined(slave, low)
+    assert couple(points, first, second, reach=0.21).gaps == pytest.approx(0.2)
+    with pytest.raises(ValueError, match=NEVER_FACING):
+        couple(points, first, second, reach=0.19)
+    # overlap is found too, but not as deep as gaps are wide
+    points[second.min():, 2] = 0.2
+    assert couple(points, first, second).gaps == pytest.approx(-0.2)
+    points[second.min():, 2] = 0.8
+    with pytest.raises(ValueError, match=NEVER_FACING):
+        couple(points, first, second)
+    assert couple(points, first, second, reach=1.0).gaps == pytest.approx(-0.8)
+
+
+@pytest.mark.parametrize("width", [1e-3, 1e-4, 1e-6])
+def test_a_narrow_strip_of_coverage_is_stable(width):
+    flat, slave, master = joined(square(30, 7, up=DOWN, z=0.1), square(30, 8, up=UP, low=(-1, -0.1),
+                                                                      high=(width, 1.1)))
+    interface = couple(rigid(flat, 3), slave, master)
+    np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-10)
+    np.testing.assert_allclose(interface.gaps, 0.1, atol=1e-10)
+    assert interface.weights.sum() == pytest.approx(width, rel=1e-2)
+    with pytest.raises(ValueError, match="min_coverage"):
+        couple(rigid(flat, 3), slave, master, min_coverage=0.9)
+
+
+def test_what_does_not_fit_is_refused():
+    points, slave, master = joined(square(10, 1, up=DOWN, z=0.1), square(10, 2, up=UP))
+    normals = surface_normals(points, slave)
+    with pytest.raises(ValueError, match=NEVER_FACING):
+        mortar_3d(points, slave, master[:, ::-1], normals)
+    with pytest.raises(ValueError, match=NEVER_FACING):
+        mortar_3d(points + np.r_[np.tile([5.0, 0, 0], (slave.max() + 1, 1)), 0 * points[slave.max() + 1:]], slave,
+                  master, normals)
+    with pytest.raises(ValueError, match="normals must point out"):
+        mortar_3d(points, slave, master, -normals)
+    with pytest.raises(ValueError, match="share node"):
+        mortar_3d(points, slave, slave, normals)
+    with pytest.raises(ValueError, match="excluded"):
+        mortar_3d(points, slave, master, normals, excluded=range(len(points)))
+    with pytest.raises(ValueError, match="reach must be > 0"):
+        mortar_3d(points, slave, master, normals, reach=0.0)
+    with pytest.raises(ValueError, match="min_coverage"):
+        mortar_3d(points, slave, master, normals, min_coverage=np.nan)
+    with pytest.raises(ValueError, match=r"\(n_nodes, 3\)"):
+        mortar_3d(points[:, :2], slave, master, normals[:, :2])
+
+
+def test_clipping_is_symmetric_and_moments_are_exact():
+    rng = np.random.default_rng(0)
+    out, spare = np.empty((kernels.ROOM, 2)), np.empty((kernels.ROOM, 2))
+    first, second = np.empty(kernels.MOMENTS), np.empty(kernels.MOMENTS)
+    for clip in (kernels.clip, kernels.clip.py_func):
+        for coincident in (False, True):
+            a, b = (triangle[[0, 1, 2] if np.linalg.det(triangle[1:] - triangle[0]) > 0 else [0, 2, 1]]
+                    for triangle in rng.random((2, 3, 2)))
+            if coincident:
+                b = a[[1, 2, 0]] + 0.3 * (a[1] - a[0])
+            n = clip(a, 3, b, 3, out, spare)
+            kernels.polygon_moments(out, n, first)
+            kernels.polygon_moments(out, clip(b, 3, a, 3, out, spare), second)
+            np.testing.assert_allclose(first, second, atol=1e-14)
+    kernels.polygon_moments.py_func(np.array([[1.0, 1], [3, 1], [3, 2], [1, 2]]), 4, first)
+    np.testing.assert_allclose(first, [2, 2, 1.5, 4 / 12, 0, 1 / 12], atol=1e-15)
+
+
+def test_visible_and_hidden_parts_add_up():
+    rng = np.random.default_rng(1)
+    triangles = rng.random((40, 3, 2))
+    clockwise = np.linalg.det(triangles[:, 1:] - triangles[:, :1]) < 0
+    triangles[clockwise] = triangles[clockwise][:, ::-1]
+    stack, states = np.empty((100, 3, 2)), np.empty((100, 2), dtype=np.int64)
+    scratch = np.empty((2, kernels.ROOM, 2))
+    visible, common, whole = np.empty((3, kernels.MOMENTS))
+    for a, b in zip(triangles[::2], triangles[1::2], strict=True):
+        for add_visible in (kernels.add_visible, kernels.add_visible.py_func):
+            # given twice, the blocker hides no more than once
+            add_visible(a, 3, np.array([b, b]), np.array([0, 1]), 2, 1e-10, stack, states, scratch, visible)
+            kernels.polygon_moments(scratch[0], kernels.clip(a, 3, b, 3, scratch[0], scratch[1]), common)
+            kernels.polygon_moments(a, 3, whole)
+            assert visible[0] + common[0] == pytest.approx(whole[0], abs=1e-14)
+            np.testing.assert_allclose(visible[0] * visible[1:3] + common[0] * common[1:3], whole[0] * whole[1:3],
+                                       atol=1e-14)
+
+
+SCRIPT = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from test_mortar_3d import small
+import numpy as np
+assert "ngsolve" not in sys.modules
+np.savez(sys.argv[2], **small())
+"""
+
+
+def small():
+    """Every kernel on little input."""
+    points, slave, master = joined(square(5, 1, up=DOWN, low=(-0.2, 0), z=0.1), square(6, 2, up=UP),
+                                   square(3, 3, up=UP, high=(0.4, 1), z=0.05))
+    interface = couple(rigid(points, 4), slave, master, excluded=[3])
+    return {"coupling": interface.coupling.toarray(), "gaps": interface.gaps, "weights": interface.weights}
+
+
+def test_kernels_without_jit(tmp_path):
+    path = tmp_path / "results.npz"
+    subprocess.run([sys.executable, "-W", "error::RuntimeWarning", "-c", SCRIPT, str(HERE), str(path)],
+                   env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, check=True)
+    plain = np.load(path)
+    for key, value in small().items():
+        np.testing.assert_allclose(plain[key], value, atol=1e-12, err_msg=key)
