@@ -21,6 +21,7 @@ from adaptmg.multigrid.coarse_levels import coarse_levels, nodal_prolongations
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
 from adaptmg.solver.fallback import Fallback
 from adaptmg.solver.run import Outcome, Run
@@ -107,16 +108,21 @@ class TruncatedMachine:
     def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
         with self.run.phase("setup"):
             problem, levels = self.problems[number], self.cycle.levels
-            obstacle = Obstacle.of(problem, levels[number])
-            obstacle.place(unknowns)
-            runner = TruncatedCycle(self.cycle, number, obstacle, _load(problem), unknowns,
-                                    self.options.correction.recombine)
+            runner = self._cycle_on(problem, self.cycle, number, unknowns)
             if number == len(levels) - 1:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:]:
                     level.drop_diagonal()
             self.nbytes = self.cycle.nbytes + runner.nbytes
             return runner
+
+    def _cycle_on(self, problem: DiscreteProblem, cycle: LinearCycle, number: int,
+                  unknowns: np.ndarray) -> TruncatedCycle:
+        """Cycles for a problem on level ``number`` of a linear cycle, from ``unknowns`` (n_dofs,)."""
+        obstacle, load = Obstacle.of(problem, cycle.levels[number]), _load(problem)
+        obstacle.place(unknowns)
+        return TruncatedCycle(cycle, number, obstacle, load, unknowns, self.options.correction.recombine,
+                              RigidMotions.of(problem, obstacle, load))
 
     def _start_cycles(self, runner: TruncatedCycle, number: int, start: NestedStart) -> None:
         """The cycles of a nested start on one level."""
@@ -137,9 +143,7 @@ class TruncatedMachine:
         cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1))
         unknowns = np.zeros(problem.n_dofs)
         with self.run.phase("start"):
-            obstacle = Obstacle.of(problem, level)
-            obstacle.place(unknowns)
-            runner = TruncatedCycle(cycle, 1, obstacle, _load(problem), unknowns, self.options.correction.recombine)
+            runner = self._cycle_on(problem, cycle, 1, unknowns)
             self._cycles(runner, TruncatedWatch(problem, start.rtol), True, self.COMPLETE_LIMIT, None)
         return runner.unknowns
 
