@@ -87,6 +87,7 @@ class Fallback:
             outcome = solver.run(self.hierarchy, self.run, start)
         except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
             _LOG.info("cycle %d: the active set method gives up: %s", before.cycles, error)
+            self.run.first_cycle, self.run.fallback = 0, ""
             return before
         finally:
             self.run.start_work_units = start_work_units
