@@ -175,7 +175,7 @@ class TestContactNodes:
         facets = np.vstack([PLATE.facets, [[0, 1], [1, 0]]])
         labels = np.r_[PLATE.facet_labels, 4, 4]
         mesh = MeshArrays(PLATE.points, PLATE.elements, facets, labels, (*PLATE.boundaries, "crack"))
-        with pytest.raises(ValueError, match="'crack' has no normal at node 0"):
+        with pytest.raises(ValueError, match="contact boundary 'crack': the surface has no normal at node 0"):
             contact_nodes(plane_problem(contact=Contact("crack", TOUCHING), loads=()), mesh)
 
     def test_obstacle_of_ones_own_with_wrong_shapes(self):

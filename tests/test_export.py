@@ -108,7 +108,7 @@ def test_vtk_leaves_initial_strains_out_of_the_stress(tmp_path):
                               contact=am.ContactPair("upper.bottom", "lower.top"))
     free = dataclasses.replace(result, mesh=moved, displacement=u)
     vtk(free, tmp_path / "r.vtu", posed)
-    assert np.abs(meshio.read(tmp_path / "r.vtu").cell_data_dict["von_mises"]["triangle"]).max() < 1e-4 * 2e8
+    assert np.abs(meshio.read(tmp_path / "r.vtu").cell_data_dict["stress"]["triangle"]).max() < 1.0
     vtk(free, tmp_path / "r.vtu", material)
     assert meshio.read(tmp_path / "r.vtu").cell_data_dict["stress"]["triangle"].max() > 1e8
 

@@ -11,8 +11,9 @@ import adaptmg as am
 from adaptmg.discretisation.load_steps import load_steps, whole_load
 from adaptmg.mesh import structured
 from adaptmg.mesh.assembled import merged
+from adaptmg.solver import step_solvers, truncated_machine
 from adaptmg.solver.load_path import StepNotConverged
-from adaptmg.solver.path_machine import coarse_displacements
+from adaptmg.solver.path_machine import PathMachine, coarse_displacements
 
 FINE = am.FullMultigrid(rtol=1e-11)
 EXACT = am.ActiveSet(rtol=1e-12)
@@ -126,7 +127,8 @@ class TestSteps:
         assert np.abs(results[-1].contact.u_t).max() > 0.05 * np.abs(results[1].contact.u_t).max()
 
     @pytest.mark.parametrize("solver", [FINE, am.Multigrid(rtol=1e-11),
-                                        am.FullMultigrid(correction=am.Monotone(), rtol=1e-11)], ids=str)
+                                        am.FullMultigrid(correction=am.Monotone(), rtol=1e-11)],
+                             ids=["nested", "cold", "monotone"])
     def test_agrees_with_the_active_set(self, rough, solver):
         exact = am.solve_path(rough, CYCLE, EXACT)
         for result, wanted in zip(am.solve_path(rough, CYCLE, solver), exact, strict=True):
@@ -195,10 +197,18 @@ class TestHistory:
         # nothing acts any more
         assert results.complete and not results[3].displacement.any()
 
-    @pytest.mark.parametrize("solver", [am.Multigrid(), EXACT, am.SingleGrid()], ids=str)
+    @pytest.mark.parametrize("solver", [am.Multigrid(), EXACT, am.SingleGrid()], ids=["cold", "exact", "single"])
     def test_unloaded_is_undeformed(self, solver):
-        results = am.solve_path(pulled(), am.LoadPath(default=[0, 1, 0]), solver)
+        results = am.solve_path(pulled(), am.LoadPath(default=[0, 1, 0.3 - 3 * 0.1, 1]), solver)
+        assert results.complete
         assert not results[0].displacement.any() and not results[2].displacement.any()
+        np.testing.assert_allclose(results[2].contact.slip, -results[1].contact.u_t)
+        assert distance(results[3], results[1]) <= 1e-6
+
+    def test_unloaded_is_not_undeformed_where_friction_holds_by_itself(self):
+        results = am.solve_path(pulled(am.Tresca(2e6)), am.LoadPath(default=[1, 0]), FINE)
+        exact = am.solve_path(pulled(am.Tresca(2e6)), am.LoadPath(default=[1, 0]), EXACT)
+        assert results[1].displacement.any() and distance(results[1], exact[1]) <= 1e-8
 
     def test_loads_of_bodies(self):
         problem = replace(pulled().problem, loads=(am.BodyForce((1e7, 0.0)), am.BodyForce((0.0, -1e7), body="body"),
@@ -332,7 +342,8 @@ def kill_after(step: int):
 
 class TestStore:
     @pytest.mark.parametrize("solver", [am.FullMultigrid(), am.Multigrid(), EXACT,
-                                        am.FullMultigrid(rtol="discretisation")], ids=str)
+                                        am.FullMultigrid(rtol="discretisation")],
+                             ids=["nested", "cold", "exact", "discretisation"])
     @pytest.mark.parametrize("grids", ["rough", "bodies"])
     def test_an_interrupted_path_goes_on(self, grids, solver, tmp_path, request):
         grids = request.getfixturevalue(grids)
@@ -446,8 +457,16 @@ class TestResult:
         assert {k for k, _ in rows} == {0, 1}
 
     def test_when_the_fast_cycle_gives_up_the_path_goes_on(self, rough, cycle, monkeypatch):
-        from adaptmg.solver import truncated_machine
+        made = []
 
+        class Counted(PathMachine):
+            def __init__(self, *arguments: object) -> None:
+                made.append(self)
+                super().__init__(*arguments)
+
+        monkeypatch.setattr(step_solvers, "PathMachine", Counted)
         monkeypatch.setattr(truncated_machine.TruncatedWatch, "stalled", property(lambda watch: True))
         results = am.solve_path(rough, CYCLE, FINE)
         assert distance(results[-1], cycle[-1]) <= 1e-8
+        # what a cycle that ran away leaves behind is not used again
+        assert len(made) == len(CYCLE) and all(machine.spent for machine in made)

@@ -20,6 +20,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot.flattened import flattened
 from adaptmg.plot.line import arcs_of
 from adaptmg.plot.states import STATE_INKS
+from adaptmg.plot.surface import Surface
 from adaptmg.plot.walks import walks
 from adaptmg.smoother.state import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
@@ -189,6 +190,12 @@ def test_stress_is_that_of_each_body_in_megapascal(result, materials):
     stress = von_mises(full_stress(result.mesh, materials, result.displacement))
     bar = next(ax for ax in figure.axes if ax.get_ylabel() == "von Mises stress [MPa]")
     assert bar.get_ylim()[1] == pytest.approx(1e-6 * stress.max())
+    if result.dim == 3:
+        # rubber low, steel high: each facet shows the element behind it
+        (surface,) = plot.deformation(result, 0, stress=True, problem=materials).findobj(Surface)
+        lower = surface.corners.mean(axis=1)[:, 2] < -1.0
+        assert lower.any() and np.ptp(surface.colors[lower], axis=(0, 1)).max() < 0.05
+        assert np.abs(surface.colors[~lower].mean(axis=(0, 1)) - surface.colors[lower].mean(axis=(0, 1))).max() > 0.3
     with pytest.raises(ValueError, match="needs the materials"):
         plot.deformation(result, stress=True)
     with pytest.raises(ValueError, match="no material for body 'lower'"):

@@ -69,3 +69,17 @@ def test_a_surface_shows_the_front_of_a_body_from_wherever_it_is_seen():
         image, _, _ = surface.raster(1.0)
         middle = image[image.shape[0] // 2, image.shape[1] // 2]
         assert middle[3] == 255 and middle[0] == round(255 * tints[front])
+
+
+def test_the_light_comes_from_above_and_from_the_left():
+    mesh = cube(1, 1.0)
+    corners = mesh.points[mesh.facets]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    ax = plt.figure().add_subplot(projection="3d")
+    surface = Surface(corners, np.ones((len(corners), 4)), shading=0.5)
+    ax.add_artist(surface)
+    # of the faces seen, -y lies to the left and +x to the right
+    ax.view_init(elev=30, azim=-45)
+    left, right, top = (surface._shaded()[np.argmax(normals @ direction), 0, 0]
+                        for direction in ((0, -1, 0), (1, 0, 0), (0, 0, 1)))
+    assert 0.5 <= right < left < top <= 1.0

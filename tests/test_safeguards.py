@@ -8,6 +8,9 @@ import pytest
 import adaptmg as am
 from adaptmg.multigrid.halves import split
 from adaptmg.multigrid.linear_cycle import CoarseFactors
+from adaptmg.multigrid.rigid_motions import RigidMotions
+from adaptmg.solver import fallback
+from adaptmg.solver.fallback import Fallback
 from adaptmg.solver.run import Outcome
 
 
@@ -33,6 +36,67 @@ def test_a_body_held_by_contact_alone(grids, solver):
     difference = np.abs(result.displacement - exact.displacement).max()
     assert difference < 1e-5 * np.abs(exact.displacement).max()
     assert result.residual < 1e-7
+
+
+def nearly_sliding(dim, law, held):
+    """No support at all, and sideways so much that nearly all nodes slip: ``held`` of what friction can take."""
+    pressure, area = (5e7, 1.0)
+    push = held * (law.friction * pressure if isinstance(law, am.Coulomb) else law.limit * area)
+    case = am.cases.greco_bar() if dim == 2 else am.cases.greco_block()
+    return replace(case, supports=(), law=law, reference={},
+                   loads=(am.Pressure("top", pressure), am.Pressure("left", 1.5e8 + push), am.Pressure("right", 1.5e8)))
+
+
+SLIDES = [(2, am.Coulomb(0.3), 0.99, (4, 8, 16, 32)), (2, am.Tresca(2e7), 0.98, (4, 8, 16, 32)),
+          (2, am.Coulomb(1.0), 0.95, (4, 8, 16, 32)), (3, am.Coulomb(0.3), 0.95, (2, 4, 8))]
+
+
+@pytest.mark.parametrize("solver", [am.FullMultigrid(), am.Multigrid()])
+@pytest.mark.parametrize(("dim", "law", "held", "divisions"), SLIDES)
+def test_a_body_that_nearly_slides_takes_no_more_cycles_than_others(dim, law, held, divisions, solver):
+    hierarchy = am.Hierarchy.uniform(nearly_sliding(dim, law, held), divisions=divisions)
+    exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12))
+    result = am.solve(hierarchy, solver, reference=exact)
+    assert result.cycles <= 30 and "then" not in result.solver_name
+    assert result.history["true_error"][-1] < 1e-7
+
+
+@pytest.fixture
+def without_motions(monkeypatch):
+    monkeypatch.setattr(RigidMotions, "of", classmethod(lambda cls, problem, obstacle, load: None))
+
+
+GRIDS_THAT_FAIL = {"nested": lambda: am.Hierarchy.uniform(nearly_sliding(2, am.Tresca(2e7), 0.98), (4, 8, 16, 32))}
+GRIDS_THAT_FAIL["only spaces"] = lambda: am.Hierarchy.algebraic(GRIDS_THAT_FAIL["nested"]().finest.discrete)
+
+
+@pytest.mark.usefixtures("without_motions")
+@pytest.mark.parametrize("grids", GRIDS_THAT_FAIL)
+def test_the_active_set_method_takes_over(grids):
+    hierarchy = GRIDS_THAT_FAIL[grids]()
+    result = am.solve(hierarchy, am.Multigrid())
+    assert "then ActiveSet from cycle" in result.solver_name
+    assert result.history["cycle"][-1] == result.cycles
+    exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12)).displacement
+    assert np.abs(result.displacement - exact).max() < 1e-8 * np.abs(exact).max()
+
+
+@pytest.mark.usefixtures("without_motions")
+@pytest.mark.parametrize("reason", ["too large", "gives up"])
+def test_the_monotone_correction_takes_over_from_what_cannot(reason, monkeypatch):
+    if reason == "too large":
+        monkeypatch.setattr(Fallback, "FACTORISED", {2: 0, 3: 0})
+    else:
+        def singular(self, hierarchy, run, start):
+            raise np.linalg.LinAlgError("singular")
+        monkeypatch.setattr(fallback.ActiveSet, "run", singular)
+    result = am.solve(GRIDS_THAT_FAIL["nested"](), am.Multigrid(), throw=False)
+    assert "then Monotone from cycle" in result.solver_name
+    # slow, but on its way, and not in silence
+    assert result.residual < 1e-2 and result.status.ok == (result.residual <= 1e-7)
+    if reason == "gives up":
+        spaces = am.solve(GRIDS_THAT_FAIL["only spaces"](), am.Multigrid(), throw=False)
+        assert not spaces.status.ok and "then" not in spaces.solver_name
 
 
 @dataclass(frozen=True)

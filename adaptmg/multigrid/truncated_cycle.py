@@ -12,6 +12,7 @@ from adaptmg.multigrid.interface import Interface
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.recombination import Recombination
+from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncation import Truncation
 
 __all__ = ["Look", "TruncatedCycle"]
@@ -55,18 +56,20 @@ class TruncatedCycle:
         Start, Cartesian, counted from the prescribed values; admissible.
     depth : int
         Of the recombination.
+    motions : RigidMotions, optional
+        Those that contact alone holds.
     interface_sweeps : int
         Local sweeps near contact after each smoothing.
     """
 
     def __init__(self, cycle: LinearCycle, number: int, obstacle: Obstacle, load: np.ndarray, unknowns: np.ndarray,
-                 depth: int, interface_sweeps: int = 0) -> None:
+                 depth: int, motions: RigidMotions | None = None, interface_sweeps: int = 0) -> None:
         self.cycle, self.number, self.obstacle, self.load = cycle, number, obstacle, load
         self.level, self.below = cycle.levels[number], cycle.levels[number - 1]
         self.truncation = Truncation(cycle.levels[:number + 1], cycle.prolongations[:number], obstacle)
         self.recombination = Recombination(self.below.dim, self.below.n_dofs, depth)
         self._components = self.level.n_dofs // cycle.prolongations[number - 1].shape[0]
-        self.unknowns = unknowns
+        self.unknowns, self.motions = unknowns, motions
         self._past = [np.zeros_like(unknowns), np.zeros_like(unknowns)]
         self.defect = np.zeros_like(unknowns)
         self.cuts = 0
@@ -89,7 +92,10 @@ class TruncatedCycle:
         return float(np.sqrt(dot(forces, forces)))
 
     def smooth(self) -> None:
-        """A backward and a forward projected sweep, 1.5 passes, and local ones; leaves f - A u in ``defect``."""
+        """A backward and a forward projected sweep, 1.5 passes, and local ones; leaves f - A u in ``defect``.
+
+        Rigid motions that the contact status then leaves free go to the least energy.
+        """
         level, o, sweeps = self.level, self.obstacle, _SWEEPS[self.level.dim]
         sweeps.backward(*level.lower_arrays, *level.upper_arrays, level.inverse, self.load, o.contact_of, *o.node_data,
                         self.unknowns, self.defect)
@@ -102,6 +108,8 @@ class TruncatedCycle:
             _LOCAL[level.dim](order, *level.lower_arrays, *level.upper_arrays, level.inverse, o.diagonal,
                               o.contact_of, *o.node_data, self.unknowns, self.defect)
             self.cycle.recorder.count(1.0, self.interface.nonzeros)
+        if self.motions is not None:
+            self.motions.settle(self.unknowns, self._past, self.defect)
 
     def look(self, safe: bool, trusted: float = np.inf) -> Look:
         """Find the status, truncate and restrict the residual; the matrices below follow the status.

@@ -13,7 +13,8 @@ __all__ = ["filled_path", "walks"]
 def walks(edges: np.ndarray) -> list[np.ndarray]:
     """Join oriented edges (n, 2) to walks of nodes, each edge used once.
 
-    Open walks come first, by the number of their first node; then rings, whose last node is their first.
+    Open walks come first, by the number of their first node; then rings, whose last node is their first (rings that
+    touch in a node are one).
 
     Parameters
     ----------
@@ -35,17 +36,12 @@ def walks(edges: np.ndarray) -> list[np.ndarray]:
         walk = [start]
         while following[walk[-1]]:
             walk.append(following[walk[-1]].pop())
-            if walk[-1] == start:
-                break
         return np.array(walk)
 
     nodes = sorted(following)
     found = [walk_from(node) for node in nodes for _ in range(max(surplus[node], 0))]
-    for node in nodes:
-        # more than once where rings touch
-        while following[node]:
-            found.append(walk_from(node))
-    return found
+    # what is left enters each node as often as it leaves it: a walk ends only where it began
+    return found + [walk_from(node) for node in nodes if following[node]]
 
 
 def filled_path(points: np.ndarray, rings: list[np.ndarray]) -> Path:

@@ -25,6 +25,8 @@ DEFAULT = "default"
 
 Factors = float | Sequence[float]
 
+_ROUNDING = 1e-14
+
 
 @dataclass(frozen=True, eq=False)
 class LoadPath:
@@ -35,6 +37,7 @@ class LoadPath:
     factors : mapping of str to float or sequence of float
         Factor of each step, by name: a boundary (all loads and prescribed displacements there), a body (its
         InitialStrain and BodyForce) or "body force" (body forces of all bodies). A single number holds in all steps.
+        Factors below 1e-14 of the largest of their sequence, what rounding leaves of zero, become zero.
     default : float or sequence of float
         Factor of what is not named.
 
@@ -129,7 +132,11 @@ def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
 
 def _factors(name: str, value: Factors) -> np.ndarray:
     """A finite array of no or one dimension."""
-    return np.array(checks.number(name, value)) if np.ndim(value) == 0 else checks.vector(name, value)
+    if np.ndim(value) == 0:
+        return np.array(checks.number(name, value))
+    result = np.array(checks.vector(name, value))
+    result[np.abs(result) <= _ROUNDING * np.abs(result).max(initial=0.0)] = 0.0
+    return result
 
 
 def _spread(value: np.ndarray, steps: int) -> np.ndarray:

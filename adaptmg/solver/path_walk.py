@@ -20,9 +20,10 @@ from adaptmg.solver.path_machine import coarse_displacements, lifted_load
 from adaptmg.solver.path_store import fingerprint
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_of import result_of
-from adaptmg.solver.run import Run, Solver
+from adaptmg.solver.run import Outcome, Run, Solver
 from adaptmg.solver.solve import label
 from adaptmg.solver.statics import check_statics
+from adaptmg.solver.status import Status
 from adaptmg.solver.step_solvers import Past, past_of, step_solver
 
 __all__ = ["PathWalk"]
@@ -92,9 +93,13 @@ class PathWalk:
             past = replace(self.past, extrapolated=self._extrapolated(forces))
         with run.phase("statics"):
             self._check_statics(k, grids)
-        outcome, coarse = self.method.run(grids, self.local, run, past)
+        if self._at_rest():
+            result, coarse = self._undeformed(grids, run), None
+        else:
+            outcome, coarse = self.method.run(grids, self.local, run, past)
+            with run.phase("result"):
+                result = result_of(grids, self.local, run, outcome, label(self.solver))
         with run.phase("result"):
-            result = result_of(grids, self.local, run, outcome, label(self.solver))
             self._remember(grids, result, forces, coarse)
         _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,
                   result.cycles)
@@ -106,8 +111,24 @@ class PathWalk:
         if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
             raise ValueError(f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
                              f"{grids.finest.n_nodes}")
-        coarse = self.method.replay(grids, self.past, result.rtol)
+        moved = result.displacement.any()
+        coarse = self.method.replay(grids, self.past, result.rtol) if moved else None
         self._remember(grids, result, lifted_load(grids.finest.discrete), coarse)
+
+    def _at_rest(self) -> bool:
+        """Whether nothing acts, and the undeformed bodies are a solution."""
+        contact, quiet = self.local.contact, not (self.local.load.any() or self.local.discrete.fixed_values.any())
+        slid = np.abs(contact.slip_reference).any(axis=1)
+        return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
+
+    def _undeformed(self, grids: Hierarchy, run: Run) -> Result:
+        """The result of a step in which nothing acts: no method could tell the relative error of its iterates."""
+        rtol = getattr(self.solver, "rtol", None)
+        outcome = Outcome(np.zeros(self.local.system.n_dofs), Status.CONVERGED, 0,
+                          float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0)
+        result = result_of(grids, self.local, run, outcome, label(self.solver))
+        # all forces vanish: a relative residual would be rounding over nothing
+        return replace(result, status=Status.CONVERGED, residual=0.0)
 
     def _posed(self, k: int) -> Hierarchy:
         """The hierarchy with loads, prescribed values and slip references of a step."""

@@ -135,6 +135,7 @@ class Result:
     levels : list of dict
         The table of the hierarchy.
     problem_name, solver_name : str
+        The solver as it was asked for, and what took over if it did not converge.
     mesh : MeshArrays or None
         Finest mesh (without its NGSolve source after loading).
     start_work_units : float

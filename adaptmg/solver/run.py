@@ -47,6 +47,8 @@ class Run:
         The part of ``work_units`` of the nested start.
     first_cycle : int
         Cycles done by another method before the one that records now.
+    fallback : str
+        The method that took over from the one asked for, and after how many cycles; empty if none did.
     """
 
     unit: int
@@ -60,6 +62,7 @@ class Run:
     start_work_units: float = 0.0
     untimed_seconds: float = 0.0
     first_cycle: int = 0
+    fallback: str = ""
 
     #: entries of ``path`` kept; a run of thousands of cycles repeats itself
     PATH_LIMIT = 100_000

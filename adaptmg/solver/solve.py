@@ -83,7 +83,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
                     status=status, cycles=outcome.cycles, contact=contact_result(local, unknowns, solved),
                     work_units=run.work_units, residual=residual, error_estimate=outcome.error_estimate,
                     rate=outcome.rate, rtol=outcome.rtol, history=history, timings=run.timings, path=run.path,
-                    levels=grids.table(), problem_name=_problem_name(grids), solver_name=label(solver),
+                    levels=grids.table(), problem_name=_problem_name(grids), solver_name=_solver_name(solver, run),
                     mesh=grids.finest.mesh, start_work_units=run.start_work_units, versions=versions())
     if throw and not result.status.ok:
         raise NotConverged(result)
@@ -101,6 +101,10 @@ def label(option: object) -> str:
         if item.repr and (default is MISSING or value != default):
             shown.append(f"{item.name}={label(value)}")
     return f"{type(option).__name__}({', '.join(shown)})"
+
+
+def _solver_name(solver: Solver, run: Run) -> str:
+    return f"{label(solver)}, then {run.fallback}" if run.fallback else label(solver)
 
 
 def _confirmed(outcome: Outcome, residual: float) -> Status:

@@ -75,12 +75,9 @@ class _Restarted:
         self.first, self.later = first, later
 
     def run(self, hierarchy: Hierarchy, local: LocalProblem, run: Run, past: Past) -> tuple[Outcome, None]:
-        if _unloaded(local):
-            start = np.zeros(local.system.n_dofs)
-        elif past.given:
-            start = _better(local, past, run)
-        else:
+        if not past.given:
             return self.first.run(hierarchy, run, None), None
+        start = _better(local, past, run)
         return self.later.run(hierarchy, run, start.reshape(local.discrete.n_nodes, -1)), None
 
     def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> None:
@@ -110,8 +107,6 @@ class _KeptTruncated:
                     start = past.extrapolated
         else:
             start = _better(local, past, run) if past.given else np.zeros(local.system.n_dofs)
-        if _unloaded(local):
-            start, cold = np.zeros_like(start), True
         outcome = machine.finish(from_prescribed(local.discrete, start), cold)
         self._hold(outcome.rtol)
         return outcome, coarse
@@ -158,12 +153,6 @@ def _better(local: LocalProblem, past: Past, run: Run) -> np.ndarray:
     """The displacement of the step before or the extrapolated one, whichever has the smaller natural residual."""
     with run.phase("start"):
         return min(past.levels[-1], past.extrapolated, key=lambda displacement: _residual(local, displacement))
-
-
-def _unloaded(local: LocalProblem) -> bool:
-    """Whether nothing acts and the undeformed body is a solution, whose relative error no iterate could tell."""
-    quiet = not (local.load.any() or local.discrete.fixed_values.any())
-    return quiet and relative_residual(local, np.zeros(local.system.n_dofs)) == 0.0
 
 
 def past_of(hierarchy: Hierarchy, displacement: np.ndarray, given: bool) -> Past:

@@ -4,12 +4,11 @@ The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the ne
 error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last
 three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with the natural residual, which every
 smoothing leaves behind, it decides when to stop, at no further pass over a matrix. Where safe cycles do not help either
-(friction of 3, say), the monotone correction takes over for the cycles that are left.
+(friction of 3, say), a :class:`~adaptmg.solver.fallback.Fallback` takes over for the cycles that are left.
 """
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -20,11 +19,12 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.coarse_levels import coarse_levels, nodal_prolongations
 from adaptmg.multigrid.linear_cycle import LinearCycle
-from adaptmg.multigrid.monotone import Monotone
-from adaptmg.multigrid.nested import NestedStart, project
+from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
-from adaptmg.solver.machine import Machine
+from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.fallback import Fallback
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.status import Status
 from adaptmg.solver.truncated_watch import TruncatedWatch
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from adaptmg.solver.multigrid import Multigrid
 
 __all__ = ["TruncatedMachine"]
-
-_LOG = logging.getLogger(__name__)
 
 
 class TruncatedMachine:
@@ -103,45 +101,33 @@ class TruncatedMachine:
         with self.run.phase("cycles"):
             watch = TruncatedWatch(self.problems[-1], self.options.rtol, self.run)
             status, cycles = self._cycles(runner, watch, cold, self.options.max_cycles, start)
-        if self._may_fall_back and status in (Status.STALLED, Status.DIVERGED) and cycles < self.options.max_cycles:
-            return self._monotone(runner, watch, cycles)
         displacement = (runner.unknowns + self.problems[-1].fixed_values).reshape(-1, self.problems[-1].dim)
-        return Outcome(displacement, status, cycles, watch.rtol, watch.error_estimate, watch.rate)
-
-    @property
-    def _may_fall_back(self) -> bool:
-        """Whether there is something to fall back on, with a tolerance it understands."""
-        return self.hierarchy.discretised and self.options.rtol != "discretisation"
-
-    def _monotone(self, runner: TruncatedCycle, watch: TruncatedWatch, cycles: int) -> Outcome:
-        """Go on with the monotone correction: slower, but it goes further. Iterates that ran away are given up."""
-        o, problem = self.options, self.problems[-1]
-        _LOG.info("cycle %d: the truncated multigrid does not converge; going on with the monotone correction", cycles)
-        better = watch.residual < watch.residuals[0] and not watch.diverged
-        unknowns = (runner.unknowns if better else 0.0) + problem.fixed_values
-        options = replace(o, correction=Monotone(), max_cycles=o.max_cycles - cycles)
-        machine = Machine(options, self.hierarchy, self.run)
-        local = machine.problems[-1]
-        start = local.to_local(unknowns)
-        project(local, start)
-        self.run.first_cycle = cycles
-        outcome = machine.finish(start)
-        return replace(outcome, cycles=cycles + outcome.cycles)
+        outcome = Outcome(displacement, status, cycles, watch.rtol, watch.error_estimate, watch.rate)
+        if status in (Status.STALLED, Status.DIVERGED) and cycles < self.options.max_cycles and watch.rtol > 0:
+            better = watch.residual < watch.residuals[0] and not watch.diverged
+            return Fallback(self.options, self.hierarchy, self.run, watch.rtol).finish(outcome, better)
+        return outcome
 
     def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
         with self.run.phase("setup"):
             problem, levels = self.problems[number], self.cycle.levels
-            obstacle = Obstacle.of(problem, levels[number])
-            obstacle.place(unknowns)
-            options = self.options.correction
-            runner = TruncatedCycle(self.cycle, number, obstacle, _load(problem), unknowns, options.recombine,
-                                    options.interface_sweeps if problem.coupling is not None else 0)
+            runner = self._cycle_on(problem, self.cycle, number, unknowns)
             if number == len(levels) - 1:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:]:
                     level.drop_diagonal()
             self.nbytes = self.cycle.nbytes + runner.nbytes
             return runner
+
+    def _cycle_on(self, problem: DiscreteProblem, cycle: LinearCycle, number: int,
+                  unknowns: np.ndarray) -> TruncatedCycle:
+        """Cycles for a problem on level ``number`` of a linear cycle, from ``unknowns`` (n_dofs,)."""
+        obstacle, load = Obstacle.of(problem, cycle.levels[number]), _load(problem)
+        obstacle.place(unknowns)
+        options = self.options.correction
+        return TruncatedCycle(cycle, number, obstacle, load, unknowns, options.recombine,
+                              RigidMotions.of(problem, obstacle, load),
+                              options.interface_sweeps if problem.coupling is not None else 0)
 
     def _start_cycles(self, runner: TruncatedCycle, number: int, start: NestedStart) -> None:
         """The cycles of a nested start on one level."""
@@ -167,11 +153,20 @@ class TruncatedMachine:
         cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1))
         unknowns = np.zeros(problem.n_dofs)
         with self.run.phase("start"):
-            obstacle = Obstacle.of(problem, level)
-            obstacle.place(unknowns)
-            runner = TruncatedCycle(cycle, 1, obstacle, _load(problem), unknowns, self.options.correction.recombine)
-            self._cycles(runner, TruncatedWatch(problem, start.rtol), True, self.COMPLETE_LIMIT, None)
-        return runner.unknowns
+            runner = self._cycle_on(problem, cycle, 1, unknowns)
+            status, _ = self._cycles(runner, TruncatedWatch(problem, start.rtol), True, self.COMPLETE_LIMIT, None)
+        return runner.unknowns if status.ok else self._coarsest_by_active_set(level.matrix(), start)
+
+    def _coarsest_by_active_set(self, matrix: sparse.bsr_array, start: NestedStart) -> np.ndarray:
+        """The coarsest level by semismooth Newton steps, which find their way out of near-mechanisms too."""
+        problem = self.problems[0]
+        diagonal = sparse.diags_array(np.where(problem.fixed, problem.matrix.diagonal(), 0.0))
+        # the matrix of the level, with the discretised diagonal where it is empty
+        whole = sparse.bsr_array(sparse.csr_array(matrix) + diagonal, blocksize=(problem.dim,) * 2)
+        grids = Hierarchy.single(replace(problem, matrix=whole, load=_load(problem), fixed_values=None))
+        with self.run.phase("start"):
+            found = ActiveSet(rtol=start.rtol, condensed=False).run(grids, Run(unit=self.run.unit), None)
+        return found.displacement.reshape(-1)
 
     def _prolonged(self, number: int, unknowns: np.ndarray) -> np.ndarray:
         """Interpolated to the next finer level, prescribed values respected."""
