@@ -26,11 +26,17 @@ TANGENTIAL = 6
 
 @njit(cache=True, inline="always")
 def _slip_size(dim, k, values, reference):
+    largest = 0.0
+    for a in range(dim - 1):
+        largest = max(largest, abs(values[dim * k + 1 + a] - reference[(dim - 1) * k + a]))
+    if largest == 0.0:
+        return 0.0
     total = 0.0
     for a in range(dim - 1):
-        slip = values[dim * k + 1 + a] - reference[(dim - 1) * k + a]
+        # scaled: the square of a slip that is all but zero may vanish
+        slip = (values[dim * k + 1 + a] - reference[(dim - 1) * k + a]) / largest
         total += slip * slip
-    return math.sqrt(total)
+    return largest * math.sqrt(total)
 
 
 @njit(cache=True)

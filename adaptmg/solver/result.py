@@ -23,7 +23,8 @@ _FORMAT = 1
 class ContactResult:
     """Contact quantities, one entry a contact node; SI units.
 
-    Between bodies these are displacements of the slave relative to the master, and forces on the slave.
+    Between bodies these are displacements of the slave relative to the master, and forces on the slave; those on the
+    master balance them.
 
     Attributes
     ----------
@@ -54,6 +55,13 @@ class ContactResult:
         Contact boundaries.
     masters : tuple of str
         For each of ``names`` the boundary of the other body, "" for a rigid obstacle.
+    master_node : (m,) int array, optional
+        Nodes that contact nodes follow: of the masters, and those of the slaves that carry no contact conditions of
+        their pair. For each pair each node once.
+    master_force : (m, dim) array, optional
+        Contact forces on them, -W' times those on the contact nodes (Cartesian), N (2D: N/m).
+    master_boundary : (m,) int array, optional
+        Their pair: index into ``names``.
     """
 
     node: np.ndarray
@@ -71,6 +79,16 @@ class ContactResult:
     boundary: np.ndarray
     names: tuple[str, ...] = ("contact",)
     masters: tuple[str, ...] = ()
+    master_node: np.ndarray | None = None
+    master_force: np.ndarray | None = None
+    master_boundary: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.master_node is None:
+            empty = np.empty(0, dtype=np.int64)
+            for name, value in (("master_node", empty), ("master_force", np.empty((0, self.frames.shape[1]))),
+                                ("master_boundary", empty)):
+                object.__setattr__(self, name, value)
 
     @property
     def pair(self) -> np.ndarray:
@@ -94,6 +112,11 @@ class ContactResult:
     def normal(self) -> np.ndarray:
         """Unit normals out of the body (n, dim)."""
         return self.frames[:, 0]
+
+    @property
+    def force(self) -> np.ndarray:
+        """Contact forces on the contact nodes, Cartesian (n, dim), N (2D: N/m)."""
+        return np.einsum("nk,nkd->nd", np.column_stack([-self.force_n, self.force_t]), self.frames)
 
     def __len__(self) -> int:
         return len(self.node)
@@ -222,25 +245,17 @@ class Result:
         Parameters
         ----------
         boundary : str
-            'contact' for all contact nodes, or a contact boundary (contact forces), or any other boundary
-            (reactions of its supports; at the master side of a pair the contact forces on the master).
+            'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its contact
+            forces), or any other boundary (reactions of its supports).
         about : (dim,) array-like, optional
             Point of the moment, m; default the origin.
 
         Returns
         -------
         Resultant
-            N and N m (2D: per metre).
+            N and N m (2D: per metre). Those of slave and master of a pair balance to rounding.
         """
-        if boundary == "contact":
-            nodes = self.contact.node
-        elif boundary in self.contact.names:
-            nodes = self.contact.node[self.contact.boundary == self.contact.names.index(boundary)]
-        elif self.mesh is not None:
-            nodes = self.mesh.boundary_nodes(boundary)
-        else:
-            raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {self.contact.names}")
-        forces = self._forces_at(nodes, boundary)
+        nodes, forces = self._forces_on(boundary)
         if self.mesh is None:
             return Resultant(forces.sum(axis=0), None)
         about = np.zeros(self.dim) if about is None else checks.vector("about", about, self.dim)
@@ -248,15 +263,32 @@ class Result:
         moment = np.cross(arms, forces) if self.dim == 3 else arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0]
         return Resultant(forces.sum(axis=0), moment.sum(axis=0))
 
-    def _forces_at(self, nodes: np.ndarray, boundary: str) -> np.ndarray:
-        """Contact forces at contact nodes, reactions of supports elsewhere; a corner node has both."""
-        contact_force = np.zeros_like(self.reaction)
+    def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node has both)."""
         c = self.contact
-        local = np.column_stack([-c.force_n, c.force_t])
-        contact_force[c.node] = np.einsum("nk,nkd->nd", local, c.frames)
-        if boundary == "contact" or boundary in c.names:
-            return contact_force[nodes]
-        return (self.reaction - contact_force)[nodes]
+        slave = np.array([boundary in ("contact", name) for name in c.names])
+        master = np.array([boundary == name != "" for name in c.masters or ("",) * len(c.names)])
+        if slave.any() or master.any():
+            own = slave[c.boundary]
+            others = np.where(self._on_slaves(), slave[c.master_boundary], master[c.master_boundary])
+            return (np.concatenate([c.node[own], c.master_node[others]]),
+                    np.concatenate([c.force[own], c.master_force[others]]))
+        if self.mesh is None:
+            raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {c.names}")
+        nodes, of_contact = self.mesh.boundary_nodes(boundary), np.zeros_like(self.reaction)
+        of_contact[c.node] = c.force
+        np.add.at(of_contact, c.master_node, c.master_force)
+        return nodes, (self.reaction - of_contact)[nodes]
+
+    def _on_slaves(self) -> np.ndarray:
+        """Which of ``contact.master_node`` (m,) lie on the slave of their pair; without a mesh none."""
+        c = self.contact
+        result = np.zeros(len(c.master_node), dtype=bool)
+        for k, name in enumerate(c.names if self.mesh is not None else ()):
+            mine = c.master_boundary == k
+            if mine.any():
+                result[mine] = np.isin(c.master_node[mine], self.mesh.boundary_nodes(name))
+        return result
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to an ``.npz`` file, whole or not at all (written beside it, then renamed)."""
