@@ -97,9 +97,11 @@ def test_a_body_above_its_obstacle_is_put_down():
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_friction_that_pressures_do_not_yet_allow_moves_nothing_far(dim):
+def test_friction_that_cannot_hold_yet_moves_nothing_far(dim):
     body = Body(discrete(dim, am.Coulomb(1e-3)))
-    body.settle()
+    assert body.settle() > 0
+    # in 2D a node holds the body all the same
+    assert dim == 3 or (body.obstacle.values[1::2] == 0.0).any()
     assert np.abs(body.unknowns).max() < 1e2 * np.abs(body.before).max()
 
 

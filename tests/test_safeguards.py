@@ -12,6 +12,7 @@ from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.solver import fallback
 from adaptmg.solver.fallback import Fallback
 from adaptmg.solver.run import Outcome
+from adaptmg.solver.truncated_watch import TruncatedWatch
 
 
 def floating():
@@ -144,3 +145,12 @@ def test_singular_coarsest_matrices_are_mended(limit, monkeypatch):
     factors.solve(load, result)
     assert np.isfinite(result).all()
     assert np.linalg.norm(discrete.matrix @ result - load) < 1e-4 * np.linalg.norm(load)
+
+
+def test_a_start_that_ran_away_sets_no_tolerance():
+    problem = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4,)).finest.discrete
+    watch = TruncatedWatch(problem, "discretisation")
+    watch.size = 1.0
+    for change in (1e-2, 1e3):
+        watch.take_discretisation_error(change)
+        assert watch.rtol == pytest.approx(min(0.1 * change / np.sqrt(3), 1e-2))

@@ -42,6 +42,8 @@ class TruncatedWatch:
     SAFETY = 2.0
     #: share of the discretisation error that may remain with rtol="discretisation"
     SHARE = 0.1
+    #: the largest tolerance that comes from that: a start further off shows no discretisation error
+    COARSEST = 1e-2
     #: checks without a new smallest residual after which an iteration is in trouble, and after which it has stalled
     TROUBLE, PATIENCE = 6, 60
 
@@ -88,7 +90,7 @@ class TruncatedWatch:
         :math:`|u - u_h| = |u_h - u_{2h}|/\sqrt 3`; a tenth of it is the tolerance.
         """
         if self.size > 0:
-            self.rtol = self.SHARE * change / np.sqrt(3.0) / self.size
+            self.rtol = min(self.SHARE * change / np.sqrt(3.0) / self.size, self.COARSEST)
 
     def record(self, runner: TruncatedCycle, cycle: int, changed: int) -> None:
         """Add a row to the history."""
