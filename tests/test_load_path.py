@@ -135,9 +135,12 @@ class TestSteps:
             assert distance(result, wanted) <= 1e-8
             assert (result.contact.state == wanted.contact.state).all()
 
-    def test_a_path_may_be_cut_in_two(self, rough, cycle):
-        rest = am.solve_path(rough, am.LoadPath({"left": [0.5, 0]}), FINE, start=cycle[1])
-        assert distance(rest[1], cycle[3]) <= 1e-9
+    @pytest.mark.parametrize(("grids", "side"), [("rough", "left"), ("bodies", "upper.left")])
+    def test_a_path_may_be_cut_in_two(self, grids, side, request):
+        grids = request.getfixturevalue(grids)
+        whole = am.solve_path(grids, am.LoadPath({side: [1, 0.5, 0]}), FINE)
+        rest = am.solve_path(grids, am.LoadPath({side: [0.5, 0]}), FINE, start=whole[0])
+        assert distance(rest[1], whole[2]) <= 1e-9
 
     def test_3d(self):
         grids = am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4))
@@ -470,3 +473,4 @@ class TestResult:
         assert distance(results[-1], cycle[-1]) <= 1e-8
         # what a cycle that ran away leaves behind is not used again
         assert len(made) == len(CYCLE) and all(machine.spent for machine in made)
+        assert all("then ActiveSet" in result.solver_name for result in results)

@@ -8,8 +8,14 @@ from difflib import get_close_matches
 from types import MappingProxyType
 
 from adaptmg.cases.block import greco_block
+from adaptmg.cases.cattaneo import cattaneo
 from adaptmg.cases.curved import curved_obstacle
+from adaptmg.cases.dovetail import dovetail
+from adaptmg.cases.flat_punch import flat_punch
 from adaptmg.cases.greco import greco_bar
+from adaptmg.cases.hertz_cylinder import hertz_cylinder
+from adaptmg.cases.incline import incline
+from adaptmg.cases.two_blocks import two_block_patch
 from adaptmg.cases.upset import upset_block
 from adaptmg.problem import ContactProblem
 
@@ -37,6 +43,12 @@ CASES: Mapping[str, Case] = MappingProxyType({
     "curved_obstacle": Case(curved_obstacle, "the same square in front of a curved obstacle, frictionless (2D)"),
     "upset_block": Case(upset_block, "square squeezed on a plane, friction 0.5: singular foot (2D)"),
     "greco_block": Case(greco_block, "the GRECO bar as a solid (3D)"),
+    "dovetail": Case(dovetail, "a tongue pulled out of its notch, Coulomb friction 0.2: two bodies (2D)"),
+    "hertz_cylinder": Case(hertz_cylinder, "a cylinder on a block or another cylinder, closed form of Hertz (2D)"),
+    "cattaneo": Case(cattaneo, "a cylinder pressed on a block, then pulled sideways: partial slip (2D)"),
+    "flat_punch": Case(flat_punch, "a flat rigid punch on a block, frictionless: singular edge (2D)"),
+    "incline": Case(incline, "a block on a tilted slab, held by friction alone: two bodies (2D)"),
+    "two_block_patch": Case(two_block_patch, "two blocks under uniform stress: the patch test of contact (2D, 3D)"),
 })
 
 

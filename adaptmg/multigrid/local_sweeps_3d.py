@@ -15,9 +15,14 @@ FIVE, SIX, SEVEN, EIGHT, NINE = np.uint64(5), np.uint64(6), np.uint64(7), np.uin
 
 
 @njit(cache=True)
-def _spread(i, indptr, indices, blocks, d_0, d_1, d_2, defect):
-    """Take the change of node i out of the residual of its neighbours in one half."""
-    for entry in range(np.uint64(indptr[i]), np.uint64(indptr[i + ONE])):
+def _changed(p, i, d_0, d_1, d_2, indptr, indices, blocks, diagonal, defect):
+    """Take a change of node i, at position p, out of the residual: its own and that of its neighbours."""
+    at = THREE * i
+    f_0, f_1, f_2 = times_block(p, diagonal, d_0, d_1, d_2)
+    defect[at] -= f_0
+    defect[at + ONE] -= f_1
+    defect[at + TWO] -= f_2
+    for entry in range(np.uint64(indptr[p]), np.uint64(indptr[p + ONE])):
         b, j = NINE * entry, THREE * np.uint64(indices[entry])
         defect[j] -= blocks[b] * d_0 + blocks[b + THREE] * d_1 + blocks[b + SIX] * d_2
         defect[j + ONE] -= blocks[b + ONE] * d_0 + blocks[b + FOUR] * d_1 + blocks[b + SEVEN] * d_2
@@ -25,27 +30,71 @@ def _spread(i, indptr, indices, blocks, d_0, d_1, d_2, defect):
 
 
 @njit(cache=True)
-def local(nodes, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, diagonal, contact_of, frames, blocks,
-          gap, reference, limit, friction, values, u, defect):
-    """Projected sweep over ``nodes`` in the order of the list; ``defect`` is f - A u before and after."""
-    for entry in range(len(nodes)):
-        i = np.uint64(nodes[entry])
+def _alone(p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, contact_of, frames,
+           gap, limit, values, u, defect):
+    """Move a master without its followers, if all are open and stay so; whether it was done."""
+    begin, end = np.uint64(follow_indptr[p]), np.uint64(follow_indptr[p + ONE])
+    r_0, r_1, r_2 = defect[THREE * i], defect[THREE * i + ONE], defect[THREE * i + TWO]
+    for s in range(begin, end):
+        j = np.uint64(nodes[followers[s]])
+        if contact_of[j] < 0:
+            return False
+        k = np.uint64(contact_of[j])
+        if values[THREE * k] >= gap[k] or limit[k] > 0.0:
+            return False
+        r_0 -= weights[THREE * s] * defect[THREE * j]
+        r_1 -= weights[THREE * s + ONE] * defect[THREE * j + ONE]
+        r_2 -= weights[THREE * s + TWO] * defect[THREE * j + TWO]
+    d_0, d_1, d_2 = times_block(p, alone, r_0, r_1, r_2)
+    for s in range(begin, end):
+        k = np.uint64(contact_of[nodes[followers[s]]])
+        f = NINE * k
+        closing = (frames[f] * weights[THREE * s] * d_0 + frames[f + ONE] * weights[THREE * s + ONE] * d_1
+                   + frames[f + TWO] * weights[THREE * s + TWO] * d_2)
+        if values[THREE * k] - closing >= gap[k]:
+            return False
+    u[THREE * i] += d_0
+    u[THREE * i + ONE] += d_1
+    u[THREE * i + TWO] += d_2
+    _changed(p, i, d_0, d_1, d_2, indptr, indices, blocks, diagonal, defect)
+    for s in range(begin, end):
+        q = np.uint64(followers[s])
+        j = np.uint64(nodes[q])
+        k = np.uint64(contact_of[j])
+        e_0, e_1, e_2 = (-weights[THREE * s] * d_0, -weights[THREE * s + ONE] * d_1, -weights[THREE * s + TWO] * d_2)
+        u[THREE * j] += e_0
+        u[THREE * j + ONE] += e_1
+        u[THREE * j + TWO] += e_2
+        w_0, w_1, w_2 = times_block(k, frames, e_0, e_1, e_2)
+        values[THREE * k] += w_0
+        values[THREE * k + ONE] += w_1
+        values[THREE * k + TWO] += w_2
+        _changed(q, j, e_0, e_1, e_2, indptr, indices, blocks, diagonal, defect)
+    return True
+
+
+@njit(cache=True)
+def local(order, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, inverse,
+          contact_of, frames, own_blocks, gap, reference, limit, friction, values, u, defect):
+    """Projected sweep over positions ``order`` of an :class:`~adaptmg.multigrid.interface.Interface`."""
+    for entry in range(len(order)):
+        p = np.uint64(order[entry])
+        i = np.uint64(nodes[p])
         at = THREE * i
-        r_0, r_1, r_2 = defect[at], defect[at + ONE], defect[at + TWO]
-        if contact_of[i] < 0:
-            d_0, d_1, d_2 = times_block(i, inverse, r_0, r_1, r_2)
-            u[at] += d_0
-            u[at + ONE] += d_1
-            u[at + TWO] += d_2
-            defect[at], defect[at + ONE], defect[at + TWO] = 0.0, 0.0, 0.0
-        else:
-            k = np.uint64(contact_of[i])
-            f_0, f_1, f_2 = times_block(k, diagonal, u[at], u[at + ONE], u[at + TWO])
-            c_0, c_1, c_2 = r_0 + f_0, r_1 + f_1, r_2 + f_2
-            new_0, new_1, new_2 = _node(k, frames, blocks, gap, reference, limit, friction, values, c_0, c_1, c_2)
-            f_0, f_1, f_2 = times_block(k, diagonal, new_0, new_1, new_2)
+        if contact_of[i] >= 0:
+            f_0, f_1, f_2 = times_block(p, diagonal, u[at], u[at + ONE], u[at + TWO])
+            new_0, new_1, new_2 = _node(np.uint64(contact_of[i]), frames, own_blocks, gap, reference, limit, friction,
+                                        values, defect[at] + f_0, defect[at + ONE] + f_1, defect[at + TWO] + f_2)
             d_0, d_1, d_2 = new_0 - u[at], new_1 - u[at + ONE], new_2 - u[at + TWO]
             u[at], u[at + ONE], u[at + TWO] = new_0, new_1, new_2
-            defect[at], defect[at + ONE], defect[at + TWO] = c_0 - f_0, c_1 - f_1, c_2 - f_2
-        _spread(i, l_indptr, l_indices, lower, d_0, d_1, d_2, defect)
-        _spread(i, u_indptr, u_indices, upper, d_0, d_1, d_2, defect)
+            _changed(p, i, d_0, d_1, d_2, indptr, indices, blocks, diagonal, defect)
+            continue
+        if follow_indptr[p + ONE] > follow_indptr[p] and _alone(
+                p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, contact_of,
+                frames, gap, limit, values, u, defect):
+            continue
+        d_0, d_1, d_2 = times_block(i, inverse, defect[at], defect[at + ONE], defect[at + TWO])
+        u[at] += d_0
+        u[at + ONE] += d_1
+        u[at + TWO] += d_2
+        _changed(p, i, d_0, d_1, d_2, indptr, indices, blocks, diagonal, defect)

@@ -58,12 +58,15 @@ class TruncatedCycle:
         Of the recombination.
     motions : RigidMotions, optional
         Those that contact alone holds.
+    interface : Interface, optional
+        Between bodies.
     interface_sweeps : int
-        Local sweeps near contact after each smoothing.
+        Local sweeps over it after each smoothing.
     """
 
     def __init__(self, cycle: LinearCycle, number: int, obstacle: Obstacle, load: np.ndarray, unknowns: np.ndarray,
-                 depth: int, motions: RigidMotions | None = None, interface_sweeps: int = 0) -> None:
+                 depth: int, motions: RigidMotions | None = None, interface: Interface | None = None,
+                 interface_sweeps: int = 0) -> None:
         self.cycle, self.number, self.obstacle, self.load = cycle, number, obstacle, load
         self.level, self.below = cycle.levels[number], cycle.levels[number - 1]
         self.truncation = Truncation(cycle.levels[:number + 1], cycle.prolongations[:number], obstacle)
@@ -74,14 +77,14 @@ class TruncatedCycle:
         self.defect = np.zeros_like(unknowns)
         self.cuts = 0
         self._symmetric = False
-        self.interface = Interface(self.level, obstacle.nodes) if interface_sweeps else None
-        self._interface_sweeps = interface_sweeps
+        self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
 
     @property
     def nbytes(self) -> int:
         """Memory of what the cycle adds to the linear one, bytes."""
         vectors = 5 * self.unknowns.nbytes + 3 * self.recombination.now.nbytes
-        return vectors + self.obstacle.nbytes + self.truncation.nbytes
+        own = vectors + self.obstacle.nbytes + self.truncation.nbytes
+        return own + (self.interface.nbytes if self.interface is not None else 0)
 
     def rounding(self) -> float:
         """Norm of D u, D the diagonal: times the unit of rounding, what a residual cannot be better than, N."""
@@ -105,8 +108,8 @@ class TruncatedCycle:
         self.cycle.recorder.visit(self.number, "smooth", 2)
         for k in range(self._interface_sweeps):
             order = self.interface.backward if k % 2 == 0 else self.interface.forward
-            _LOCAL[level.dim](order, *level.lower_arrays, *level.upper_arrays, level.inverse, o.diagonal,
-                              o.contact_of, *o.node_data, self.unknowns, self.defect)
+            _LOCAL[level.dim](order, *self.interface.arrays, level.inverse, o.contact_of, *o.node_data, self.unknowns,
+                              self.defect)
             self.cycle.recorder.count(1.0, self.interface.nonzeros)
         if self.motions is not None:
             self.motions.settle(self.unknowns, self._past, self.defect)

@@ -20,6 +20,7 @@ from scipy.sparse.linalg import lsmr
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.nested import NestedStart
+from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
 from adaptmg.smoother.system import local_contact
 from adaptmg.solver.run import Outcome, Run
@@ -45,7 +46,7 @@ class PathMachine(TruncatedMachine):
     Attributes
     ----------
     spent : bool
-        The monotone correction had to take over: what is kept may be spoilt, a new machine is needed.
+        Another method had to take over: what is kept may be spoilt, a new machine is needed.
     """
 
     def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
@@ -96,6 +97,12 @@ class PathMachine(TruncatedMachine):
         self.run.start_work_units = self.run.work_units
         return result
 
+    def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
+        """See :class:`TruncatedMachine`."""
+        outcome = super().finish(unknowns, cold)
+        self.spent = bool(self.run.fallback)
+        return outcome
+
     def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
         if number not in self._runners:
             self._runners[number] = super()._runner(number, unknowns)
@@ -103,14 +110,12 @@ class PathMachine(TruncatedMachine):
         runner, problem = self._runners[number], self.problems[number]
         with self.run.phase("setup"):
             contact, _ = local_contact(problem)
-            runner.obstacle.gap, runner.obstacle.reference = contact.gap, contact.slip_reference.reshape(-1)
-            runner.obstacle.place(unknowns)
-            runner.load, runner.unknowns = lifted_load(problem), unknowns
+            obstacle, load = runner.obstacle, lifted_load(problem)
+            obstacle.gap, obstacle.reference = contact.gap, contact.slip_reference.reshape(-1)
+            obstacle.place(unknowns)
+            runner.load, runner.unknowns = load, unknowns
+            runner.motions = RigidMotions.of(problem, obstacle, load)
         return runner
-
-    def _monotone(self, *arguments: object) -> Outcome:
-        self.spent = True
-        return super()._monotone(*arguments)
 
 
 def from_prescribed(problem: DiscreteProblem, displacement: np.ndarray) -> np.ndarray:

@@ -21,7 +21,6 @@ from adaptmg.solver.path_store import fingerprint
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_of import result_of
 from adaptmg.solver.run import Outcome, Run, Solver
-from adaptmg.solver.solve import label
 from adaptmg.solver.statics import check_statics
 from adaptmg.solver.status import Status
 from adaptmg.solver.step_solvers import Past, past_of, step_solver
@@ -98,7 +97,7 @@ class PathWalk:
         else:
             outcome, coarse = self.method.run(grids, self.local, run, past)
             with run.phase("result"):
-                result = result_of(grids, self.local, run, outcome, label(self.solver))
+                result = result_of(grids, self.local, run, outcome, self.solver)
         with run.phase("result"):
             self._remember(grids, result, forces, coarse)
         _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,
@@ -126,7 +125,7 @@ class PathWalk:
         rtol = getattr(self.solver, "rtol", None)
         outcome = Outcome(np.zeros(self.local.system.n_dofs), Status.CONVERGED, 0,
                           float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0)
-        result = result_of(grids, self.local, run, outcome, label(self.solver))
+        result = result_of(grids, self.local, run, outcome, self.solver)
         # all forces vanish: a relative residual would be rounding over nothing
         return replace(result, status=Status.CONVERGED, residual=0.0)
 

@@ -8,13 +8,13 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.finish import contact_result, relative_residual
 from adaptmg.solver.result import Result
-from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.solve import _confirmed, _problem_name, versions
+from adaptmg.solver.run import Outcome, Run, Solver
+from adaptmg.solver.solve import _confirmed, _problem_name, _solver_name, versions
 
 __all__ = ["result_of"]
 
 
-def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome, solver_name: str) -> Result:
+def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome, solver: Solver) -> Result:
     """The Result on the finest level; its residual is computed anew and must confirm the status.
 
     Parameters
@@ -26,7 +26,8 @@ def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome,
         Of the solver.
     outcome : Outcome
         What it returned; between bodies relative.
-    solver_name : str
+    solver : Solver
+        For its name.
     """
     discrete = local.discrete
     solved = np.asarray(outcome.displacement).reshape(discrete.n_nodes, discrete.dim)
@@ -42,5 +43,5 @@ def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome,
                   contact=contact_result(local, unknowns, solved), work_units=run.work_units, residual=residual,
                   error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(), problem_name=_problem_name(grids),
-                  solver_name=solver_name, mesh=grids.finest.mesh, start_work_units=run.start_work_units,
+                  solver_name=_solver_name(solver, run), mesh=grids.finest.mesh, start_work_units=run.start_work_units,
                   versions=versions())

@@ -9,6 +9,7 @@ smoothing leaves behind, it decides when to stop, at no further pass over a matr
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from scipy import sparse
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.coarse_levels import coarse_levels, nodal_prolongations
+from adaptmg.multigrid.interface import Interface
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.obstacle import Obstacle
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
     from adaptmg.solver.multigrid import Multigrid
 
 __all__ = ["TruncatedMachine"]
+
+_LOG = logging.getLogger(__name__)
 
 
 class TruncatedMachine:
@@ -124,10 +128,11 @@ class TruncatedMachine:
         """Cycles for a problem on level ``number`` of a linear cycle, from ``unknowns`` (n_dofs,)."""
         obstacle, load = Obstacle.of(problem, cycle.levels[number]), _load(problem)
         obstacle.place(unknowns)
-        options = self.options.correction
+        options, interface = self.options.correction, None
+        if problem.coupling is not None and options.interface_sweeps:
+            interface = Interface(cycle.levels[number], problem.coupling)
         return TruncatedCycle(cycle, number, obstacle, load, unknowns, options.recombine,
-                              RigidMotions.of(problem, obstacle, load),
-                              options.interface_sweeps if problem.coupling is not None else 0)
+                              RigidMotions.of(problem, obstacle, load), interface, options.interface_sweeps)
 
     def _start_cycles(self, runner: TruncatedCycle, number: int, start: NestedStart) -> None:
         """The cycles of a nested start on one level."""
@@ -146,27 +151,44 @@ class TruncatedMachine:
                 return
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
+        """The coarsest level; several bodies, near-mechanisms as long as they come loose, by the active set method."""
+        methods = [self._coarsest_by_cycles, self._coarsest_by_active_set]
+        if self.problems[0].coupling is not None:
+            methods.reverse()
+        with self.run.phase("start"):
+            for method in methods:
+                unknowns, solved = method(start)
+                if solved:
+                    break
+        return unknowns
+
+    def _coarsest_by_cycles(self, start: NestedStart) -> tuple[np.ndarray, bool]:
         """The coarsest level as its own coarse level: truncated Newton steps with direct solves between sweeps."""
         problem, level = self.problems[0], self.cycle.levels[0]
         n = level.n_nodes
         identity = sparse.csr_array((np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)))
         cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1))
-        unknowns = np.zeros(problem.n_dofs)
-        with self.run.phase("start"):
-            runner = self._cycle_on(problem, cycle, 1, unknowns)
-            status, _ = self._cycles(runner, TruncatedWatch(problem, start.rtol), True, self.COMPLETE_LIMIT, None)
-        return runner.unknowns if status.ok else self._coarsest_by_active_set(level.matrix(), start)
+        runner = self._cycle_on(problem, cycle, 1, np.zeros(problem.n_dofs))
+        status, _ = self._cycles(runner, TruncatedWatch(problem, start.rtol), True, self.COMPLETE_LIMIT, None)
+        # unless restored, the matrix stays as the last contact status left it
+        runner.truncation.restore()
+        return runner.unknowns, status.ok
 
-    def _coarsest_by_active_set(self, matrix: sparse.bsr_array, start: NestedStart) -> np.ndarray:
-        """The coarsest level by semismooth Newton steps, which find their way out of near-mechanisms too."""
-        problem = self.problems[0]
+    def _coarsest_by_active_set(self, start: NestedStart) -> tuple[np.ndarray, bool]:
+        """Semismooth Newton steps; each counts a pass, its factorisation as seconds."""
+        problem, level = self.problems[0], self.cycle.levels[0]
+        # where dofs are fixed the matrix of the level is empty
         diagonal = sparse.diags_array(np.where(problem.fixed, problem.matrix.diagonal(), 0.0))
-        # the matrix of the level, with the discretised diagonal where it is empty
-        whole = sparse.bsr_array(sparse.csr_array(matrix) + diagonal, blocksize=(problem.dim,) * 2)
-        grids = Hierarchy.single(replace(problem, matrix=whole, load=_load(problem), fixed_values=None))
-        with self.run.phase("start"):
-            found = ActiveSet(rtol=start.rtol, condensed=False).run(grids, Run(unit=self.run.unit), None)
-        return found.displacement.reshape(-1)
+        whole = sparse.bsr_array(sparse.csr_array(level.matrix()) + diagonal, blocksize=(problem.dim,) * 2)
+        grids = Hierarchy.single(replace(problem, matrix=whole, load=_load(problem)))
+        try:
+            found = ActiveSet(rtol=start.rtol).run(grids, Run(unit=self.run.unit), None)
+        except np.linalg.LinAlgError as error:
+            _LOG.info("coarsest level: the active set method gives up: %s", error)
+            return np.zeros(problem.n_dofs), False
+        self.run.count(found.cycles, level.nonzeros)
+        self.run.visit(0, "solve", found.cycles)
+        return found.displacement.reshape(-1) - problem.fixed_values, found.status.ok
 
     def _prolonged(self, number: int, unknowns: np.ndarray) -> np.ndarray:
         """Interpolated to the next finer level, prescribed values respected."""

@@ -6,8 +6,9 @@ relative values w:
 .. math:: P_w = (I - W_f)\,P\,(I - W_c)^{-1},
 
 which spans the same space as P, rigid motions of all bodies included; and the same with the rows of the slave nodes
-replaced by interpolation of relative values along the coarse slave surface, weights >= 0 with sums 1, as the monotone
-correction wants them.
+replaced by interpolation of relative values along the coarse slave surface, weights >= 0 with sums 1 over the coarse
+slave nodes of the pair, as the monotone correction wants them. Other coarse nodes of the surface (where it hangs over,
+or belongs to another pair) have no values relative to this master: those beside them take over their weights.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
@@ -76,10 +78,11 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
     if coupling is None:
         return LevelTransfer(nodal)
     relative = coupling.prolongation(nodal, coarse_problem.coupling)
-    surface = relative
-    for name, (nodes, rows) in zip(contact.masters, slave_rows, strict=True):
-        if name:
-            surface = with_contact_rows(surface, nodes, rows)
+    surface, above = relative, coarse_problem.contact
+    for k, (nodes, rows) in enumerate(slave_rows):
+        known = above.nodes[above.boundary == k]
+        if contact.masters[k] and len(known):
+            surface = with_contact_rows(surface, nodes, _among(known, rows, fine.points[nodes], coarse.points))
     return LevelTransfer(relative, surface)
 
 
@@ -87,3 +90,17 @@ def _along(coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarra
            ) -> tuple[np.ndarray, sparse.csr_array]:
     """Nodes and their rows of interpolation along a boundary."""
     return nodes, surface_interpolation(coarse, fine, coarse.boundary_facets(boundary), nodes)
+
+
+def _among(known: np.ndarray, rows: sparse.csr_array, points: np.ndarray, coarse_points: np.ndarray
+           ) -> sparse.csr_array:
+    """Rows with sum 1 over the columns ``known`` alone: scaled, or 1 at the nearest."""
+    kept = sparse.csr_array(rows @ sparse.diags_array(np.isin(np.arange(rows.shape[1]), known).astype(float)))
+    sums = np.asarray(kept.sum(axis=1)).ravel()
+    lost = np.flatnonzero(sums <= 1e-10)
+    nearest = known[cKDTree(coarse_points[known]).query(points[lost])[1]]
+    filled = sparse.csr_array((np.ones(len(lost)), (lost, nearest)), shape=rows.shape)
+    scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 1e-10)
+    result = sparse.csr_array(sparse.diags_array(scale) @ kept + filled)
+    result.eliminate_zeros()
+    return result

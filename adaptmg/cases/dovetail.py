@@ -1,0 +1,152 @@
+r"""The dovetail joint: a tongue in a notch, pulled out against its flanks (Example 2 of the paper, our reconstruction).
+
+The paper shows a deformed mesh and gives neither geometry nor loads, so both are ours. One half by symmetry, plane
+strain, lengths in mm (``angle`` is that of the flanks from the horizontal)::
+
+              neck, pulled                      tongue: (0, -16) .. chamfer .. flank .. (12, 0), neck to y = 24
+            +------+  y = 24                    block:  notch with the same flank and the floor y = -16,
+            |      |                                    side at x = 36, bottom at y = -40
+            |      +-------------+  y = 0
+       x=0  |       \            |              The tongue's flank ends at the depth 13, where a chamfer of
+            | tongue \   block   | x = 36       3 x 3 begins; the notch's flank goes on to the floor.
+            |         \          | clamped
+            +----------+         |
+            |                    |
+            +--------------------+  y = -40, fixed
+
+The flank opens at the mouth, slips, sticks in its middle and slips to its lower end, where the corner of the chamfer
+makes an edge singularity; the floor opens. A clearance c moves the notch's flank and floor away from the tongue by c
+along their normals: before the flanks carry anything the tongue rises by :math:`c / \cos(\text{angle})`, but for what
+friction and elasticity do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from adaptmg.problem import (
+    Assembly,
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Law,
+    PlaneStrain,
+    Polygon,
+    Pressure,
+    Support,
+    Traction,
+    checks,
+)
+
+__all__ = ["dovetail"]
+
+_MM = 1e-3
+_NECK, _RISE, _DEPTH, _CHAMFER = 12.0, 24.0, 16.0, 3.0
+_SIDE, _BOTTOM = 36.0, 40.0
+# what must be left of the block beside the notch
+_LEAST_WALL = 6.0
+
+_POINTS = {"corner": (_NECK * _MM, _RISE * _MM), "axis": (0.0, _RISE * _MM)}
+_DEFAULTS = {"angle": 50.0, "clearance": 0.0, "pull": 100e6, "clamp": 120e6, "young": 2.1e11, "poisson": 0.3}
+
+
+def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float = 0.0, pull: float = 100e6,  # noqa: B008
+             clamp: float = 120e6, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+    """The dovetail joint; a reconstruction with our own geometry and loads.
+
+    Parameters
+    ----------
+    law : Law
+        On flank and floor.
+    angle : float
+        Of the flanks from the horizontal, degrees, below 90; small angles widen the notch towards the side of the
+        block, of which 6 mm must be left.
+    clearance : float
+        Normal distance of flank and floor from the tongue before loading, m, >= 0.
+    pull : float
+        Traction on the top of the neck, Pa; positive pulls the tongue out.
+    clamp : float
+        Pressure on the side of the block, Pa.
+    young, poisson : float
+        Of both parts, Pa, and a number.
+
+    Returns
+    -------
+    ContactProblem
+        Bodies "tongue" (slave: it lies inside the notch) and "block". For the default parameters ``reference`` holds
+        ``points`` (name -> position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state ->
+        range of depth below the mouth, m), ``tolerances``, ``sources`` and ``remark``; otherwise only ``remark``.
+
+    Raises
+    ------
+    ValueError
+        For a negative clearance: an interference fit needs gaps below zero, which a pair allows explicitly.
+    """
+    parameters = {"angle": angle, "clearance": clearance, "pull": pull, "clamp": clamp, "young": young,
+                  "poisson": poisson}
+    angle = _checked_angle(angle)
+    if not checks.number("clearance", clearance) >= 0:
+        raise ValueError(f"clearance must be >= 0, got {clearance!r}: a negative one is an interference fit, which "
+                         "wants pairs with ContactPair(..., allow_interference=True); replace the contact of this "
+                         "problem, with gap=..., to pose it")
+    pull, clamp = checks.number("pull", pull), checks.number("clamp", clamp)
+    reference: Mapping[str, Any] = {"remark": _REMARK}
+    if parameters == _DEFAULTS and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 0.2:
+        reference = _REFERENCE
+    return ContactProblem(
+        name="dovetail",
+        material=PlaneStrain(young=young, poisson=poisson),
+        domain=Assembly(parts={"tongue": _tongue(angle), "block": _block(angle, float(clearance) / _MM)}),
+        contact=(ContactPair("tongue.flank", "block.flank"), ContactPair("tongue.bottom", "block.floor")),
+        law=law,
+        loads=(Traction("tongue.top", (0.0, pull)), Pressure("block.side", clamp)),
+        supports=(Support("tongue.symmetry", x=0.0), Support("block.symmetry", x=0.0),
+                  Support("block.bottom", x=0.0, y=0.0)),
+        reference=reference,
+    )
+
+
+def _checked_angle(angle: float) -> float:
+    """In radians."""
+    angle = checks.number("angle", angle)
+    least = math.degrees(math.atan2(_DEPTH, _SIDE - _LEAST_WALL - _NECK))
+    if not least <= angle < 90:
+        raise ValueError(f"angle must be at least {least:.1f} degrees from the horizontal (the notch would come within "
+                         f"{_LEAST_WALL:g} mm of the block's side) and below 90, got {angle!r}")
+    return math.radians(angle)
+
+
+def _tongue(angle: float) -> Polygon:
+    """The inner part; corners from the bottom on the axis, counter-clockwise."""
+    foot = _NECK + (_DEPTH - _CHAMFER) / math.tan(angle)
+    return _polygon([(0.0, -_DEPTH), (foot - _CHAMFER, -_DEPTH), (foot, _CHAMFER - _DEPTH), (_NECK, 0.0),
+                     (_NECK, _RISE), (0.0, _RISE)], ("bottom", "chamfer", "flank", "neck", "top", "symmetry"))
+
+
+def _block(angle: float, clearance: float) -> Polygon:
+    """The outer part; flank and floor moved along their normals by ``clearance``, mm."""
+    mouth = _NECK + clearance / math.sin(angle)
+    floor = _DEPTH + clearance
+    root = mouth + floor / math.tan(angle)
+    if not (root <= _SIDE - 0.5 * _LEAST_WALL and floor < 0.75 * _BOTTOM):
+        raise ValueError(f"clearance {clearance * _MM:g} m is larger than the block has room for")
+    return _polygon([(0.0, -_BOTTOM), (_SIDE, -_BOTTOM), (_SIDE, 0.0), (mouth, 0.0), (root, -floor), (0.0, -floor)],
+                    ("bottom", "side", "shoulder", "flank", "floor", "symmetry"))
+
+
+def _polygon(corners: list[tuple[float, float]], names: tuple[str, ...]) -> Polygon:
+    return Polygon(vertices=tuple((x * _MM, y * _MM) for x, y in corners), boundaries=names)
+
+
+_REMARK = ("A reconstruction: the paper gives neither geometry nor loads of its Example 2, and no values are known to "
+           "compare with but our own.")
+_REFERENCE = {
+    "quantity": "lift u_y of the top of the neck, m",
+    "points": _POINTS,
+    "values": {},
+    "zones": {},
+    "sources": {},
+    "remark": _REMARK,
+}

@@ -1,0 +1,138 @@
+r"""A flat rigid punch without friction on an elastic half-plane.
+
+The punch is modelled as a rigid plane that ends: only the part |x| < a of the block's top is called "contact" and lies
+against the plane y = 0. The punch stays, and the block, guided at its plane of symmetry, is pressed up against it from
+below by the load P per length; what the punch feels is the same. For the half-plane
+
+.. math:: p(x) = \frac{P}{\pi\sqrt{a^2 - x^2}}
+
+(K. L. Johnson, Contact Mechanics, 1985, section 2.8), singular at the edge: u ~ r^(1/2), so that uniform meshes
+converge like N^(-1/4) in the energy norm, and meshes graded towards the edge pay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg.mesh import MeshArrays, SizeNear
+from adaptmg.problem import (
+    Contact,
+    ContactProblem,
+    Frictionless,
+    Law,
+    Plane,
+    PlaneStrain,
+    Polygon,
+    Pressure,
+    Support,
+    checks,
+)
+
+__all__ = ["PunchPressure", "flat_punch", "flat_punch_meshes"]
+
+# depth and half the width of the block, in half-widths of the punch
+_SIZE = 40.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PunchPressure:
+    """The pressure P / (pi sqrt(a^2 - x^2)) under a flat rigid punch.
+
+    Parameters
+    ----------
+    load : float
+        P, N/m.
+    half_width : float
+        a, m.
+    """
+
+    load: float
+    half_width: float
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Pressure at |x| < a, Pa."""
+        return self.load / (math.pi * np.sqrt(self.half_width**2 - np.asarray(x)**2))
+
+
+def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: float = 10e-3,  # noqa: B008
+               young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+    """A flat rigid punch on a block 40 half-widths deep and 80 wide; plane strain, one half by symmetry.
+
+    Parameters
+    ----------
+    law : Law
+        Under the punch; the closed form is that without friction.
+    load : float
+        P of the whole punch, N/m, > 0.
+    half_width : float
+        a, m.
+    young, poisson : float
+        Of the block, Pa, and a number.
+
+    Returns
+    -------
+    ContactProblem
+        ``reference`` holds, without friction, ``pressure`` (:class:`PunchPressure`, of x in m), ``exponent`` (of the
+        singularity at the edge) and ``sources``.
+
+    See Also
+    --------
+    flat_punch_meshes : meshes graded towards the edge.
+    """
+    a, load = checks.positive("half_width", half_width), checks.positive("load", load)
+    reference = {}
+    if isinstance(law, Frictionless):
+        reference = {"quantity": "contact pressure, Pa", "pressure": PunchPressure(load=load, half_width=a),
+                     "exponent": 0.5, "half_width": a,
+                     "sources": {"pressure": "Johnson, Contact Mechanics, section 2.8, for a half-plane"},
+                     "remark": "The block is finite: the difference is of the order of (a / depth)^2, .1 %."}
+    size = _SIZE * a
+    return ContactProblem(
+        name="flat punch",
+        material=PlaneStrain(young=young, poisson=poisson),
+        domain=Polygon(vertices=((0.0, -size), (size, -size), (size, 0.0), (a, 0.0), (0.0, 0.0)),
+                       boundaries=("bottom", "side", "free", "contact", "symmetry")),
+        contact=Contact("contact", Plane(point=(0.0, 0.0), normal=(0.0, -1.0))),
+        law=law,
+        loads=(Pressure("bottom", load / (2 * size)),),
+        supports=(Support("symmetry", x=0.0),),
+        reference=reference,
+    )
+
+
+def flat_punch_meshes(problem: ContactProblem, *, finest: float = 1 / 200, levels: int = 5, factor: float = 1.8,
+                      grading: float = 0.05) -> list[MeshArrays]:
+    """Independent meshes, coarse to fine, graded towards the edge of the punch.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        :func:`flat_punch`.
+    finest : float
+        Edge length at the punch's edge over the half-width on the finest mesh.
+    levels : int
+        Number of meshes, >= 1.
+    factor : float
+        By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
+    grading : float
+        Growth of the edge length per distance from the edge on the finest mesh; times ``factor`` on coarser ones, up
+        to 1.
+    """
+    from adaptmg.mesh import sized
+
+    finest, grading = checks.positive("finest", finest), checks.positive("grading", grading)
+    levels, factor = checks.integer("levels", levels, 1), checks.number("factor", factor)
+    if not 1 < factor <= 3:
+        raise ValueError(f"factor must be above 1 and at most 3, got {factor!r}")
+    size = float(np.ptp([problem.domain.lower, problem.domain.upper], axis=0).max())
+    a = size / _SIZE
+    meshes = []
+    for level in reversed(range(levels)):
+        steep = min(1.0, grading * factor**level)
+        near = SizeNear([(a, 0.0)], size=finest * factor**level * a, grading=steep)
+        meshes.append(sized(problem.domain, near, max_size=min(0.06 * factor**level, 0.5) * size,
+                            grading=max(0.3, steep)))
+    return meshes

@@ -1,0 +1,267 @@
+r"""A cylinder pressed on a block or on another cylinder: line contact after Hertz.
+
+With the load P per length, the relative curvature :math:`1/R = 1/R_1 + 1/R_2` and the contact modulus
+:math:`E^* = E / (2 (1 - \nu^2))` of two bodies of the same material, the half-width and the pressure are
+
+.. math:: a = \sqrt{\frac{4 P R}{\pi E^*}},\qquad p(x) = p_0 \sqrt{1 - x^2/a^2},\qquad p_0 = \frac{2P}{\pi a}
+
+(K. L. Johnson, Contact Mechanics, 1985, section 4.2). They hold for a much smaller than the radii and the bodies: what
+is posed here differs from them by terms of the order of (a/R)^2.
+
+One half by symmetry (x >= 0): a quarter of a cylinder, its flat top pressed down, on a square block or the mirrored
+quarter of another cylinder, its flat bottom held. Only a part of the curved surface, ten half-widths long, is named
+"contact".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from adaptmg.mesh import MeshArrays, SizeNear
+from adaptmg.problem import (
+    Assembly,
+    ContactPair,
+    ContactProblem,
+    Domain,
+    Frictionless,
+    Law,
+    Outline,
+    PlaneStrain,
+    Polygon,
+    Pressure,
+    Support,
+    checks,
+)
+
+__all__ = ["LineContact", "hertz_cylinder", "line_contact_meshes", "pressure_fit"]
+
+_LARGEST = 0.1
+# lengths of the surfaces that may touch, in half-widths; the master reaches further than the slave
+_SLAVE, _MASTER = 10.0, 14.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineContact:
+    """The closed form of Hertz for line contact.
+
+    Parameters
+    ----------
+    load : float
+        P, N/m, > 0.
+    radius : float
+        R, of the relative curvature, m, > 0.
+    modulus : float
+        The contact modulus E*, Pa, > 0.
+    """
+
+    load: float
+    radius: float
+    modulus: float
+
+    def __post_init__(self) -> None:
+        for name in ("load", "radius", "modulus"):
+            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+
+    @property
+    def half_width(self) -> float:
+        """a, m."""
+        return math.sqrt(4 * self.load * self.radius / (math.pi * self.modulus))
+
+    @property
+    def peak(self) -> float:
+        """p0, Pa."""
+        return 2 * self.load / (math.pi * self.half_width)
+
+    def pressure(self, x: np.ndarray) -> np.ndarray:
+        """Pressure at distances x from the middle, Pa."""
+        return self.peak * np.sqrt(np.maximum(0.0, 1 - (np.asarray(x) / self.half_width)**2))
+
+
+def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: float = 50e-3,  # noqa: B008
+                   lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+    """A cylinder on a block, or on another cylinder; plane strain, one half by symmetry.
+
+    Parameters
+    ----------
+    law : Law
+        On the surface; with equal materials friction changes nothing but terms of the order of a/R.
+    load : float
+        P of the whole cylinder, N/m; the half carries P/2.
+    radius : float
+        Of the cylinder, m.
+    lower_radius : float, optional
+        Of the body below, m; None for a block with a flat top.
+    young, poisson : float
+        Of both bodies, Pa, and a number.
+
+    Returns
+    -------
+    ContactProblem
+        Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``half_width`` (m),
+        ``peak`` (Pa), ``closed_form`` (:class:`LineContact`), ``sources`` and ``remark``.
+
+    Raises
+    ------
+    ValueError
+        If the half-width would be more than a tenth of a radius.
+
+    See Also
+    --------
+    line_contact_meshes : meshes fine enough near the contact.
+    """
+    radius = checks.positive("radius", radius)
+    material = PlaneStrain(young=young, poisson=poisson)
+    lower_radius = None if lower_radius is None else checks.positive("lower_radius", lower_radius)
+    form = closed_form(load, radius, lower_radius, material)
+    a = form.half_width
+    lower = (_half_block(radius, a) if lower_radius is None else
+             quarter_cylinder(lower_radius, _MASTER * a, above=False))
+    return ContactProblem(
+        name="Hertz, cylinder on block" if lower_radius is None else "Hertz, two cylinders",
+        material=material,
+        domain=Assembly(parts={"upper": quarter_cylinder(radius, _SLAVE * a, above=True), "lower": lower}),
+        # the weighted gap at the pole, of chords seen along turning normals, is negative by terms of the order of h^4
+        contact=ContactPair("upper.contact", "lower.contact", allow_interference=True),
+        law=law,
+        loads=(Pressure("upper.top", form.load / (2 * radius)),),
+        supports=(Support("upper.symmetry", x=0.0), Support("lower.symmetry", x=0.0), Support("lower.bottom", y=0.0)),
+        reference=hertz_reference(form),
+    )
+
+
+def closed_form(load: float, radius: float, lower_radius: float | None, material: PlaneStrain) -> LineContact:
+    """The closed form for two bodies of one material; ValueError where it does not hold."""
+    curvature = 1 / radius + (0.0 if lower_radius is None else 1 / lower_radius)
+    form = LineContact(load=load, radius=1 / curvature, modulus=material.young / (2 * (1 - material.poisson**2)))
+    smallest = min(radius, radius if lower_radius is None else lower_radius)
+    if not form.half_width <= _LARGEST * smallest:
+        raise ValueError(f"load {load!r} makes a contact of half-width {form.half_width:.3g} m, more than a tenth of "
+                         f"the radius {smallest:g} m: Hertz does not hold there; take a smaller load or a larger "
+                         "radius")
+    return form
+
+
+def hertz_reference(form: LineContact) -> Mapping[str, Any]:
+    """What the reference of a problem says of its closed form."""
+    return {"quantity": "half-width, m, and largest pressure, Pa", "half_width": form.half_width, "peak": form.peak,
+            "closed_form": form, "sources": {"closed_form": "Hertz; Johnson, Contact Mechanics, section 4.2"},
+            "remark": "Exact for half-planes; bodies of finite size differ by terms of the order of (a/R)^2."}
+
+
+def quarter_cylinder(radius: float, contact: float, *, above: bool) -> Outline:
+    """The quarter x >= 0 of a cylinder that touches the origin from above or below, flat at its middle plane.
+
+    Parameters
+    ----------
+    radius : float
+        m.
+    contact : float
+        Up to which x the arc is called "contact", m; further out "side".
+    above : bool
+        Whether its boundaries are symmetry, contact, side and top, or bottom in place of top.
+    """
+    x, y = _on_circle(radius, contact)
+    if above:
+        return Outline(vertices=((0.0, 0.0), (x, y), (radius, radius), (0.0, radius)),
+                       boundaries=("contact", "side", "top", "symmetry"), arcs={0: (0.0, radius), 1: (0.0, radius)})
+    return Outline(vertices=((0.0, 0.0), (0.0, -radius), (radius, -radius), (x, -y)),
+                   boundaries=("symmetry", "bottom", "side", "contact"), arcs={2: (0.0, -radius), 3: (0.0, -radius)})
+
+
+def _on_circle(radius: float, contact: float) -> tuple[float, float]:
+    """The point of the circle at x = contact, at most at 45 degrees."""
+    turn = math.asin(min(contact / radius, math.sqrt(0.5)))
+    return radius * math.sin(turn), 2 * radius * math.sin(0.5 * turn)**2
+
+
+def _half_block(size: float, a: float) -> Polygon:
+    edge = min(_MASTER * a, 0.75 * size)
+    return Polygon(vertices=((0.0, -size), (size, -size), (size, 0.0), (edge, 0.0), (0.0, 0.0)),
+                   boundaries=("bottom", "side", "top", "contact", "symmetry"))
+
+
+def line_contact_meshes(problem: ContactProblem, *, finest: float = 1 / 40, levels: int = 5, factor: float = 1.8,
+                        grading: float = 0.12) -> list[MeshArrays]:
+    """Independent meshes for a hierarchy, coarse to fine, refined around the contact at the origin.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        :func:`hertz_cylinder` or :func:`~adaptmg.cases.cattaneo.cattaneo`.
+    finest : float
+        Edge length at contact over the half-width on the finest mesh, above 0 and at most 0.5.
+    levels : int
+        Number of meshes, >= 1.
+    factor : float
+        By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
+    grading : float
+        Growth of the edge length per distance on the finest mesh; on coarser meshes it is larger, up to 1.
+
+    Returns
+    -------
+    list of MeshArrays
+        For :meth:`adaptmg.Hierarchy.from_meshes`. Within 1.6 half-widths of the middle the edges have the length
+        ``finest`` times a times ``factor`` to the number of finer meshes.
+    """
+    from adaptmg.mesh import sized
+
+    finest, grading = checks.positive("finest", finest), checks.positive("grading", grading)
+    levels, factor = checks.integer("levels", levels, 1), checks.number("factor", factor)
+    if not finest <= 0.5:
+        raise ValueError(f"finest must be at most 0.5 of the half-width, got {finest!r}")
+    if not 1 < factor <= 3:
+        raise ValueError(f"factor must be above 1 and at most 3, got {factor!r}")
+    if "half_width" not in problem.reference or problem.domain is None:
+        raise ValueError(f"problem {problem.name!r} has no half_width in its reference, or no domain: take a case of "
+                         "line contact")
+    a = problem.reference["half_width"]
+    whole = float(max(np.ptp([part.lower, part.upper], axis=0).max() for part in _parts(problem.domain)))
+    meshes = []
+    for level in reversed(range(levels)):
+        scale = factor**level
+        steep = min(1.0, grading * scale)
+        near = SizeNear([(0.0, 0.0)], size=finest * scale * a, radius=1.6 * a, grading=steep)
+        meshes.append(sized(problem.domain, near, max_size=min(0.06 * scale, 0.5) * whole, grading=max(0.3, steep)))
+    return meshes
+
+
+def _parts(domain: Domain) -> tuple[Domain, ...]:
+    return tuple(domain.parts.values()) if isinstance(domain, Assembly) else (domain,)
+
+
+def pressure_fit(x: np.ndarray, pressure: np.ndarray, half_width: float, share: float = 0.8) -> tuple[float, float]:
+    r"""Half-width and peak of the Hertzian pressure that fits nodal pressures best.
+
+    :math:`p^2 = p_0^2 - (p_0/a)^2 x^2` is linear in :math:`x^2`; a least-squares line through the nodes away from the
+    edge averages the noise of single nodes.
+
+    Parameters
+    ----------
+    x : (n,) array
+        Distances from the middle, m.
+    pressure : (n,) array
+        Pa.
+    half_width : float
+        About which a is expected, m.
+    share : float
+        Nodes within this share of ``half_width`` count.
+
+    Returns
+    -------
+    half_width, peak : float
+        m and Pa.
+    """
+    x, pressure = np.asarray(x, dtype=np.float64), np.asarray(pressure, dtype=np.float64)
+    inside = np.abs(x) < share * half_width
+    if inside.sum() < 3:
+        raise ValueError(f"only {inside.sum()} nodes lie within {share:g} of the half-width {half_width:g} m: refine "
+                         "the mesh near contact")
+    slope, square = np.polyfit(x[inside]**2, pressure[inside]**2, 1)
+    if not (slope < 0 and square > 0):
+        raise ValueError("the pressures do not fall from the middle outwards: there is no Hertzian pressure to fit")
+    return math.sqrt(square / -slope), math.sqrt(square)
