@@ -76,15 +76,14 @@ def parts(dim: int, law: str):
     """A small contact problem as halves and obstacle."""
     problem = network(dim, law, 3)
     discrete = problem.discrete
-    level = split(discrete.matrix, discrete.fixed)
+    level = split(discrete.matrix, discrete.fixed, symmetric=True)
     load = np.where(discrete.fixed, 0.0, discrete.load - discrete.matrix @ discrete.fixed_values)
     return problem, level, Obstacle.of(discrete, level), load
 
 
 def smooth(level, obstacle, load, u):
     kernels, defect = PROJECTED[level.dim], np.zeros_like(u)
-    kernels.backward(*level.lower_arrays, *level.upper_arrays, level.inverse, load, obstacle.contact_of,
-                     *obstacle.node_data, u, defect)
+    kernels.backward(*level.lower_arrays, level.inverse, load, obstacle.contact_of, *obstacle.node_data, u, defect)
     kernels.forward(*level.lower_arrays, level.inverse, obstacle.diagonal, obstacle.contact_of, *obstacle.node_data,
                     u, defect)
     return defect

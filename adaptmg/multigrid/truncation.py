@@ -48,20 +48,17 @@ class Truncation:
     prolongations : list of csr_array
         Between neighbours, all of nodes or all of dofs.
     obstacle : Obstacle
-        The contact nodes of the last level.
+        The contact nodes of the last level, whose matrix is taken as symmetric.
     """
 
     def __init__(self, levels: list[Halves], prolongations: list[sparse.csr_array], obstacle: Obstacle) -> None:
         self.obstacle, fine = obstacle, levels[-1]
         dim = fine.dim
-        room = kernels.count_blocks(obstacle.nodes, fine.lower_indptr, fine.upper_indptr)
-        rows, columns = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
-        blocks = np.empty(room * dim * dim)
-        count = kernels.collect(dim, obstacle.nodes, obstacle.contact_of, *fine.lower_arrays, *fine.upper_arrays,
-                                obstacle.diagonal, rows, columns, blocks)
-        self.rows, self.columns = rows[:count].copy(), columns[:count].copy()
-        self.blocks = blocks[:count * dim * dim].copy()
-        self.change = np.zeros_like(self.blocks)
+        count = kernels.count_blocks(obstacle.nodes, obstacle.contact_of, fine.lower_indptr, fine.lower_indices)
+        self.rows, self.columns, self.entries = (np.empty(count, dtype=np.int32) for _ in range(3))
+        kernels.collect(obstacle.nodes, obstacle.contact_of, fine.lower_indptr, fine.lower_indices, self.rows,
+                        self.columns, self.entries)
+        self.lower, self.change = fine.lower, np.zeros(count * dim * dim)
         if prolongations[-1].shape[0] == fine.n_nodes:
             self.chain: NodalChain | DofChain = NodalChain(levels[:-1], prolongations, self.rows, self.columns)
         else:
@@ -70,8 +67,8 @@ class Truncation:
     def apply(self, newton: bool) -> None:
         """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g frozen."""
         o = self.obstacle
-        kernels.changed_blocks(o.dim, self.rows, self.columns, self.blocks, o.contact_of, o.codes, o.frames,
-                               o.friction, o.direction, o.hessian, newton, self.change)
+        kernels.changed_blocks(o.dim, self.rows, self.columns, self.entries, self.lower, o.diagonal, o.contact_of,
+                               o.codes, o.frames, o.friction, o.direction, o.hessian, newton, self.change)
         self.chain.update(self.change)
 
     def restore(self) -> None:
@@ -80,8 +77,8 @@ class Truncation:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        own = self.rows.nbytes + self.columns.nbytes + self.blocks.nbytes + self.change.nbytes
+        """Memory of the arrays but the finest matrix, bytes."""
+        own = self.rows.nbytes + self.columns.nbytes + self.entries.nbytes + self.change.nbytes
         return own + self.chain.nbytes
 
 
