@@ -120,12 +120,20 @@ def _count(indptr, indices, lower_indptr, upper_indptr):
         below = 0
         above = 0
         for k in range(indptr[i], indptr[i + 1]):
-            if indices[k] < i:
-                below += 1
-            elif indices[k] > i:
-                above += 1
+            # no branches: half of them would be mispredicted
+            below += indices[k] < i
+            above += indices[k] > i
         lower_indptr[i + 1] = lower_indptr[i] + below
         upper_indptr[i + 1] = upper_indptr[i] + above
+
+
+@njit(cache=True)
+def _copy(size, count, begin, to, indices, data, own_indices, own):
+    """A run of ``count`` blocks from place ``begin`` to place ``to``."""
+    for k in range(count):
+        own_indices[to + k] = indices[begin + k]
+    for c in range(size * count):
+        own[size * to + c] = data[size * begin + c]
 
 
 @njit(cache=True)
@@ -136,33 +144,27 @@ def _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, 
     both = len(upper_indptr) > 0
     diagonal[:] = 0.0
     for i in range(len(indptr) - 1):
-        below = lower_indptr[i]
-        above = upper_indptr[i] if both else 0
-        for k in range(indptr[i], indptr[i + 1]):
-            j = indices[k]
-            if j < i:
-                lower_indices[below] = j
-                for c in range(size):
-                    lower[size * below + c] = data[size * k + c]
-                below += 1
-            elif j > i:
-                if not both:
-                    continue
-                upper_indices[above] = j
-                for c in range(size):
-                    upper[size * above + c] = data[size * k + c]
-                above += 1
-            else:
-                for c in range(size):
-                    diagonal[size * i + c] += data[size * k + c]
+        # the columns are sorted, so that the row is one run for each part
+        begin, to = indptr[i], lower_indptr[i]
+        count = lower_indptr[i + 1] - to
+        _copy(size, count, begin, to, indices, data, lower_indices, lower)
+        begin += count
+        while begin < indptr[i + 1] and indices[begin] == i:
+            for c in range(size):
+                diagonal[size * i + c] += data[size * begin + c]
+            begin += 1
+        if both:
+            _copy(size, indptr[i + 1] - begin, begin, upper_indptr[i], indices, data, upper_indices, upper)
 
 
 @njit(cache=True)
-def _mask(dim, indptr, indices, data, free):
-    """Zero rows and columns of fixed dofs in a half."""
+def _mask(dim, indptr, indices, data, free, held):
+    """Zero rows and columns of fixed dofs in a half; ``held`` tells the nodes that have some."""
     for i in range(len(indptr) - 1):
         for k in range(indptr[i], indptr[i + 1]):
             j = np.int64(indices[k])
+            if not (held[i] or held[j]):
+                continue
             for a in range(dim):
                 for b in range(dim):
                     if not (free[dim * i + a] and free[dim * j + b]):
@@ -212,11 +214,25 @@ def invert_block(dim, block, scale, result, at):
 
 
 @njit(cache=True)
+def _invert_2d(blocks, result, at):
+    """The same in 2D in a few operations, where no diagonal entry vanishes; whether it was done."""
+    a, b, c, d = blocks[at], blocks[at + 1], blocks[at + 2], blocks[at + 3]
+    if a == 0.0 or abs(d - c * (b / a)) <= 1e-10 * abs(d):
+        return False
+    scale = 1.0 / (d - c * (b / a))
+    result[at + 1], result[at + 2], result[at + 3] = -(b / a) * scale, -(c / a) * scale, scale
+    result[at] = 1.0 / a + (b / a) * scale * (c / a)
+    return True
+
+
+@njit(cache=True)
 def _invert_all(dim, diagonal, inverse):
     size = dim * dim
     block = np.empty(size)
     scale = np.empty(dim)
     for i in range(len(diagonal) // size):
+        if dim == 2 and _invert_2d(diagonal, inverse, 4 * i):
+            continue
         for c in range(size):
             block[c] = diagonal[size * i + c]
         for a in range(dim):
@@ -255,10 +271,11 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
                 diagonal)
     dofs = np.flatnonzero(fixed)
     if len(dofs):
-        free = ~fixed
-        _mask(dim, lower_indptr, lower_indices, lower, free)
+        free, held = ~fixed, np.zeros(n, dtype=bool)
+        held[dofs // dim] = True
+        _mask(dim, lower_indptr, lower_indices, lower, free, held)
         if not symmetric:
-            _mask(dim, upper_indptr, upper_indices, upper, free)
+            _mask(dim, upper_indptr, upper_indices, upper, free, held)
         _decouple(dim, diagonal, dofs)
     _invert_all(dim, diagonal, inverse)
     return Halves(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse, dofs,

@@ -55,10 +55,15 @@ class Truncation:
         self.obstacle, fine = obstacle, levels[-1]
         dim = fine.dim
         count = kernels.count_blocks(obstacle.nodes, obstacle.contact_of, fine.lower_indptr, fine.lower_indices)
-        self.rows, self.columns, self.entries = (np.empty(count, dtype=np.int32) for _ in range(3))
-        kernels.collect(obstacle.nodes, obstacle.contact_of, fine.lower_indptr, fine.lower_indices, self.rows,
-                        self.columns, self.entries)
-        self.lower, self.change = fine.lower, np.zeros(count * dim * dim)
+        rows, columns, entries = (np.empty(count, dtype=np.int32) for _ in range(3))
+        kernels.collect(obstacle.nodes, obstacle.contact_of, fine.lower_indptr, fine.lower_indices, rows, columns,
+                        entries)
+        # contact node by contact node, so that what is written on the levels below lies close together
+        owner = np.where(obstacle.contact_of[rows] < 0, obstacle.contact_of[columns], obstacle.contact_of[rows])
+        order = np.argsort(owner, kind="stable")
+        self.rows, self.columns = rows[order], columns[order]
+        self.blocks, self.change = np.empty(count * dim * dim), np.zeros(count * dim * dim)
+        kernels.fetch(dim, self.rows, self.columns, entries[order], fine.lower, obstacle.diagonal, self.blocks)
         if prolongations[-1].shape[0] == fine.n_nodes:
             self.chain: NodalChain | DofChain = NodalChain(levels[:-1], prolongations, self.rows, self.columns)
         else:
@@ -67,8 +72,8 @@ class Truncation:
     def apply(self, newton: bool) -> None:
         """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g frozen."""
         o = self.obstacle
-        kernels.changed_blocks(o.dim, self.rows, self.columns, self.entries, self.lower, o.diagonal, o.contact_of,
-                               o.codes, o.frames, o.friction, o.direction, o.hessian, newton, self.change)
+        kernels.changed_blocks(o.dim, self.rows, self.columns, self.blocks, o.contact_of, o.codes, o.frames,
+                               o.friction, o.direction, o.hessian, newton, self.change)
         self.chain.update(self.change)
 
     def restore(self) -> None:
@@ -77,8 +82,8 @@ class Truncation:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays but the finest matrix, bytes."""
-        own = self.rows.nbytes + self.columns.nbytes + self.entries.nbytes + self.change.nbytes
+        """Memory of the arrays, bytes."""
+        own = self.rows.nbytes + self.columns.nbytes + self.blocks.nbytes + self.change.nbytes
         return own + self.chain.nbytes
 
 

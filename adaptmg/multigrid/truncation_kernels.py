@@ -18,7 +18,7 @@ from adaptmg.multigrid.contact_loops import CLOSED, HELD, TANGENTIAL
 from adaptmg.multigrid.halves import invert_block
 
 __all__ = ["add_contributions", "changed_blocks", "collect", "count_blocks", "count_contributions",
-           "fill_contributions", "find_slot", "find_slots", "store"]
+           "fetch", "fill_contributions", "find_slot", "find_slots", "store"]
 
 
 @njit(cache=True)
@@ -49,33 +49,30 @@ def collect(nodes, contact_of, indptr, indices, rows, columns, entries):
 
 
 @njit(cache=True)
-def _fetch(dim, row, column, entry, lower, diagonal, block):
-    """The block of a collected place."""
-    at = dim * dim * np.int64(entry)
-    for a in range(dim):
-        for b in range(dim):
-            if row == column:
-                block[a, b] = diagonal[at + a * dim + b]
-            else:
-                block[a, b] = lower[at + a * dim + b] if row > column else lower[at + b * dim + a]
+def fetch(dim, rows, columns, entries, lower, diagonal, blocks):
+    """Copy the collected blocks; above the diagonal they are transposed ones of L."""
+    size = dim * dim
+    for e in range(len(rows)):
+        at = size * np.int64(entries[e])
+        for a in range(dim):
+            for b in range(dim):
+                if rows[e] == columns[e]:
+                    blocks[e * size + a * dim + b] = diagonal[at + a * dim + b]
+                else:
+                    blocks[e * size + a * dim + b] = lower[at + (a * dim + b if rows[e] > columns[e] else b * dim + a)]
 
 
 @njit(cache=True)
-def changed_blocks(dim, rows, columns, entries, lower, diagonal, contact_of, codes, frames, friction, direction,
-                   hessian, newton, change):
-    """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen).
-
-    ``lower`` and ``diagonal`` (of the contact nodes) have the blocks.
-    """
+def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, friction, direction, hessian, newton, change):
+    """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen)."""
     size = dim * dim
     m = dim - 1
     block, other = np.empty((dim, dim)), np.empty((dim, dim))
     for e in range(len(rows)):
         k, l = contact_of[rows[e]], contact_of[columns[e]]
-        _fetch(dim, rows[e], columns[e], entries[e], lower, diagonal, block)
         for a in range(dim):
             for b in range(dim):
-                change[e * size + a * dim + b] = -block[a, b]
+                block[a, b] = blocks[e * size + a * dim + b]
         if k >= 0:
             for a in range(dim):
                 for b in range(dim):
@@ -123,7 +120,7 @@ def changed_blocks(dim, rows, columns, entries, lower, diagonal, contact_of, cod
             block, other = other, block
         for a in range(dim):
             for b in range(dim):
-                change[e * size + a * dim + b] += block[a, b]
+                change[e * size + a * dim + b] = block[a, b] - blocks[e * size + a * dim + b]
 
 
 @njit(cache=True)
