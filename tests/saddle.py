@@ -1,9 +1,9 @@
 """Contact of several bodies by multipliers on the untransformed system: shares nothing with the solvers.
 
 With C the local relative displacements at slave nodes (frames by row), f the contact forces on the slaves and the
-Cartesian system A u - b = C' f: a semismooth Newton method for :math:`-f_n = \\max(0, -f_n + c (C_n u - g))` and
-:math:`f_t = \\mathrm{proj}(f_t - c\\,(C_t u - r))` on the disc of radius s + mu p. Multipliers are scaled by the largest
-diagonal entry of A; each system is solved with two steps of refinement.
+Cartesian system A u - b = C' f: a semismooth Newton method for -f_n = max(0, -f_n + c (C_n u - g)) and for
+f_t = proj(f_t - c (C_t u - r)), onto the disc of radius s + mu p. Multipliers are scaled by the largest diagonal entry
+of A; each system is solved with two steps of refinement.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def relative_rows(parts, directions, rows):
 
 def solve_saddle(parts, steps=80):
     """Displacement (n_nodes, dim), and the forces on the slaves, normal p >= 0 (n,) and Cartesian (n, dim)."""
-    contact, n_dofs = parts.contact, len(parts.load)
+    contact = parts.contact
     n, dim = contact.normals.shape
     limit, friction = parts.law.bounds(n)
     t = tangents(contact.normals)

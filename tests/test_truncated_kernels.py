@@ -72,19 +72,42 @@ def test_half_passes_are_gauss_seidel(dim):
     np.testing.assert_allclose(halves.matrix().toarray(), dense)
 
 
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_the_lower_half_of_a_symmetric_matrix_is_enough(dim):
+    rng = np.random.default_rng(dim)
+    matrix = random_matrix(rng, dim)
+    matrix = sparse.bsr_array(matrix + matrix.T, blocksize=(dim, dim)).sorted_indices()
+    fixed = rng.random(matrix.shape[0]) < 0.2
+    both, lower = split(matrix, fixed), split(matrix, fixed, symmetric=True)
+    assert lower.symmetric and not both.symmetric and lower.nonzeros == both.nonzeros
+    assert lower.nbytes < both.nbytes
+    free = np.outer(~fixed, ~fixed) | np.diag(fixed)
+    for halves in (both, lower):
+        np.testing.assert_allclose(halves.matrix().toarray(), np.where(free, matrix.toarray(), 0.0))
+        blocks = halves.diagonal.reshape(-1, dim, dim)
+        np.testing.assert_allclose(halves.inverse.reshape(blocks.shape), np.linalg.inv(blocks), rtol=1e-12)
+
+
+def test_inverse_blocks_leave_out_vanishing_entries():
+    blocks = [[[0, 0], [0, 2]], [[4, 0], [0, 0]], [[1, 1], [1, 1]], [[3, 1], [2, 4]]]
+    matrix = sparse.bsr_array((np.array(blocks, dtype=float), np.arange(4), np.arange(5)), shape=(8, 8))
+    inverse = split(matrix, np.zeros(8, dtype=bool)).inverse.reshape(-1, 2, 2)
+    expected = [[[0, 0], [0, 0.5]], [[0.25, 0], [0, 0]], [[1, 0], [0, 0]], np.array([[4, -1], [-2, 3]]) / 10]
+    np.testing.assert_allclose(inverse, expected, atol=1e-14)
+
+
 def parts(dim: int, law: str):
     """A small contact problem as halves and obstacle."""
     problem = network(dim, law, 3)
     discrete = problem.discrete
-    level = split(discrete.matrix, discrete.fixed)
+    level = split(discrete.matrix, discrete.fixed, symmetric=True)
     load = np.where(discrete.fixed, 0.0, discrete.load - discrete.matrix @ discrete.fixed_values)
     return problem, level, Obstacle.of(discrete, level), load
 
 
 def smooth(level, obstacle, load, u):
     kernels, defect = PROJECTED[level.dim], np.zeros_like(u)
-    kernels.backward(*level.lower_arrays, *level.upper_arrays, level.inverse, load, obstacle.contact_of,
-                     *obstacle.node_data, u, defect)
+    kernels.backward(*level.lower_arrays, level.inverse, load, obstacle.contact_of, *obstacle.node_data, u, defect)
     kernels.forward(*level.lower_arrays, level.inverse, obstacle.diagonal, obstacle.contact_of, *obstacle.node_data,
                     u, defect)
     return defect

@@ -28,10 +28,11 @@ def coarse_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -
     """Galerkin matrices of all levels, coarsest first.
 
     Where the discretised matrix is the Galerkin one (nested meshes) it is taken as it is; not with coupled bodies,
-    whose truncated matrices need more entries near contact than the discretised ones have.
+    whose truncated matrices need more entries near contact than the discretised ones have. The finest matrix, which no
+    truncation changes, is symmetric: its lower half is all that is stored.
     """
     matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
-    result = [split(matrix, fine.fixed)]
+    result = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)]
     for level, nodal in zip(reversed(hierarchy.levels[:-1]), reversed(prolongations), strict=True):
         if level.discrete is None:
             matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)

@@ -14,7 +14,7 @@ from numba import njit
 from adaptmg.smoother.prefetch import AHEAD, prefetch
 
 __all__ = ["backward_change", "backward_full", "backward_kept", "forward_from_zero", "forward_full", "forward_residual",
-           "minus_row", "residual"]
+           "minus_row", "minus_transposed_row", "residual"]
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 
@@ -34,6 +34,21 @@ def minus_row(i, step, indptr, indices, data, w, r_0, r_1):
         r_0 -= data[block] * w_0 + data[block + ONE] * w_1
         r_1 -= data[block + TWO] * w_0 + data[block + THREE] * w_1
     return r_0, r_1
+
+
+@njit(cache=True, inline="always")
+def minus_transposed_row(i, step, indptr, indices, data, d_0, d_1, w):
+    """W minus the transpose of row i of a half times (d_0, d_1), in place."""
+    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    first = begin if step > 0 else end - np.int64(1)
+    for entry in range(end - begin):
+        k = np.uint64(first + step * entry)
+        block, j = FOUR * k, TWO * np.uint64(indices[k])
+        # all is read before anything is written: the compiler cannot know that w is none of the other arrays
+        a_00, a_01, a_10, a_11 = data[block], data[block + ONE], data[block + TWO], data[block + THREE]
+        w_0, w_1 = w[j], w[j + ONE]
+        w[j] = w_0 - (a_00 * d_0 + a_10 * d_1)
+        w[j + ONE] = w_1 - (a_01 * d_0 + a_11 * d_1)
 
 
 @njit(cache=True)

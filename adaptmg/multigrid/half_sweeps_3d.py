@@ -8,7 +8,7 @@ from numba import njit
 from adaptmg.smoother.prefetch import AHEAD, prefetch
 
 __all__ = ["backward_change", "backward_full", "backward_kept", "forward_from_zero", "forward_full", "forward_residual",
-           "minus_row", "residual", "times_block"]
+           "minus_row", "minus_transposed_row", "residual", "times_block"]
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 FIVE, SIX, SEVEN, EIGHT, NINE = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8), np.uint64(9)
@@ -28,6 +28,24 @@ def minus_row(i, step, indptr, indices, data, w, r_0, r_1, r_2):
         r_1 -= data[block + THREE] * w_0 + data[block + FOUR] * w_1 + data[block + FIVE] * w_2
         r_2 -= data[block + SIX] * w_0 + data[block + SEVEN] * w_1 + data[block + EIGHT] * w_2
     return r_0, r_1, r_2
+
+
+@njit(cache=True, inline="always")
+def minus_transposed_row(i, step, indptr, indices, data, d_0, d_1, d_2, w):
+    """W minus the transpose of row i of a half times (d_0, d_1, d_2), in place."""
+    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    first = begin if step > 0 else end - np.int64(1)
+    for entry in range(end - begin):
+        k = np.uint64(first + step * entry)
+        block, j = NINE * k, THREE * np.uint64(indices[k])
+        # all is read before anything is written: the compiler cannot know that w is none of the other arrays
+        a_00, a_01, a_02 = data[block], data[block + ONE], data[block + TWO]
+        a_10, a_11, a_12 = data[block + THREE], data[block + FOUR], data[block + FIVE]
+        a_20, a_21, a_22 = data[block + SIX], data[block + SEVEN], data[block + EIGHT]
+        w_0, w_1, w_2 = w[j], w[j + ONE], w[j + TWO]
+        w[j] = w_0 - (a_00 * d_0 + a_10 * d_1 + a_20 * d_2)
+        w[j + ONE] = w_1 - (a_01 * d_0 + a_11 * d_1 + a_21 * d_2)
+        w[j + TWO] = w_2 - (a_02 * d_0 + a_12 * d_1 + a_22 * d_2)
 
 
 @njit(cache=True, inline="always")

@@ -2,7 +2,8 @@ r"""Halves: a block matrix stored as strict lower part L, strict upper part U an
 
 Gauss-Seidel sweeps in turn, forward after backward, need the half that has changed only:
 with :math:`t = f - U u` kept from the backward sweep, the forward sweep is :math:`D u_i = t_i - L_i u`. Kept apart, a
-half is streamed for itself and counts as half a pass. Rows and columns of fixed dofs are zero.
+half is streamed for itself and counts as half a pass. Of a symmetric matrix L alone is enough where the sweeps scatter
+:math:`L^T`. Rows and columns of fixed dofs are zero.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class Halves:
     lower_indices, upper_indices : uint32 arrays
         Block columns, ascending in a row.
     lower, upper : float64 arrays
-        Blocks, row by row, flat.
+        Blocks, row by row, flat. All three arrays of the upper half are empty where it is the transpose of the lower.
     diagonal, inverse : (n_nodes * dim * dim,) arrays
         Diagonal blocks and their inverses, flat; :meth:`drop_diagonal` empties ``diagonal`` when it is of no more use.
     fixed : (n_fixed,) int64 array
@@ -57,6 +58,11 @@ class Halves:
     def n_dofs(self) -> int:
         """Rows."""
         return self.n_nodes * self.dim
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether U is not stored, being the transpose of L."""
+        return len(self.upper_indptr) == 0
 
     @property
     def lower_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -99,11 +105,11 @@ class Halves:
         n, dim = self.n_nodes, self.dim
         shape = (self.n_dofs, self.n_dofs)
         parts = []
-        for indptr, indices, data in (self.lower_arrays, self.upper_arrays,
-                                      (np.arange(n + 1), np.arange(n), self.diagonal)):
+        for indptr, indices, data in ((np.arange(n + 1), np.arange(n), self.diagonal), self.lower_arrays,
+                                      *(() if self.symmetric else (self.upper_arrays,))):
             blocks = data.reshape(-1, dim, dim)
             parts.append(sparse.bsr_array((blocks, indices.astype(np.int32), indptr), shape=shape))
-        return parts[0] + parts[1] + parts[2]
+        return parts[0] + parts[1] + (parts[1].T if self.symmetric else parts[2])
 
 
 @njit(cache=True)
@@ -114,46 +120,51 @@ def _count(indptr, indices, lower_indptr, upper_indptr):
         below = 0
         above = 0
         for k in range(indptr[i], indptr[i + 1]):
-            if indices[k] < i:
-                below += 1
-            elif indices[k] > i:
-                above += 1
+            # no branches: half of them would be mispredicted
+            below += indices[k] < i
+            above += indices[k] > i
         lower_indptr[i + 1] = lower_indptr[i] + below
         upper_indptr[i + 1] = upper_indptr[i] + above
 
 
 @njit(cache=True)
-def _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper,
-                diagonal):
-    """Blocks into L, U and D; blocks of a duplicate or missing diagonal are summed or zero."""
-    size = dim * dim
-    diagonal[:] = 0.0
-    for i in range(len(indptr) - 1):
-        below = lower_indptr[i]
-        above = upper_indptr[i]
-        for k in range(indptr[i], indptr[i + 1]):
-            j = indices[k]
-            if j < i:
-                lower_indices[below] = j
-                for c in range(size):
-                    lower[size * below + c] = data[size * k + c]
-                below += 1
-            elif j > i:
-                upper_indices[above] = j
-                for c in range(size):
-                    upper[size * above + c] = data[size * k + c]
-                above += 1
-            else:
-                for c in range(size):
-                    diagonal[size * i + c] += data[size * k + c]
+def _copy(size, count, begin, to, indices, data, own_indices, own):
+    """A run of ``count`` blocks from place ``begin`` to place ``to``."""
+    for k in range(count):
+        own_indices[to + k] = indices[begin + k]
+    for c in range(size * count):
+        own[size * to + c] = data[size * begin + c]
 
 
 @njit(cache=True)
-def _mask(dim, indptr, indices, data, free):
-    """Zero rows and columns of fixed dofs in a half."""
+def _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper,
+                diagonal):
+    """Blocks into L, U (unless it is empty) and D; blocks of a duplicate or missing diagonal are summed or zero."""
+    size = dim * dim
+    both = len(upper_indptr) > 0
+    diagonal[:] = 0.0
+    for i in range(len(indptr) - 1):
+        # the columns are sorted, so that the row is one run for each part
+        begin, to = indptr[i], lower_indptr[i]
+        count = lower_indptr[i + 1] - to
+        _copy(size, count, begin, to, indices, data, lower_indices, lower)
+        begin += count
+        while begin < indptr[i + 1] and indices[begin] == i:
+            for c in range(size):
+                diagonal[size * i + c] += data[size * begin + c]
+            begin += 1
+        if both:
+            _copy(size, indptr[i + 1] - begin, begin, upper_indptr[i], indices, data, upper_indices, upper)
+
+
+@njit(cache=True)
+def _mask(dim, indptr, indices, data, free, held):
+    """Zero rows and columns of fixed dofs in a half; ``held`` tells the nodes that have some."""
     for i in range(len(indptr) - 1):
         for k in range(indptr[i], indptr[i + 1]):
             j = np.int64(indices[k])
+            if not (held[i] or held[j]):
+                continue
             for a in range(dim):
                 for b in range(dim):
                     if not (free[dim * i + a] and free[dim * j + b]):
@@ -203,11 +214,25 @@ def invert_block(dim, block, scale, result, at):
 
 
 @njit(cache=True)
+def _invert_2d(blocks, result, at):
+    """The same in 2D in a few operations, where no diagonal entry vanishes; whether it was done."""
+    a, b, c, d = blocks[at], blocks[at + 1], blocks[at + 2], blocks[at + 3]
+    if a == 0.0 or abs(d - c * (b / a)) <= 1e-10 * abs(d):
+        return False
+    scale = 1.0 / (d - c * (b / a))
+    result[at + 1], result[at + 2], result[at + 3] = -(b / a) * scale, -(c / a) * scale, scale
+    result[at] = 1.0 / a + (b / a) * scale * (c / a)
+    return True
+
+
+@njit(cache=True)
 def _invert_all(dim, diagonal, inverse):
     size = dim * dim
     block = np.empty(size)
     scale = np.empty(dim)
     for i in range(len(diagonal) // size):
+        if dim == 2 and _invert_2d(diagonal, inverse, 4 * i):
+            continue
         for c in range(size):
             block[c] = diagonal[size * i + c]
         for a in range(dim):
@@ -215,7 +240,7 @@ def _invert_all(dim, diagonal, inverse):
         invert_block(dim, block, scale, inverse, size * i)
 
 
-def split(matrix: sparse.bsr_array, fixed: np.ndarray) -> Halves:
+def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) -> Halves:
     """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed.
 
     Parameters
@@ -223,6 +248,8 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray) -> Halves:
     matrix : bsr_array (n_dofs, n_dofs)
         Square blocks; columns sorted in each row.
     fixed : (n_dofs,) bool array
+    symmetric : bool
+        Store L alone, and take its transpose for U.
 
     Returns
     -------
@@ -234,6 +261,9 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray) -> Halves:
     lower_indptr, upper_indptr = np.empty(n + 1, dtype=np.int32), np.empty(n + 1, dtype=np.int32)
     _count(indptr, indices, lower_indptr, upper_indptr)
     below, above = int(lower_indptr[-1]), int(upper_indptr[-1])
+    nonzeros = (below + above + n) * dim * dim
+    if symmetric:
+        upper_indptr, above = upper_indptr[:0].copy(), 0
     lower_indices, upper_indices = np.empty(below, dtype=np.uint32), np.empty(above, dtype=np.uint32)
     lower, upper = np.empty(below * dim * dim), np.empty(above * dim * dim)
     diagonal, inverse = np.empty(n * dim * dim), np.empty(n * dim * dim)
@@ -241,10 +271,12 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray) -> Halves:
                 diagonal)
     dofs = np.flatnonzero(fixed)
     if len(dofs):
-        free = ~fixed
-        _mask(dim, lower_indptr, lower_indices, lower, free)
-        _mask(dim, upper_indptr, upper_indices, upper, free)
+        free, held = ~fixed, np.zeros(n, dtype=bool)
+        held[dofs // dim] = True
+        _mask(dim, lower_indptr, lower_indices, lower, free, held)
+        if not symmetric:
+            _mask(dim, upper_indptr, upper_indices, upper, free, held)
         _decouple(dim, diagonal, dofs)
     _invert_all(dim, diagonal, inverse)
     return Halves(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse, dofs,
-                  (below + above + n) * dim * dim)
+                  nonzeros)

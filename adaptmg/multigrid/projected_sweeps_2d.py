@@ -1,9 +1,10 @@
 r"""Numba kernels of the nonlinear smoothing in 2D: projected Gauss-Seidel in half passes, on a symmetric matrix.
 
 Unknowns are Cartesian; the exact node solve of :mod:`adaptmg.smoother.node_solve` works in the frame of the contact
-node. The backward sweep reads L and U and keeps :math:`t = f - U u`. The forward sweep reads L only, and as
-:math:`U = L^T` it scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i, to the nodes before: what t
-has become at the end is the residual f - A u, for no further read.
+node. Both sweeps read L only, each row for two purposes, as :math:`U = L^T`. The backward sweep scatters
+:math:`-L_i^T u_i` to the nodes before, so that :math:`t = f - U u` is complete when its node is reached, and keeps t.
+The forward sweep scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i: what t has become at the end
+is the residual f - A u.
 
 Arguments of a contact: ``contact_of`` (n_nodes,) index or -1; ``frames`` (n_contact * 4,) rows normal, tangent;
 ``blocks`` (n_contact * 3,) the local diagonal block nn, nt, tt; ``gap, reference, limit, friction``; ``values``
@@ -15,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from adaptmg.multigrid.half_sweeps_2d import minus_row
+from adaptmg.multigrid.half_sweeps_2d import minus_row, minus_transposed_row
 from adaptmg.smoother.node_solve import solve_2d
 
 __all__ = ["backward", "energy_product", "forward"]
@@ -36,24 +37,28 @@ def _node(k, frames, blocks, gap, reference, limit, friction, values, c_0, c_1):
 
 
 @njit(cache=True)
-def backward(l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, contact_of, frames, blocks, gap,
-             reference, limit, friction, values, u, kept):
+def backward(l_indptr, l_indices, lower, inverse, load, contact_of, frames, blocks, gap, reference, limit, friction,
+             values, u, kept):
     """Backward projected sweep, kept = f - U u."""
+    for at in range(len(load)):
+        kept[at] = load[at]
     for node in range(len(l_indptr) - 2, -1, -1):
         i = np.uint64(node)
         at, block = TWO * i, FOUR * i
-        r_0, r_1 = minus_row(i, -1, u_indptr, u_indices, upper, u, load[at], load[at + ONE])
-        kept[at], kept[at + ONE] = r_0, r_1
-        r_0, r_1 = minus_row(i, -1, l_indptr, l_indices, lower, u, r_0, r_1)
+        # kept comes last: it is the one to wait for, as the node before has just written to it
+        r_0, r_1 = minus_row(i, -1, l_indptr, l_indices, lower, u, 0.0, 0.0)
+        r_0, r_1 = kept[at] + r_0, kept[at + ONE] + r_1
         if contact_of[i] < 0:
-            u[at] = inverse[block] * r_0 + inverse[block + ONE] * r_1
-            u[at + ONE] = inverse[block + TWO] * r_0 + inverse[block + THREE] * r_1
+            new_0 = inverse[block] * r_0 + inverse[block + ONE] * r_1
+            new_1 = inverse[block + TWO] * r_0 + inverse[block + THREE] * r_1
         else:
-            u[at], u[at + ONE] = _node(np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction,
-                                       values, r_0, r_1)
+            new_0, new_1 = _node(np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction, values,
+                                 r_0, r_1)
+        u[at], u[at + ONE] = new_0, new_1
+        minus_transposed_row(i, -1, l_indptr, l_indices, lower, new_0, new_1, kept)
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract"})
 def forward(l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, blocks, gap, reference, limit, friction,
             values, u, kept):
     """Forward projected sweep after :func:`backward`; ``kept`` becomes f - A u.
@@ -76,10 +81,7 @@ def forward(l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, b
             kept[at + ONE] = r_1 - diagonal[d + TWO] * new_0 - diagonal[d + THREE] * new_1
         d_0, d_1 = new_0 - u[at], new_1 - u[at + ONE]
         u[at], u[at + ONE] = new_0, new_1
-        for entry in range(np.uint64(l_indptr[i]), np.uint64(l_indptr[i + ONE])):
-            b, j = FOUR * entry, TWO * np.uint64(l_indices[entry])
-            kept[j] -= lower[b] * d_0 + lower[b + TWO] * d_1
-            kept[j + ONE] -= lower[b + ONE] * d_0 + lower[b + THREE] * d_1
+        minus_transposed_row(i, 1, l_indptr, l_indices, lower, d_0, d_1, kept)
 
 
 @njit(cache=True)

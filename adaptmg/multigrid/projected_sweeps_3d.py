@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from adaptmg.multigrid.half_sweeps_3d import minus_row, times_block
+from adaptmg.multigrid.half_sweeps_3d import minus_row, minus_transposed_row, times_block
 from adaptmg.smoother.node_solve import solve_3d
 
 __all__ = ["backward", "energy_product", "forward"]
@@ -33,23 +33,26 @@ def _node(k, frames, blocks, gap, reference, limit, friction, values, c_0, c_1, 
 
 
 @njit(cache=True)
-def backward(l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, contact_of, frames, blocks, gap,
-             reference, limit, friction, values, u, kept):
+def backward(l_indptr, l_indices, lower, inverse, load, contact_of, frames, blocks, gap, reference, limit, friction,
+             values, u, kept):
     """Backward projected sweep, kept = f - U u."""
+    for at in range(len(load)):
+        kept[at] = load[at]
     for node in range(len(l_indptr) - 2, -1, -1):
         i = np.uint64(node)
         at = THREE * i
-        r_0, r_1, r_2 = minus_row(i, -1, u_indptr, u_indices, upper, u, load[at], load[at + ONE], load[at + TWO])
-        kept[at], kept[at + ONE], kept[at + TWO] = r_0, r_1, r_2
-        r_0, r_1, r_2 = minus_row(i, -1, l_indptr, l_indices, lower, u, r_0, r_1, r_2)
+        r_0, r_1, r_2 = minus_row(i, -1, l_indptr, l_indices, lower, u, 0.0, 0.0, 0.0)
+        r_0, r_1, r_2 = kept[at] + r_0, kept[at + ONE] + r_1, kept[at + TWO] + r_2
         if contact_of[i] < 0:
-            u[at], u[at + ONE], u[at + TWO] = times_block(i, inverse, r_0, r_1, r_2)
+            new_0, new_1, new_2 = times_block(i, inverse, r_0, r_1, r_2)
         else:
-            u[at], u[at + ONE], u[at + TWO] = _node(np.uint64(contact_of[i]), frames, blocks, gap, reference, limit,
-                                                    friction, values, r_0, r_1, r_2)
+            new_0, new_1, new_2 = _node(np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction,
+                                        values, r_0, r_1, r_2)
+        u[at], u[at + ONE], u[at + TWO] = new_0, new_1, new_2
+        minus_transposed_row(i, -1, l_indptr, l_indices, lower, new_0, new_1, new_2, kept)
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract"})
 def forward(l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, blocks, gap, reference, limit, friction,
             values, u, kept):
     """Forward projected sweep after :func:`backward`; ``kept`` becomes f - A u."""
@@ -67,11 +70,7 @@ def forward(l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, b
             kept[at], kept[at + ONE], kept[at + TWO] = r_0 - f_0, r_1 - f_1, r_2 - f_2
         d_0, d_1, d_2 = new_0 - u[at], new_1 - u[at + ONE], new_2 - u[at + TWO]
         u[at], u[at + ONE], u[at + TWO] = new_0, new_1, new_2
-        for entry in range(np.uint64(l_indptr[i]), np.uint64(l_indptr[i + ONE])):
-            b, j = NINE * entry, THREE * np.uint64(l_indices[entry])
-            kept[j] -= lower[b] * d_0 + lower[b + THREE] * d_1 + lower[b + SIX] * d_2
-            kept[j + ONE] -= lower[b + ONE] * d_0 + lower[b + FOUR] * d_1 + lower[b + SEVEN] * d_2
-            kept[j + TWO] -= lower[b + TWO] * d_0 + lower[b + FIVE] * d_1 + lower[b + EIGHT] * d_2
+        minus_transposed_row(i, 1, l_indptr, l_indices, lower, d_0, d_1, d_2, kept)
 
 
 @njit(cache=True)

@@ -95,16 +95,16 @@ class TruncatedCycle:
         return float(np.sqrt(dot(forces, forces)))
 
     def smooth(self) -> None:
-        """A backward and a forward projected sweep, 1.5 passes, and local ones; leaves f - A u in ``defect``.
+        """A backward and a forward projected sweep, one pass, and local ones; leaves f - A u in ``defect``.
 
         Rigid motions that the contact status then leaves free go to the least energy.
         """
         level, o, sweeps = self.level, self.obstacle, _SWEEPS[self.level.dim]
-        sweeps.backward(*level.lower_arrays, *level.upper_arrays, level.inverse, self.load, o.contact_of, *o.node_data,
-                        self.unknowns, self.defect)
+        sweeps.backward(*level.lower_arrays, level.inverse, self.load, o.contact_of, *o.node_data, self.unknowns,
+                        self.defect)
         sweeps.forward(*level.lower_arrays, level.inverse, o.diagonal, o.contact_of, *o.node_data, self.unknowns,
                        self.defect)
-        self.cycle.recorder.count(1.5, level.nonzeros)
+        self.cycle.recorder.count(1.0, level.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
         for k in range(self._interface_sweeps):
             order = self.interface.backward if k % 2 == 0 else self.interface.forward

@@ -48,20 +48,22 @@ class Truncation:
     prolongations : list of csr_array
         Between neighbours, all of nodes or all of dofs.
     obstacle : Obstacle
-        The contact nodes of the last level.
+        The contact nodes of the last level, whose matrix is taken as symmetric.
     """
 
     def __init__(self, levels: list[Halves], prolongations: list[sparse.csr_array], obstacle: Obstacle) -> None:
         self.obstacle, fine = obstacle, levels[-1]
         dim = fine.dim
-        room = kernels.count_blocks(obstacle.nodes, fine.lower_indptr, fine.upper_indptr)
-        rows, columns = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
-        blocks = np.empty(room * dim * dim)
-        count = kernels.collect(dim, obstacle.nodes, obstacle.contact_of, *fine.lower_arrays, *fine.upper_arrays,
-                                obstacle.diagonal, rows, columns, blocks)
-        self.rows, self.columns = rows[:count].copy(), columns[:count].copy()
-        self.blocks = blocks[:count * dim * dim].copy()
-        self.change = np.zeros_like(self.blocks)
+        count = kernels.count_blocks(obstacle.nodes, obstacle.contact_of, fine.lower_indptr, fine.lower_indices)
+        rows, columns, entries = (np.empty(count, dtype=np.int32) for _ in range(3))
+        kernels.collect(obstacle.nodes, obstacle.contact_of, fine.lower_indptr, fine.lower_indices, rows, columns,
+                        entries)
+        # contact node by contact node, so that what is written on the levels below lies close together
+        owner = np.where(obstacle.contact_of[rows] < 0, obstacle.contact_of[columns], obstacle.contact_of[rows])
+        order = np.argsort(owner, kind="stable")
+        self.rows, self.columns = rows[order], columns[order]
+        self.blocks, self.change = np.empty(count * dim * dim), np.zeros(count * dim * dim)
+        kernels.fetch(dim, self.rows, self.columns, entries[order], fine.lower, obstacle.diagonal, self.blocks)
         if prolongations[-1].shape[0] == fine.n_nodes:
             self.chain: NodalChain | DofChain = NodalChain(levels[:-1], prolongations, self.rows, self.columns)
         else:

@@ -18,48 +18,48 @@ from adaptmg.multigrid.contact_loops import CLOSED, HELD, TANGENTIAL
 from adaptmg.multigrid.halves import invert_block
 
 __all__ = ["add_contributions", "changed_blocks", "collect", "count_blocks", "count_contributions",
-           "fill_contributions", "find_slot", "find_slots", "store"]
+           "fetch", "fill_contributions", "find_slot", "find_slots", "store"]
 
 
 @njit(cache=True)
-def count_blocks(nodes, l_indptr, u_indptr):
-    """An upper bound for the number of blocks in rows and columns of contact nodes."""
+def count_blocks(nodes, contact_of, indptr, indices):
+    """The number of blocks in rows and columns of contact nodes, from the lower half of a symmetric matrix."""
     total = 0
-    for node in nodes:
-        total += 1 + 2 * (l_indptr[node + 1] - l_indptr[node] + u_indptr[node + 1] - u_indptr[node])
-    return total
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            if contact_of[i] >= 0 or contact_of[indices[k]] >= 0:
+                total += 2
+    return total + len(nodes)
 
 
 @njit(cache=True)
-def _put(size, transposed, dim, source, k, row, column, rows, columns, blocks, count):
-    rows[count], columns[count] = row, column
-    for a in range(dim):
-        for b in range(dim):
-            at = k * size + (b * dim + a if transposed else a * dim + b)
-            blocks[count * size + a * dim + b] = source[at]
-    return count + 1
-
-
-@njit(cache=True)
-def collect(dim, nodes, contact_of, l_indptr, l_indices, lower, u_indptr, u_indices, upper, diagonal, rows, columns,
-            blocks):
-    """Blocks of a symmetric matrix in rows and columns of contact nodes; ``diagonal`` has those of the contact nodes.
-
-    Returns their number.
-    """
-    size = dim * dim
+def collect(nodes, contact_of, indptr, indices, rows, columns, entries):
+    """Where those blocks are: on the diagonal the contact node, elsewhere the entry of L, for both sides."""
     count = 0
     for k in range(len(nodes)):
-        i = np.int64(nodes[k])
-        count = _put(size, False, dim, diagonal, k, i, i, rows, columns, blocks, count)
-        for half in range(2):
-            indptr, indices, data = (l_indptr, l_indices, lower) if half == 0 else (u_indptr, u_indices, upper)
-            for entry in range(indptr[i], indptr[i + 1]):
-                j = np.int64(indices[entry])
-                count = _put(size, False, dim, data, entry, i, j, rows, columns, blocks, count)
-                if contact_of[j] < 0:
-                    count = _put(size, True, dim, data, entry, j, i, rows, columns, blocks, count)
-    return count
+        rows[count], columns[count], entries[count] = nodes[k], nodes[k], k
+        count += 1
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
+            if contact_of[i] >= 0 or contact_of[j] >= 0:
+                rows[count], columns[count], entries[count] = i, j, k
+                rows[count + 1], columns[count + 1], entries[count + 1] = j, i, k
+                count += 2
+
+
+@njit(cache=True)
+def fetch(dim, rows, columns, entries, lower, diagonal, blocks):
+    """Copy the collected blocks; above the diagonal they are transposed ones of L."""
+    size = dim * dim
+    for e in range(len(rows)):
+        at = size * np.int64(entries[e])
+        for a in range(dim):
+            for b in range(dim):
+                if rows[e] == columns[e]:
+                    blocks[e * size + a * dim + b] = diagonal[at + a * dim + b]
+                else:
+                    blocks[e * size + a * dim + b] = lower[at + (a * dim + b if rows[e] > columns[e] else b * dim + a)]
 
 
 @njit(cache=True)

@@ -81,7 +81,7 @@ class Convergence:
         reactions = defect.reshape(-1, system.dim)[system.nodes]
         scale = max(self._scale, euclidean_norm(reactions.reshape(-1)))
         size = euclidean_norm(vector)
-        self.residual = size / scale if scale > 0 else (0.0 if size == 0 else np.inf)
+        self.residual = 0.0 if size == 0 else size / (scale or size)  # an interference fit begins without forces
         self._norm = float(np.hypot(energy_norm(unknowns, self.local.load - defect), np.sqrt(self.hidden_energy)))
         if self._unknowns is not None:
             self.changes.append(energy_norm(unknowns - self._unknowns, self._defect - defect))

@@ -20,7 +20,7 @@ def force_scale(local: LocalProblem) -> float:
 
 
 def relative_residual(local: LocalProblem, unknowns: np.ndarray) -> float:
-    """Natural residual over max(|b|, |A u_fixed|, |reactions|), Euclidean norms.
+    """Natural residual over max(|b|, |A u_fixed|, |reactions|), Euclidean norms; 1 if it is all there is.
 
     Parameters
     ----------
@@ -32,9 +32,7 @@ def relative_residual(local: LocalProblem, unknowns: np.ndarray) -> float:
     reactions = residual(local.system, local.load, unknowns).reshape(-1, local.system.dim)[local.system.nodes]
     scale = max(force_scale(local), float(np.linalg.norm(reactions)))
     size = float(np.linalg.norm(vector))
-    if scale > 0:
-        return size / scale
-    return 0.0 if size == 0.0 else float("inf")
+    return 0.0 if size == 0.0 else size / (scale or size)
 
 
 def contact_result(local: LocalProblem, unknowns: np.ndarray, solved: np.ndarray) -> ContactResult:

@@ -15,7 +15,7 @@ from numba import njit
 from adaptmg.transfer.closest import closest_on_simplex
 from adaptmg.transfer.morton import morton_order
 
-__all__ = ["STACK", "BoxTree", "box_contains", "box_overlaps", "leaf_range", "nearest_simplex", "padded"]
+__all__ = ["STACK", "BoxTree", "box_overlaps", "leaf_range", "nearest_simplex", "padded"]
 
 LEAF_SIZE = 4
 """Largest number of simplices in a leaf."""
@@ -29,6 +29,21 @@ def leaf_range(node, n_leaves, n_simplices):
     """First and past-the-last position of the simplices in a leaf, given its node number."""
     leaf = node - (n_leaves - 1)
     return leaf * n_simplices // n_leaves, (leaf + 1) * n_simplices // n_leaves
+
+
+@njit(cache=True)
+def _centres(points, simplices):
+    """Means of the corners (n, dim)."""
+    n, k = simplices.shape
+    dim = points.shape[1]
+    result = np.empty((n, dim))
+    for s in range(n):
+        for c in range(dim):
+            total = 0.0
+            for m in range(k):
+                total += points[simplices[s, m], c]
+            result[s, c] = total / k
+    return result
 
 
 @njit(cache=True)
@@ -50,15 +65,6 @@ def _build(points, simplices, n_leaves, boxes):
         for c in range(dim):
             boxes[node, c] = min(boxes[left, c], boxes[right, c])
             boxes[node, dim + c] = max(boxes[left, dim + c], boxes[right, dim + c])
-
-
-@njit(cache=True)
-def box_contains(boxes, node, x, dim):
-    """Whether the closed box of ``node`` contains ``x``."""
-    inside = True
-    for c in range(dim):
-        inside = inside and boxes[node, c] <= x[c] <= boxes[node, dim + c]
-    return inside
 
 
 @njit(cache=True)
@@ -145,7 +151,7 @@ class BoxTree:
 
     def __init__(self, points: np.ndarray, simplices: np.ndarray) -> None:
         n, self.dim = len(simplices), points.shape[1]
-        self.order = morton_order(points[simplices].mean(axis=1))
+        self.order = morton_order(_centres(points, simplices))
         self.simplices = np.ascontiguousarray(simplices[self.order], dtype=np.int32)
         n_leaves = 1
         while n_leaves * LEAF_SIZE < n:

@@ -67,8 +67,7 @@ class PointLocator:
         self.element_of = chosen[self.tree.order].astype(np.int32)
         self.maps = np.empty((len(chosen), self.dim * (self.dim + 1)))
         affine_maps(self.tree.points, self.tree.simplices, self.maps)
-        bad = ~np.isfinite(self.maps).all(axis=1)
-        if bad.any():
+        if not np.isfinite(self.maps.sum()) and (bad := ~np.isfinite(self.maps).all(axis=1)).any():
             raise ValueError(f"mesh: element {self.element_of[np.argmax(bad)]} has no volume; remove degenerate "
                              "elements")
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from adaptmg.transfer.box_tree import STACK, box_contains, leaf_range, nearest_simplex
+from adaptmg.transfer.box_tree import STACK, leaf_range, nearest_simplex
 
-__all__ = ["INSIDE", "affine_maps", "barycentric", "locate"]
+__all__ = ["INSIDE", "affine_maps", "locate"]
 
 INSIDE = 1e-12
 """A point counts as inside an element when no barycentric weight is below minus this."""
@@ -45,23 +45,35 @@ def affine_maps(points, elements, maps):
 
 
 @njit(cache=True)
-def barycentric(maps, e, x, dim, weights):
-    """Write the weights of ``x`` in element ``e``; returns the smallest."""
-    total, smallest = 0.0, np.inf
-    for m in range(dim):
-        value = 0.0
-        for c in range(dim):
-            value += maps[e, dim + m * dim + c] * (x[c] - maps[e, c])
-        weights[m + 1] = value
-        total += value
-        smallest = min(smallest, value)
-    weights[0] = 1.0 - total
-    return min(smallest, weights[0])
+def _coordinates(maps, e, x, y, z, dim):
+    """Weights of corners 1, 2 and 3 (2D: 0) of element ``e`` at a point, and of corner 0."""
+    if dim == 2:
+        x, y = x - maps[e, 0], y - maps[e, 1]
+        first, second = maps[e, 2] * x + maps[e, 3] * y, maps[e, 4] * x + maps[e, 5] * y
+        return first, second, 0.0, 1.0 - (first + second)
+    x, y, z = x - maps[e, 0], y - maps[e, 1], z - maps[e, 2]
+    first = maps[e, 3] * x + maps[e, 4] * y + maps[e, 5] * z
+    second = maps[e, 6] * x + maps[e, 7] * y + maps[e, 8] * z
+    third = maps[e, 9] * x + maps[e, 10] * y + maps[e, 11] * z
+    return first, second, third, 1.0 - (first + second + third)
 
 
 @njit(cache=True)
-def _inside_below(top, x, maps, boxes, dim, weights, stack):
-    """(element, leaf) below node ``top`` that contains ``x``, or (-1, -1); writes the weights."""
+def _inside(maps, e, x, y, z, dim):
+    first, second, third, rest = _coordinates(maps, e, x, y, z, dim)
+    return min(min(first, second), min(third, rest)) >= -INSIDE
+
+
+@njit(cache=True)
+def _box_contains(boxes, node, x, y, z, dim):
+    """Whether the closed box of ``node`` contains a point."""
+    return (boxes[node, 0] <= x <= boxes[node, dim] and boxes[node, 1] <= y <= boxes[node, dim + 1]
+            and (dim == 2 or boxes[node, 2] <= z <= boxes[node, 5]))
+
+
+@njit(cache=True)
+def _inside_below(top, x, y, z, maps, boxes, dim, stack):
+    """(element, leaf) below node ``top`` that contains a point, or (-1, -1)."""
     n = len(maps)
     n_leaves = (len(boxes) + 1) // 2
     stack[0] = top
@@ -69,7 +81,7 @@ def _inside_below(top, x, maps, boxes, dim, weights, stack):
     while depth > 0:
         depth -= 1
         node = stack[depth]
-        if not box_contains(boxes, node, x, dim):
+        if not _box_contains(boxes, node, x, y, z, dim):
             continue
         if node < n_leaves - 1:
             stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
@@ -77,19 +89,19 @@ def _inside_below(top, x, maps, boxes, dim, weights, stack):
             continue
         first, last = leaf_range(node, n_leaves, n)
         for s in range(first, last):
-            if barycentric(maps, s, x, dim, weights) >= -INSIDE:
+            if _inside(maps, s, x, y, z, dim):
                 return s, node
     return -1, -1
 
 
 @njit(cache=True)
-def _find(x, start, maps, boxes, dim, weights, stack):
+def _find(x, y, z, start, maps, boxes, dim, stack):
     """Climb from leaf ``start``: search it, its sibling, its parent's sibling, and so on up to the root."""
     node = start
-    found, leaf = _inside_below(node, x, maps, boxes, dim, weights, stack)
+    found, leaf = _inside_below(node, x, y, z, maps, boxes, dim, stack)
     while found < 0 and node > 0:
         sibling = node + 1 if node % 2 == 1 else node - 1
-        found, leaf = _inside_below(sibling, x, maps, boxes, dim, weights, stack)
+        found, leaf = _inside_below(sibling, x, y, z, maps, boxes, dim, stack)
         node = (node - 1) // 2
     return found, leaf
 
@@ -104,26 +116,28 @@ def locate(queries, sequence, points, elements, maps, boxes, found, weights, dis
     stack = np.empty(STACK, dtype=np.int64)
     leaf = n_leaves - 1
     for q in sequence:
-        x = queries[q]
-        best, at = _find(x, leaf, maps, boxes, dim, weights[q], stack)
+        # numbers, not slices: making a slice costs more than looking into an element
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+        best, at = _find(x, y, z, leaf, maps, boxes, dim, stack)
         distance[q] = 0.0
         if best >= 0:
             leaf = at
-            _clip(weights[q])
+            _take_clipped(maps, best, x, y, z, dim, q, weights)
         else:
-            best, squared = nearest_simplex(x, points, elements, boxes, dim, weights[q], trial, candidate, stack)
+            best, squared = nearest_simplex(queries[q], points, elements, boxes, dim, weights[q], trial, candidate,
+                                            stack)
             # rounding may put a point on an edge outside of every box and element around it
-            if barycentric(maps, best, x, dim, trial) < -INSIDE:
+            if not _inside(maps, best, x, y, z, dim):
                 distance[q] = np.sqrt(squared)
         found[q] = best
 
 
 @njit(cache=True)
-def _clip(weights):
-    """Clip at zero and renormalise."""
-    total = 0.0
-    for m in range(len(weights)):
-        weights[m] = max(weights[m], 0.0)
-        total += weights[m]
-    for m in range(len(weights)):
-        weights[m] /= total
+def _take_clipped(maps, e, x, y, z, dim, q, weights):
+    """Row q of the weights, clipped at zero and normalised."""
+    first, second, third, rest = _coordinates(maps, e, x, y, z, dim)
+    first, second, third, rest = max(first, 0.0), max(second, 0.0), max(third, 0.0), max(rest, 0.0)
+    total = rest + first + second + third
+    weights[q, 0], weights[q, 1], weights[q, 2] = rest / total, first / total, second / total
+    if dim == 3:
+        weights[q, 3] = third / total

@@ -37,6 +37,17 @@ def _spread3(value):
 
 
 @njit(cache=True)
+def _bounds(points):
+    """Lower corner (dim,) and longest side of the bounding box."""
+    n, dim = points.shape
+    low, high = points[0].copy(), points[0].copy()
+    for i in range(n):
+        for c in range(dim):
+            low[c], high[c] = min(low[c], points[i, c]), max(high[c], points[i, c])
+    return low, (high - low).max()
+
+
+@njit(cache=True)
 def _codes(points, low, scale, out):
     n, dim = points.shape
     for i in range(n):
@@ -59,8 +70,7 @@ def morton_order(points: np.ndarray) -> np.ndarray:
     codes = np.empty(n, dtype=np.uint64)
     if n == 0:
         return np.empty(0, dtype=np.int64)
-    low = points.min(axis=0)
-    extent = float((points.max(axis=0) - low).max())
+    low, extent = _bounds(points)
     steps = 2.0 ** (31 if dim == 2 else 21) - 1
     _codes(points, low, steps / extent if extent > 0 else 0.0, codes)
     return np.argsort(codes, kind="stable")

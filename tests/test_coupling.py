@@ -1,0 +1,206 @@
+"""Relative coordinates: inverse, duals, symmetric products, prolongations, refusals; all against dense algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+
+import adaptmg as am
+from adaptmg.coupling import Coupling
+
+SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
+
+
+def chained(rng, links=2, n=4, bodies=None):
+    """Weights of ``links`` + 1 groups of n nodes: most nodes of a group follow nodes of the next, some are negative.
+
+    Numbers are shuffled, so that neither the order of the bodies nor that of the links shows in them.
+    """
+    bodies = links + 1 if bodies is None else bodies
+    weights = np.zeros((bodies * n, bodies * n))
+    for k in range(links):
+        for i in range(n - 1):
+            chosen = (k + 1) * n + rng.choice(n, size=rng.integers(1, n), replace=False)
+            row = rng.normal(size=len(chosen))
+            row += (1 - row.sum()) / len(row)
+            weights[k * n + i, chosen] = row
+    order = rng.permutation(len(weights))
+    return sparse.csr_array(weights[order][:, order])
+
+
+def dense(coupling):
+    """T (n_dofs, n_dofs), from its definition (I - Pi W)^-1."""
+    W = np.kron(coupling.weights.toarray(), np.eye(coupling.dim)) * ~coupling.fixed[:, None]
+    return np.linalg.inv(np.eye(len(W)) - W)
+
+
+def made(seed, links=2, dim=2, share=0.2):
+    rng = np.random.default_rng(seed)
+    weights = chained(rng, links)
+    return Coupling(weights, rng.random(dim * weights.shape[0]) < share), rng
+
+
+class TestTransformation:
+    @given(seed=SEEDS, links=st.integers(1, 4), dim=st.sampled_from([2, 3]))
+    @settings(max_examples=40, deadline=None)
+    def test_physical_and_relative(self, seed, links, dim):
+        coupling, rng = made(seed, links, dim)
+        T = dense(coupling)
+        assert coupling.dim == dim
+        for shape in ((len(T),), (len(T), 3)):
+            w, f = rng.normal(size=(2, *shape))
+            size = np.abs(T).max()
+            np.testing.assert_allclose(coupling.physical(w), T @ w, atol=1e-12 * size**2)
+            np.testing.assert_allclose(coupling.relative(coupling.physical(w)), w, atol=1e-12 * size**2)
+            np.testing.assert_allclose(coupling.physical(coupling.relative(w)), w, atol=1e-12 * size**2)
+            np.testing.assert_allclose(coupling.relative_forces(f), T.T @ f, atol=1e-12 * size**2)
+            np.testing.assert_allclose(coupling.physical_forces(coupling.relative_forces(f)), f, atol=1e-12 * size**2)
+        # work does not depend on the coordinates
+        assert coupling.relative_forces(f).ravel() @ w.ravel() == pytest.approx(
+            f.ravel() @ coupling.physical(w).ravel(), abs=1e-10 * size**2)
+        np.testing.assert_allclose(coupling.upward.toarray(),
+                                   np.linalg.inv(np.eye(len(T) // dim) - coupling.weights.toarray()),
+                                   atol=1e-12 * np.abs(coupling.upward).max() ** 2)
+
+    @pytest.mark.parametrize("dim", [2, 3])
+    def test_two_powers_in_a_chain_of_three(self, dim):
+        # 0 follows 1 and 2 evenly, 1 follows 3 and 4, by a quarter and three quarters
+        weights = sparse.csr_array(([0.5, 0.5, 0.25, 0.75], ([0, 0, 1, 1], [1, 2, 3, 4])), shape=(5, 5))
+        fixed = np.zeros(5 * dim, dtype=bool)
+        fixed[dim] = True  # the first component of node 1 follows nothing
+        u = np.zeros((5, dim))
+        u[2:] = np.arange(3 * dim).reshape(3, dim) ** 2
+        expected = u.copy()
+        expected[1, 1:] = 0.25 * u[3, 1:] + 0.75 * u[4, 1:]
+        expected[0] = 0.5 * expected[1] + 0.5 * u[2]
+        coupling = Coupling(weights, fixed)
+        np.testing.assert_allclose(coupling.physical(u.ravel()).reshape(5, dim), expected)
+        np.testing.assert_allclose(coupling.relative(expected.ravel()).reshape(5, dim), u, atol=1e-13)
+
+    def test_without_followers_nothing_changes(self):
+        coupling = Coupling(sparse.csr_array((3, 3)), np.zeros(6, dtype=bool))
+        w = np.arange(6.0)
+        np.testing.assert_array_equal(coupling.physical(w), w)
+        np.testing.assert_array_equal(coupling.physical_forces(w), w)
+
+    @given(seed=SEEDS, links=st.integers(1, 3), dim=st.sampled_from([2, 3]))
+    @settings(max_examples=30, deadline=None)
+    def test_transformed(self, seed, links, dim):
+        coupling, rng = made(seed, links, dim)
+        n = len(coupling.fixed)
+        blocks = np.kron(rng.random((n // dim, n // dim)) < 0.3, np.ones((dim, dim)))
+        A = rng.normal(size=(n, n)) * blocks
+        A = A + A.T + 10 * np.eye(n)
+        T = dense(coupling)
+        result = coupling.transformed(sparse.bsr_array(A, blocksize=(dim, dim)))
+        assert result.blocksize == (dim, dim) and result.has_sorted_indices
+        expected = T.T @ A @ T
+        np.testing.assert_allclose(result.toarray(), expected, atol=1e-13 * np.abs(expected).max() * n)
+        np.testing.assert_array_equal(result.toarray(), result.toarray().T)
+        indices = [tuple(pair) for pair in zip(np.repeat(np.arange(n // dim), np.diff(result.indptr)), result.indices,
+                                               strict=True)]
+        assert len(set(indices)) == len(indices)
+
+    def test_a_matrix_without_duplicates_in_another_format(self):
+        coupling, _ = made(3)
+        A = sparse.eye_array(len(coupling.fixed), format="csr")
+        T = dense(coupling)
+        blocks = sparse.bsr_array(A, blocksize=(2, 2))
+        np.testing.assert_allclose(coupling.transformed(blocks).toarray(), T.T @ T, atol=1e-10 * np.abs(T.T @ T).max())
+
+    @given(seed=SEEDS)
+    @settings(max_examples=30, deadline=None)
+    def test_prolongation(self, seed):
+        rng = np.random.default_rng(seed)
+        fine, coarse = (Coupling(chained(rng, 2, n), np.zeros(2 * 3 * n, dtype=bool)) for n in (6, 3))
+        P = sparse.csr_array(rng.random((18, 9)) * (rng.random((18, 9)) < 0.5))
+        relative = fine.prolongation(P, coarse)
+        expected = np.linalg.inv(dense(fine))[::2, ::2] @ P.toarray() @ dense(coarse)[::2, ::2]
+        np.testing.assert_allclose(relative.toarray(), expected, atol=1e-11 * max(1, np.abs(expected).max()))
+        assert relative.has_sorted_indices and (relative.data != 0).all()
+        # the same field, whichever way one goes
+        w = rng.normal(size=9)
+        one = fine.physical(np.repeat(relative @ w, 2))
+        other = np.repeat(P @ coarse.physical(np.repeat(w, 2))[::2], 2)
+        np.testing.assert_allclose(one, other, atol=1e-10 * max(1, np.abs(other).max()))
+
+
+class TestRefusals:
+    def test_circles(self):
+        weights = sparse.csr_array((np.ones(3), ([0, 1, 2], [1, 2, 0])), shape=(4, 4))
+        with pytest.raises(ValueError, match=r"circle.*exchange slave and master"):
+            Coupling(weights, np.zeros(8, dtype=bool))
+        with pytest.raises(ValueError, match="circle"):
+            Coupling(sparse.csr_array(np.diag([1.0, 0, 0])), np.zeros(6, dtype=bool))
+
+    def test_a_circle_of_fixed_components_is_a_circle(self):
+        weights = sparse.csr_array((np.ones(2), ([0, 1], [1, 0])), shape=(2, 2))
+        with pytest.raises(ValueError, match="circle"):
+            Coupling(weights, np.ones(4, dtype=bool))
+
+    @pytest.mark.parametrize(("weights", "fixed", "match"), [
+        (sparse.csr_array(np.array([[0, 0.9], [0, 0]])), np.zeros(4, bool), r"sum 1, got 0.9 at node 0"),
+        (sparse.csr_array(np.array([[0, np.nan], [0, 0]])), np.zeros(4, bool), "sum 1"),
+        (sparse.csr_array((2, 3)), np.zeros(4, bool), "square"),
+        (sparse.csr_array((2, 2)), np.zeros(5, bool), "boolean mask"),
+        (sparse.csr_array((2, 2)), np.zeros(4), "boolean mask"),
+        (sparse.csr_array((2, 2)), np.zeros((2, 2), bool), "boolean mask"),
+    ])
+    def test_arrays_that_do_not_fit(self, weights, fixed, match):
+        with pytest.raises(ValueError, match=match):
+            Coupling(weights, fixed)
+
+    def test_a_dense_matrix(self):
+        with pytest.raises(TypeError, match="sparse"):
+            Coupling(np.zeros((2, 2)), np.zeros(4, dtype=bool))
+
+
+class TestDiscreteProblem:
+    def springs(self):
+        """Two chains of three nodes; node 3 (slave) faces nodes 1 and 2."""
+        link = np.array([[1.0, -1.0], [-1.0, 1.0]])
+        chain = np.zeros((6, 6))
+        for i, j in ((0, 1), (1, 2), (3, 4), (4, 5)):
+            chain[np.ix_([i, j], [i, j])] += link
+        weights = sparse.csr_array(([0.5, 0.5], ([3, 3], [1, 2])), shape=(6, 6))
+        fixed = np.zeros(12, dtype=bool)
+        fixed[:2] = True
+        return {"matrix": sparse.csr_array(np.kron(chain, np.eye(2))), "load": np.arange(12.0), "fixed": fixed,
+                "law": am.Frictionless(), "weights": weights,
+                "contact": am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("other",))}
+
+    def test_energy_and_work_are_the_same(self):
+        given_parts = self.springs()
+        problem = am.DiscreteProblem.coupled(**given_parts)
+        u = np.random.default_rng(0).normal(size=12)
+        w = problem.relative(u)
+        np.testing.assert_allclose(problem.physical(w).ravel(), u, atol=1e-14)
+        assert w.ravel() @ problem.matrix @ w.ravel() == pytest.approx(u @ given_parts["matrix"] @ u)
+        assert w.ravel() @ problem.load == pytest.approx(u @ given_parts["load"])
+        np.testing.assert_allclose(w[3], u[6:8] - 0.5 * (u[2:4] + u[4:6]))
+
+    def test_rigid_motions_are_those_of_displacements(self):
+        points = np.array([[0, 0], [0, 1], [1, 1], [0.3, 1], [0, 2], [1, 2.0]])
+        problem = am.DiscreteProblem.coupled(**self.springs(), coordinates=points)
+        turn = np.column_stack([-points[:, 1], points[:, 0]]).ravel()
+        fields = np.column_stack([problem.physical(mode).ravel() for mode in problem.near_nullspace.T])
+        assert np.linalg.lstsq(fields, turn, rcond=None)[1] == pytest.approx(0, abs=1e-20)
+
+    def test_another_coupling_is_refused(self):
+        problem = am.DiscreteProblem.coupled(**self.springs())
+        with pytest.raises(ValueError, match=r"other fixed dofs: use DiscreteProblem.coupled"):
+            am.DiscreteProblem(matrix=problem.matrix, load=problem.load, fixed=np.zeros(12, dtype=bool),
+                               law=problem.law, contact=problem.contact, coupling=problem.coupling)
+        with pytest.raises(ValueError, match="masters must go with names"):
+            am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("a", "b"))
+
+    def test_without_a_coupling_unknowns_are_displacements(self):
+        parts = self.springs()
+        del parts["weights"]
+        problem = am.DiscreteProblem(**parts)
+        w = np.arange(12.0)
+        np.testing.assert_array_equal(problem.physical(w).ravel(), w)
+        np.testing.assert_array_equal(problem.relative(w.reshape(6, 2)).ravel(), w)
