@@ -89,7 +89,8 @@ def solve_case(seed: int) -> dict[str, Any]:
         check_statics(hierarchy.finest.discrete)
     except ValueError as error:
         for name in ("nested", "cold"):
-            row |= {f"{name}_status": "REFUSED", f"{name}_cycles": 0, f"{name}_residual": np.nan, f"{name}_fallback": ""}
+            row |= {f"{name}_status": "REFUSED", f"{name}_cycles": 0, f"{name}_residual": np.nan,
+                    f"{name}_fallback": ""}
         return row | {"why": str(error)[:80]}
     solvers = {"nested": am.FullMultigrid(correction=am.Truncated(), rtol=RTOL),
                "cold": am.Multigrid(correction=am.Truncated(), rtol=RTOL)}
