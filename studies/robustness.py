@@ -18,6 +18,7 @@ import pandas as pd
 from common import Context, Section, Table, main
 
 import adaptmg as am
+from adaptmg.solver.statics import check_statics
 
 CASES, QUICK_CASES = 320, 12
 #: seeds from here on were not looked at while the safeguards of the solver were made
@@ -83,21 +84,23 @@ def random_grids(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
 def solve_case(seed: int) -> dict[str, Any]:
     """One case from both starts."""
     row, hierarchy = random_grids(seed)
+    try:
+        # the load may push the body off its contact: refused before any work, which is a right answer
+        check_statics(hierarchy.finest.discrete)
+    except ValueError as error:
+        for name in ("nested", "cold"):
+            row |= {f"{name}_status": "REFUSED", f"{name}_cycles": 0, f"{name}_residual": np.nan,
+                    f"{name}_fallback": ""}
+        return row | {"why": str(error)[:80]}
     solvers = {"nested": am.FullMultigrid(correction=am.Truncated(), rtol=RTOL),
                "cold": am.Multigrid(correction=am.Truncated(), rtol=RTOL)}
     for name, solver in solvers.items():
-        try:
-            with warnings.catch_warnings():
-                # friction so large that the solution may not be unique is what the campaign is about
-                warnings.simplefilter("ignore", RuntimeWarning)
-                result = am.solve(hierarchy, solver, throw=False)
-        except ValueError as error:
-            # the load may push the body off its contact: refused before any work, which is a right answer
-            row |= {f"{name}_status": "REFUSED", f"{name}_cycles": 0, f"{name}_residual": np.nan,
-                    "why": str(error)[:80]}
-            continue
+        with warnings.catch_warnings():
+            # friction so large that the solution may not be unique is what the campaign is about
+            warnings.simplefilter("ignore", RuntimeWarning)
+            result = am.solve(hierarchy, solver, throw=False)
         row |= {f"{name}_status": result.status.name, f"{name}_cycles": result.cycles,
-                f"{name}_residual": result.residual}
+                f"{name}_residual": result.residual, f"{name}_fallback": result.solver_name.partition(", then ")[2]}
     return row
 
 
@@ -107,16 +110,17 @@ def run(context: Context) -> Section:
     rows = context.study(solve_case, {"seed": list(range(FIRST_SEED, FIRST_SEED + count))})
     summary = []
     for name in ("nested", "cold"):
-        status, cycles, residual = rows[f"{name}_status"], rows[f"{name}_cycles"], rows[f"{name}_residual"]
+        status, cycles, residual, fallback = (rows[f"{name}_{what}"]
+                                              for what in ("status", "cycles", "residual", "fallback"))
         converged = status == "CONVERGED"
         summary.append({"start": name, "cases": len(rows), "refused": int((status == "REFUSED").sum()),
                         "solved": int((converged & (residual <= RESIDUAL)).sum()),
                         "reported_failure": int((~converged & (status != "REFUSED")).sum()),
                         "silent_failure": int((converged & ~(residual <= RESIDUAL)).sum()),
+                        "by_fallback": int((converged & (fallback != "")).sum()),
                         "median_cycles": float(cycles[converged].median()), "most_cycles": int(cycles.max())})
     columns = ["seed", "dim", "nested", "floating", "law", "friction", "nodes", "nested_status", "nested_cycles",
-               "nested_residual",
-               "cold_status", "cold_cycles", "cold_residual"]
+               "nested_residual", "nested_fallback", "cold_status", "cold_cycles", "cold_residual", "cold_fallback"]
     return Section("Random contact problems", __doc__.split("\n\n")[1],
                    [Table("robustness", pd.DataFrame(summary), "Outcomes."),
                     Table("robustness_cases", rows[columns], "Every case.")])

@@ -86,9 +86,7 @@ class Fallback:
         try:
             outcome = solver.run(self.hierarchy, self.run, start)
         except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
-            _LOG.info("cycle %d: the active set method gives up: %s", before.cycles, error)
-            self.run.first_cycle, self.run.fallback = 0, ""
-            return before
+            return self._given_up("the active set method", before, error)
         finally:
             self.run.start_work_units = start_work_units
         return replace(outcome, cycles=before.cycles + outcome.cycles)
@@ -104,8 +102,17 @@ class Fallback:
         local = machine.problems[-1]
         unknowns = local.to_local(self.problem.fixed_values if start is None else start)
         project(local, unknowns)
-        outcome = machine.finish(unknowns)
+        try:
+            outcome = machine.finish(unknowns)
+        except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
+            # a coarsest problem of few contact nodes may be singular where the finest one is not
+            return self._given_up("the monotone correction", before, error)
         return replace(outcome, cycles=before.cycles + outcome.cycles)
+
+    def _given_up(self, method: str, before: Outcome, error: Exception) -> Outcome:
+        _LOG.info("cycle %d: %s gives up: %s", before.cycles, method, error)
+        self.run.first_cycle, self.run.fallback = 0, ""
+        return before
 
     def _take_over(self, cycles: int, method: str) -> None:
         _LOG.info("cycle %d: the truncated multigrid does not converge; going on with %s", cycles, method)
