@@ -63,7 +63,10 @@ class Interface:
         self.alone = np.zeros_like(self.diagonal)
         interface_rows.alone(dim, self.nodes, self.indptr, self.indices, self.blocks, self.diagonal,
                              self.follow_indptr, self.followers, self.follow_weights, self.alone)
-        self.alone = np.linalg.pinv(self.alone.reshape(-1, dim, dim), hermitian=True).reshape(-1)
+        # fixed components stay where they are, though followers pull at them
+        free = ~coupling.fixed.reshape(-1, dim)[self.nodes]
+        blocks = self.alone.reshape(-1, dim, dim) * (free[:, :, None] & free[:, None, :])
+        self.alone = np.linalg.pinv(blocks, hermitian=True).reshape(-1)
         self.forward = np.arange(len(self.nodes), dtype=np.int32)
         self.backward = self.forward[::-1].copy()
         self.nonzeros = len(self.blocks) + len(self.diagonal)

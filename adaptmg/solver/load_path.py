@@ -15,12 +15,12 @@ import numpy as np
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
+from adaptmg.solver.arguments import default_solver, displacement_argument, warn_of_large_friction
 from adaptmg.solver.path_result import PathResult
 from adaptmg.solver.path_store import PathStore
 from adaptmg.solver.path_walk import PathWalk
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
-from adaptmg.solver.solve import _default_solver, _displacement, _warn_of_large_friction
 from adaptmg.solver.status import NotConverged
 
 __all__ = ["StepNotConverged", "solve_path"]
@@ -88,18 +88,18 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         raise TypeError(f"grids must be a Hierarchy or a DiscreteProblem, got {type(grids).__name__}")
     if not isinstance(path, LoadPath):
         raise TypeError(f"path must be a LoadPath, got {type(path).__name__}")
-    solver = _default_solver(grids) if solver is None else solver
+    solver = default_solver(grids) if solver is None else solver
     if not callable(getattr(solver, "run", None)):
         raise TypeError("solver must be SingleGrid, Multigrid, FullMultigrid, ActiveSet or offer run(), "
                         f"got {solver!r}")
-    walk = PathWalk(grids, path, solver, _displacement("start", start, grids.finest.discrete))
+    walk = PathWalk(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
     mark = {} if store is None else walk.fingerprint()
     kept = None if store is None else PathStore(store, walk.factors, len(path), mark)
     results = [] if kept is None else kept.results
     for k, result in enumerate(results):
         walk.replay(k, result)
     if len(results) < len(path):
-        _warn_of_large_friction(walk.local)
+        warn_of_large_friction(walk.local)
     for k in range(len(results), len(path)):
         result = walk.step(k, progress)
         results.append(result)

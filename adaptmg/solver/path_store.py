@@ -19,10 +19,10 @@ import numpy as np
 
 from adaptmg.discretisation.load_steps import LoadSteps
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.solver.labels import label
 from adaptmg.solver.path_result import PathResult, save_head, save_step
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
-from adaptmg.solver.solve import label
 
 __all__ = ["PathStore", "fingerprint"]
 

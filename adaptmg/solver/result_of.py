@@ -1,4 +1,4 @@
-"""result_of: the Result of what a solver returned for a local problem that is already set up."""
+"""result_of: the Result of what a solver returned, its status confirmed."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import LocalProblem
+from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.finish import contact_result, relative_residual
+from adaptmg.solver.labels import problem_name, solver_name, versions
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Outcome, Run, Solver
-from adaptmg.solver.solve import _confirmed, _problem_name, _solver_name, versions
+from adaptmg.solver.status import Status
 
 __all__ = ["result_of"]
 
@@ -42,6 +44,15 @@ def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome,
                   status=_confirmed(outcome, residual), cycles=outcome.cycles,
                   contact=contact_result(local, unknowns, solved), work_units=run.work_units, residual=residual,
                   error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
-                  timings=run.timings, path=run.path, levels=grids.table(), problem_name=_problem_name(grids),
-                  solver_name=_solver_name(solver, run), mesh=grids.finest.mesh, start_work_units=run.start_work_units,
+                  timings=run.timings, path=run.path, levels=grids.table(), problem_name=problem_name(grids),
+                  solver_name=solver_name(solver, run), mesh=grids.finest.mesh, start_work_units=run.start_work_units,
                   versions=versions())
+
+
+def _confirmed(outcome: Outcome, residual: float) -> Status:
+    """The status of a solver, unless the residual of what it returned, computed here anew, contradicts it."""
+    wanted = max(Convergence.RESIDUAL_FACTOR * outcome.rtol, Convergence.ROUNDING_LIMIT)
+    # twice: solvers sum the same numbers in another order
+    if outcome.status.ok and not residual <= 2 * wanted:
+        return Status.DIVERGED if not residual < 1 else Status.STALLED
+    return outcome.status

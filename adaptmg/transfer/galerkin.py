@@ -99,14 +99,32 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
     size, coarse = dim * dim, nodal.shape[1]
     half = _product(size, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)), nodal, coarse, left=False)
     indptr, indices, data = _product(size, half, sparse.csr_array(nodal.T), coarse, left=True)
-    shape = (coarse * dim, coarse * dim)
-    result = sparse.bsr_array((data.reshape(-1, dim, dim), indices, indptr), shape=shape).sorted_indices()
-    diagonal = result.diagonal()
+    indptr, indices, data = _with_diagonal_blocks(indptr, indices, data.reshape(-1, dim, dim))
+    result = sparse.bsr_array((data, indices, indptr), shape=(coarse * dim, coarse * dim)).sorted_indices()
+    on = np.flatnonzero(np.repeat(np.arange(coarse), np.diff(result.indptr)) == result.indices)
+    diagonal = np.einsum("nii->ni", result.data[on])
     empty = ~(diagonal > 0)
     if empty.any():
-        fill = sparse.diags_array(np.where(empty, diagonal[~empty].mean(), 0.0))
-        result = sparse.bsr_array(result + fill, blocksize=(dim, dim)).sorted_indices()
+        # in place: a sum of sparse matrices would drop blocks that vanish, and truncation needs the whole pattern
+        node, component = np.nonzero(empty)
+        result.data[on[node], component, component] = diagonal[~empty].mean() if not empty.all() else 1.0
     return result
+
+
+def _with_diagonal_blocks(indptr: np.ndarray, indices: np.ndarray, data: np.ndarray
+                          ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks (indptr, indices, data) of a square matrix with the missing diagonal ones added as zeros."""
+    n = len(indptr) - 1
+    rows = np.repeat(np.arange(n), np.diff(indptr))
+    has = np.zeros(n, dtype=bool)
+    has[rows[rows == indices]] = True
+    missing = np.flatnonzero(~has)
+    if not missing.size:
+        return indptr, indices, data
+    at = indptr[missing + 1]
+    counts = np.diff(indptr) + ~has
+    return (np.append(0, np.cumsum(counts)).astype(indptr.dtype), np.insert(indices, at, missing),
+            np.insert(data, at, 0.0, axis=0))
 
 
 def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weights: sparse.csr_array, columns: int, *,

@@ -1,0 +1,234 @@
+"""Local sweeps near contact between bodies: exact residuals, falling energy, what is moved and what is not, work."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.discretisation.discretise import discretise
+from adaptmg.mesh import structured
+from adaptmg.multigrid import local_sweeps_2d, local_sweeps_3d
+from adaptmg.multigrid.halves import split
+from adaptmg.multigrid.interface import Interface
+from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.smoother.system import local_system
+from adaptmg.transfer import without_fixed
+
+LOCAL = {2: local_sweeps_2d.local, 3: local_sweeps_3d.local}
+LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(2e6), "coulomb": am.Coulomb(0.4)}
+GAP = 2e-5
+
+
+def problem(dim, law, gap=GAP):
+    """A block on a wider one, meshes that do not match, rollers at x = 0 that end on both surfaces."""
+    if dim == 2:
+        parts = {"upper": am.Rectangle(width=1.0, height=0.6, origin=(0.0, 0.5)),
+                 "lower": am.Rectangle(width=1.5, height=0.5)}
+        material, divisions, up = am.PlaneStrain(young=1e10, poisson=0.3), {"upper": (5, 3), "lower": (6, 3)}, "y"
+    else:
+        parts = {"upper": am.Box(width=1.0, depth=1.0, height=0.6, origin=(0.0, 0.0, 0.5)),
+                 "lower": am.Box(width=1.5, depth=1.0, height=0.5)}
+        material, divisions, up = am.Solid(young=1e10, poisson=0.3), {"upper": (3, 2, 2), "lower": (4, 3, 2)}, "z"
+    domain = am.Assembly(parts=parts)
+    posed = am.ContactProblem(
+        domain=domain, material=material, law=law, contact=am.ContactPair("upper.bottom", "lower.top", gap=gap),
+        loads=(am.Pressure("upper.top", lambda x: 1e7 * (0.2 + x[:, 0])),),
+        supports=(am.Support("upper.left", x=0.0), am.Support("lower.left", x=0.0),
+                  am.Support("lower.bottom", **{up: 0.0}), am.Support("lower.right", x=1e-6),
+                  *((am.Support(f"{body}.front", y=0.0) for body in parts) if dim == 3 else ())))
+    mesh = structured(domain, divisions)
+    return posed, mesh, discretise(posed, mesh)
+
+
+class Swept:
+    """A problem with its halves, obstacle and interface, and a random admissible start."""
+
+    def __init__(self, dim, law, gap=GAP, amplitude=GAP, seed=0):
+        self.posed, self.mesh, self.discrete = problem(dim, law, gap)
+        discrete = self.discrete
+        level = split(discrete.matrix, discrete.fixed)
+        self.matrix = without_fixed(discrete.matrix, discrete.fixed)
+        self.obstacle = Obstacle.of(discrete, level)
+        self.interface = Interface(level, discrete.coupling)
+        self.inverse = level.inverse
+        self.load = np.where(discrete.fixed, 0.0, discrete.load - discrete.matrix @ discrete.fixed_values)
+        rng = np.random.default_rng(seed)
+        self.u = np.where(discrete.fixed, 0.0, amplitude * rng.normal(size=discrete.n_dofs))
+        self.obstacle.place(self.u)
+        self.defect = self.load - self.matrix @ self.u
+        self.dim = dim
+
+    def sweep(self, order=None, kernel=None):
+        order = self.interface.forward if order is None else order
+        (LOCAL[self.dim] if kernel is None else kernel)(
+            order, *self.interface.arrays, self.inverse, self.obstacle.contact_of, *self.obstacle.node_data, self.u,
+            self.defect)
+
+    def energy(self):
+        slip = (self.obstacle.values.reshape(-1, self.dim)[:, 1:]
+                - self.obstacle.reference.reshape(-1, self.dim - 1))
+        return (0.5 * self.u @ self.matrix @ self.u - self.load @ self.u
+                + self.obstacle.limit @ np.linalg.norm(slip, axis=1))
+
+    def local(self):
+        frames = self.obstacle.frames.reshape(-1, self.dim, self.dim)
+        return np.einsum("nij,nj->ni", frames, self.u.reshape(-1, self.dim)[self.obstacle.nodes])
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.3 * GAP, 30 * GAP], ids=["open", "near", "mixed"])
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_sweeps(dim, law, amplitude):
+    at = Swept(dim, LAWS[law], amplitude=amplitude)
+    size = np.abs(at.defect).max()
+    energy, moved = [at.energy()], at.u.copy()
+    for k in range(6):
+        at.sweep(at.interface.backward if k % 2 else at.interface.forward)
+        energy.append(at.energy())
+        size = max(size, np.abs(at.defect).max())
+        np.testing.assert_allclose(at.defect, at.load - at.matrix @ at.u, atol=1e-12 * size * len(energy))
+        np.testing.assert_allclose(at.obstacle.values.reshape(-1, dim), at.local(),
+                                   atol=1e-14 * max(GAP, np.abs(at.u).max()) * len(energy))
+        assert (at.obstacle.values[::dim] <= at.obstacle.gap).all()
+        assert not at.u[at.discrete.fixed].any()
+    assert np.abs(at.u - moved).max() > 0
+    outside = np.setdiff1d(np.arange(at.discrete.n_nodes), at.interface.nodes)
+    np.testing.assert_array_equal(at.u.reshape(-1, dim)[outside], moved.reshape(-1, dim)[outside])
+    if law != "coulomb":
+        assert (np.diff(energy) <= 1e-13 * np.abs(energy[0])).all() and energy[-1] < energy[0]
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_solution_stays(dim, law):
+    at = Swept(dim, LAWS[law])
+    exact = am.solve(at.discrete, am.ActiveSet(rtol=1e-13))
+    states = exact.contact.state
+    assert law == "frictionless" or len(np.unique(states)) > 1
+    at.u[:] = (at.discrete.relative(exact.displacement).ravel() - at.discrete.fixed_values)
+    at.obstacle.place(at.u)
+    at.defect[:] = at.load - at.matrix @ at.u
+    before = at.u.copy()
+    at.sweep()
+    at.sweep(at.interface.backward)
+    np.testing.assert_allclose(at.u, before, atol=1e-8 * np.abs(before).max())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_many_sweeps_solve_the_problem_of_the_listed_nodes(dim):
+    at = Swept(dim, am.Frictionless(), amplitude=0.0)
+    # pressed down on one side, pulled up on the other
+    sides = np.where(at.mesh.points[at.obstacle.nodes, 0] < 0.5, 1e6, -1e6)
+    at.load.reshape(-1, dim)[at.obstacle.nodes, -1] = -sides
+    at.defect[:] = at.load - at.matrix @ at.u
+    for _ in range(4000):
+        at.sweep()
+    local = local_system(at.discrete)
+    inside = np.zeros(at.discrete.n_nodes, dtype=bool)
+    inside[at.interface.nodes] = True
+    touching = at.obstacle.values[::dim] == at.obstacle.gap
+    assert touching.any() and not touching.all()
+    # no forces but at closed nodes, there along the normal
+    left = at.defect.reshape(-1, dim)[inside & (at.obstacle.contact_of < 0)]
+    force = np.einsum("nij,nj->ni", local.frames, at.defect.reshape(-1, dim)[at.obstacle.nodes])
+    size = np.abs(at.load).max()
+    assert np.abs(left).max() <= 1e-8 * size and np.abs(force[:, 1:]).max() <= 1e-8 * size
+    assert np.abs(force[~touching]).max() <= 1e-8 * size and force[touching, 0].min() >= -1e-8 * size
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_master_before_open_slaves_is_moved_alone(dim):
+    at = Swept(dim, am.Coulomb(0.4), amplitude=1e-3 * GAP)
+    interface, coupling = at.interface, at.discrete.coupling
+    masters = np.unique(coupling.weights.indices)
+    for node in masters:
+        p = int(np.searchsorted(interface.nodes, node))
+        before, energy = at.u.copy(), at.energy()
+        at.sweep(np.array([p], dtype=np.int32))
+        change = coupling.physical(at.u - before).reshape(-1, dim)
+        others = np.setdiff1d(np.arange(at.discrete.n_nodes), node)
+        assert np.abs(change[others]).max() <= 1e-15 * GAP + 1e-12 * np.abs(change[node]).max()
+        assert not change[node][at.discrete.fixed.reshape(-1, dim)[node]].any()
+        # to the least energy there is for it
+        direction = np.zeros((at.discrete.n_dofs, dim))
+        direction[dim * node + np.arange(dim), np.arange(dim)] = 1.0
+        free = ~at.discrete.fixed.reshape(-1, dim)[node]
+        slope = coupling.relative(direction)[:, free].T @ np.where(at.discrete.fixed, 0.0, at.defect)
+        assert np.abs(slope).max(initial=0.0) <= 1e-9 * np.abs(at.load).max()
+        assert at.energy() <= energy + 1e-13 * abs(energy)
+
+
+@pytest.mark.parametrize("law", [am.Frictionless(), am.Tresca(1e6)], ids=["frictionless", "tresca"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_master_before_closed_slaves_takes_them_along(dim, law):
+    at = Swept(dim, law, gap=0.0, amplitude=0.0)
+    at.obstacle.values[::dim] = at.obstacle.gap
+    node = int(np.unique(at.discrete.coupling.weights.indices)[1])
+    before = at.u.copy()
+    at.sweep(np.array([np.searchsorted(at.interface.nodes, node)], dtype=np.int32))
+    moved = np.flatnonzero((at.u != before).reshape(-1, dim).any(axis=1))
+    assert moved.tolist() in ([node], [])
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_nodes_and_work_by_hand(dim):
+    at = Swept(dim, am.Frictionless())
+    n, interface = at.discrete.n_nodes, at.interface
+    graph = [set() for _ in range(n)]
+    matrix = at.discrete.matrix
+    for i in range(n):
+        graph[i] |= set(matrix.indices[matrix.indptr[i]:matrix.indptr[i + 1]].tolist()) | {i}
+    reached = set(np.flatnonzero(np.diff(at.discrete.coupling.weights.indptr)).tolist())
+    for _ in range(2):
+        reached = set().union(*(graph[i] for i in reached))
+    assert interface.nodes.tolist() == sorted(reached)
+    assert set(np.unique(at.discrete.coupling.weights.indices)) <= reached and len(reached) < n
+    entries = sum(len(graph[i]) for i in reached) * dim**2
+    assert interface.nonzeros == entries
+    rows = at.matrix.toarray().reshape(n, dim, n, dim)
+    for p, i in enumerate(interface.nodes):
+        for k in range(interface.indptr[p], interface.indptr[p + 1]):
+            block = interface.blocks.reshape(-1, dim, dim)[k]
+            np.testing.assert_array_equal(block, rows[i, :, interface.indices[k]])
+
+
+def test_work_units_by_hand():
+    posed, _, _ = problem(2, am.Coulomb(0.4))
+    divisions = [{"upper": (5 * k, 3 * k), "lower": (6 * k, 3 * k)} for k in (1, 2)]
+    grids = am.Hierarchy.uniform(posed, divisions)
+    discrete = grids.finest.discrete
+    interface = Interface(split(discrete.matrix, discrete.fixed), discrete.coupling)
+    with_sweeps, without = (am.solve(grids, am.Multigrid(correction=am.Truncated(interface_sweeps=k)))
+                            for k in (2, 0))
+    smoothings = with_sweeps.cycles + 1
+    passes = without.work_units / (without.cycles + 1)
+    share = 2 * interface.nonzeros / discrete.matrix.nnz
+    # safe cycles add half a pass for a line search
+    assert with_sweeps.work_units - smoothings * (passes + share) == pytest.approx(0, abs=0.5 * smoothings + 1e-9)
+    searches = 2 * (with_sweeps.work_units - smoothings * (1.0 + share))
+    assert searches == pytest.approx(round(searches), abs=1e-9) and searches >= 0
+
+
+@pytest.mark.slow
+def test_without_jit():
+    environment = dict(os.environ, NUMBA_DISABLE_JIT="1")
+    done = subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "test_sweeps or alone",
+                           str(Path(__file__))], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-2000:]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_jit_changes_nothing(dim):
+    compiled, plain = (Swept(dim, am.Coulomb(0.4), amplitude=2 * GAP) for _ in range(2))
+    compiled.sweep()
+    module = {2: local_sweeps_2d, 3: local_sweeps_3d}[dim]
+    with np.errstate(all="ignore"):
+        plain.sweep(kernel=getattr(module.local, "py_func", module.local))
+    np.testing.assert_allclose(compiled.u, plain.u, atol=1e-13 * np.abs(plain.u).max())
+    np.testing.assert_allclose(compiled.defect, plain.defect, atol=1e-12 * np.abs(plain.load).max())
