@@ -360,7 +360,9 @@ class TestStore:
         resumed = am.solve_path(grids, path, solver, store=tmp_path, callback=lambda k, r: done.append(k))
         assert done == [2, 3] and resumed.complete
         for result, wanted in zip(resumed, whole, strict=True):
-            np.testing.assert_array_equal(result.displacement, wanted.displacement)
+            # what is stored is the physical displacement: between bodies the unknowns come back rounded
+            size = 0.0 if grids.finest.discrete.coupling is None else 1e-12 * np.abs(wanted.displacement).max()
+            np.testing.assert_allclose(result.displacement, wanted.displacement, rtol=0, atol=size)
             assert result.cycles == wanted.cycles
         am.solve_path(grids, path, solver, store=tmp_path, callback=kill_after(0))
 

@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numba import njit
 
-__all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "SLIPS", "TANGENTIAL", "admissible", "directions", "friction_slope",
+__all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "SLIPS", "TANGENTIAL", "count_cut", "directions", "friction_slope",
            "project", "truncate"]
 
 CLOSED, FREE, HELD, SLIPS, BACKWARDS = 1, 0, 2, 4, 6
@@ -142,13 +142,15 @@ def project(dim, codes, nodes, frames, gap, reference, values, u):
 
 
 @njit(cache=True)
-def admissible(dim, codes, nodes, frames, gap, reference, values, first, second, alpha_1, alpha_2, u):
-    """Whether u + alpha_1 (first - u) + alpha_2 (second - u) closes no open node and reverses no slip."""
+def count_cut(dim, codes, nodes, frames, gap, reference, values, first, second, alpha_1, alpha_2, u):
+    """At how many nodes u + alpha_1 (first - u) + alpha_2 (second - u) closes an open node or reverses a slip."""
     m = dim - 1
+    count = 0
     for k in range(len(nodes)):
         at = dim * np.int64(nodes[k])
         tangential = codes[k] & TANGENTIAL
         product = 0.0
+        closes = False
         for a in range(dim):
             change = 0.0
             for b in range(dim):
@@ -157,14 +159,13 @@ def admissible(dim, codes, nodes, frames, gap, reference, values, first, second,
                                                              + alpha_2 * (second[at + b] - old))
             moved = values[dim * k + a] + change
             if a == 0:
-                if not codes[k] & CLOSED and moved > gap[k]:
-                    return False
+                closes = not codes[k] & CLOSED and moved > gap[k]
             else:
                 ref = reference[m * k + a - 1]
                 product += (values[dim * k + a] - ref) * (moved - ref)
-        if tangential >= SLIPS and product <= 0.0:
-            return False
-    return True
+        if closes or (tangential >= SLIPS and product <= 0.0):
+            count += 1
+    return count
 
 
 @njit(cache=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from adaptmg.discrete import DiscreteProblem
 from adaptmg.multigrid.correction import InitialContact, sliding_limit
 from adaptmg.problem import checks
 from adaptmg.smoother.system import LocalProblem
@@ -20,20 +21,27 @@ class NestedStart:
 
     Parameters
     ----------
-    cycles : int or "complete"
-        Cycles on each level between the coarsest and the finest, or until ``rtol`` is met.
+    cycles : int or "complete", optional
+        Cycles on each level between the coarsest and the finest, or until ``rtol`` is met. Default: 1, and 2 where
+        bodies touch each other, as interpolation carries the edges of their contact less well.
     rtol : float
         Tolerance on the coarsest level, and with 'complete' on all of them. With two levels and a coarse solve that
         is not condensed a tight one is most of the work of the start.
     """
 
-    cycles: int | str = 1
+    cycles: int | str | None = None
     rtol: float = 1e-8
 
     def __post_init__(self) -> None:
-        if self.cycles != "complete":
+        if self.cycles is not None and self.cycles != "complete":
             checks.integer("cycles", self.cycles, 1)
         object.__setattr__(self, "rtol", checks.positive("rtol", self.rtol))
+
+    def cycles_on(self, problem: DiscreteProblem) -> int:
+        """Cycles on a level with this problem, unless complete."""
+        if self.cycles is None:
+            return 1 if problem.coupling is None else 2
+        return int(self.cycles)
 
 
 def project(local: LocalProblem, unknowns: np.ndarray) -> None:

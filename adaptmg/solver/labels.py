@@ -26,6 +26,7 @@ def label(option: object) -> str:
 
 
 def solver_name(solver: Solver, run: Run) -> str:
+    """The label of a solver, and of what took over from it."""
     return f"{label(solver)}, then {run.fallback}" if run.fallback else label(solver)
 
 

@@ -23,8 +23,8 @@ _FORMAT = 1
 class ContactResult:
     """Contact quantities, one entry a contact node; SI units.
 
-    Between bodies these are displacements of the slave relative to the master, and forces on the slave; those on the
-    master balance them.
+    Between bodies these are displacements of the slave relative to the master (along components that a support fixes
+    at the slave node: its own), and forces on the slave; those on the master balance them.
 
     Attributes
     ----------

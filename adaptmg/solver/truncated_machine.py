@@ -61,6 +61,8 @@ class TruncatedMachine:
     TRUSTED = 0.1
     #: times that safe cycles are tried when the residual stops falling
     TROUBLES = 1
+    #: of the diagonal, added to a coarsest matrix that the active set method is to solve
+    SHIFT = 1e-9
 
     def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
         self.options, self.hierarchy, self.run = options, hierarchy, run
@@ -141,13 +143,13 @@ class TruncatedMachine:
             self._cycles(runner, watch, False, self.COMPLETE_LIMIT, None)
             return
         watch = TruncatedWatch(self.problems[number], 0.0)
-        safe = self.options.correction.safe_cycles
-        for cycle in range(max(start.cycles, safe)):
+        wanted = start.cycles_on(self.problems[number])
+        for cycle in range(max(wanted, self.options.correction.safe_cycles)):
             runner.smooth()
             look = runner.look(safe=False, trusted=self.TRUSTED * watch.scale)
             watch.check(look.residual, look.reactions, 0.0)
             runner.correct()
-            if cycle + 1 >= start.cycles and watch.residual <= self.TRUSTED:
+            if cycle + 1 >= wanted and watch.residual <= self.TRUSTED:
                 return
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
@@ -177,8 +179,9 @@ class TruncatedMachine:
     def _coarsest_by_active_set(self, start: NestedStart) -> tuple[np.ndarray, bool]:
         """Semismooth Newton steps; each counts a pass, its factorisation as seconds."""
         problem, level = self.problems[0], self.cycle.levels[0]
-        # where dofs are fixed the matrix of the level is empty
-        diagonal = sparse.diags_array(np.where(problem.fixed, problem.matrix.diagonal(), 0.0))
+        # where dofs are fixed the matrix of the level is empty; where the next mesh is locally the coarser one, other
+        # coarse functions vanish on it
+        diagonal = sparse.diags_array(np.where(problem.fixed, 1.0, self.SHIFT) * problem.matrix.diagonal())
         whole = sparse.bsr_array(sparse.csr_array(level.matrix()) + diagonal, blocksize=(problem.dim,) * 2)
         grids = Hierarchy.single(replace(problem, matrix=whole, load=_load(problem)))
         try:
