@@ -31,6 +31,7 @@ class Parts:
     contact: object
     weights: sparse.csr_array
     law: object
+    axisymmetric: bool
 
     @classmethod
     def of(cls, problem, mesh, slip_reference=None):
@@ -39,7 +40,7 @@ class Parts:
             weights = sparse.csr_array((mesh.n_nodes, mesh.n_nodes))
         return cls(sparse.csr_array(stiffness(mesh, problem.material)),
                    load_vector(mesh, problem.loads, problem.material), *fixed_dofs(mesh, problem.supports), contact,
-                   weights, problem.law.at_nodes(mesh.points[contact.nodes], contact.weights))
+                   weights, problem.law.at_nodes(mesh.points[contact.nodes], contact.weights), problem.axisymmetric)
 
 
 def tangents(normals):
@@ -157,17 +158,16 @@ def solve_saddle(parts, steps=80):
             break
     else:
         raise AssertionError("the saddle-point solver did not converge")
-    _check(C @ u + lifted, f, contact, limit, friction, reference, loose)
+    _check(C @ u + lifted, f, contact, limit, friction, reference, loose, np.abs(u).max())
     full = parts.fixed_values.copy()
     full[free] = u
     force = scale * (f[0][:, None] * contact.normals + np.einsum("kn,nkd->nd", f[1:], t))
     return full.reshape(-1, dim), -scale * f[0], force
 
 
-def _check(w, f, contact, limit, friction, reference, loose):
-    """The conditions themselves, whatever the method."""
-    w = w.reshape(f.shape)
-    length, force = np.abs(w).max() + np.abs(contact.gaps).max() + 1e-300, np.abs(f).max()
+def _check(w, f, contact, limit, friction, reference, loose, length):
+    """The conditions themselves, whatever the method; ``length`` is the size of displacements."""
+    w, force = w.reshape(f.shape), np.abs(f).max()
     gap, p = contact.gaps - w[0], -f[0]
     slip, radius = (w[1:] - reference.T) * loose.T, limit + friction * np.maximum(p, 0)
     size = np.linalg.norm(f[1:], axis=0)

@@ -197,6 +197,14 @@ class TestDiscreteProblem:
         with pytest.raises(ValueError, match="masters must go with names"):
             am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("a", "b"))
 
+    def test_a_fixed_normal_component_of_a_slave_is_refused(self):
+        parts = self.springs()
+        parts["fixed"][6] = True  # along the surface: allowed
+        assert not am.DiscreteProblem.coupled(**parts).coupling.physical(np.eye(12))[6, 2:6].any()
+        parts["fixed"][7] = True
+        with pytest.raises(ValueError, match=r"normal part is fixed at contact node 0 \(node 3.*free the component"):
+            am.DiscreteProblem.coupled(**parts)
+
     def test_without_a_coupling_unknowns_are_displacements(self):
         parts = self.springs()
         del parts["weights"]

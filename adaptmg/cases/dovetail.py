@@ -48,7 +48,6 @@ _SIDE, _BOTTOM = 36.0, 40.0
 # what must be left of the block beside the notch
 _LEAST_WALL = 6.0
 
-_POINTS = {"corner": (_NECK * _MM, _RISE * _MM), "axis": (0.0, _RISE * _MM)}
 _DEFAULTS = {"angle": 50.0, "clearance": 0.0, "pull": 100e6, "clamp": 120e6, "young": 2.1e11, "poisson": 0.3}
 
 
@@ -77,7 +76,8 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
     ContactProblem
         Bodies "tongue" (slave: it lies inside the notch) and "block". For the default parameters ``reference`` holds
         ``points`` (name -> position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state ->
-        range of depth below the mouth, m), ``tolerances``, ``sources`` and ``remark``; otherwise only ``remark``.
+        ranges of depth below the mouth, m), ``tolerances`` (what ``values`` and ``zones`` are certain to, m),
+        ``sources`` and ``remark``; otherwise only ``remark``.
 
     Raises
     ------
@@ -144,9 +144,13 @@ _REMARK = ("A reconstruction: the paper gives neither geometry nor loads of its 
            "compare with but our own.")
 _REFERENCE = {
     "quantity": "lift u_y of the top of the neck, m",
-    "points": _POINTS,
-    "values": {},
-    "zones": {},
-    "sources": {},
+    "points": {"axis": (0.0, _RISE * _MM), "corner": (_NECK * _MM, _RISE * _MM)},
+    "values": {"converged": {"axis": 90.68e-6, "corner": 90.93e-6}},
+    "zones": {"open": ((0.0, 2.87e-3),), "slip": ((2.87e-3, 7.34e-3), (12.16e-3, 13e-3)),
+              "stick": ((7.34e-3, 12.16e-3),)},
+    "tolerances": {"values": 0.01e-6, "zones": 0.04e-3},
+    "sources": {"converged": "our own: P1 meshes graded to the four corners at contact, sizes falling by 1.4 up to "
+                             "60 430 nodes, active set method to 1e-10; the lift extrapolated with an error ~ "
+                             "1 / nodes (90.42, 90.54, 90.61 um on the axis on the last three meshes)"},
     "remark": _REMARK,
 }

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.mesh import MeshArrays, SizeNear
+from adaptmg.cases.point_meshes import point_meshes
+from adaptmg.mesh import MeshArrays
 from adaptmg.problem import (
     Contact,
     ContactProblem,
@@ -103,8 +104,8 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
     )
 
 
-def flat_punch_meshes(problem: ContactProblem, *, finest: float = 1 / 200, levels: int = 5, factor: float = 1.8,
-                      grading: float = 0.05) -> list[MeshArrays]:
+def flat_punch_meshes(problem: ContactProblem, *, finest: float = 1 / 200, levels: int = 4, factor: float = 2.0,
+                      grading: float = 0.08) -> list[MeshArrays]:
     """Independent meshes, coarse to fine, graded towards the edge of the punch.
 
     Parameters
@@ -112,27 +113,20 @@ def flat_punch_meshes(problem: ContactProblem, *, finest: float = 1 / 200, level
     problem : ContactProblem
         :func:`flat_punch`.
     finest : float
-        Edge length at the punch's edge over the half-width on the finest mesh.
+        Edge length at the punch's edge over the half-width on the finest mesh, above 0 and at most 0.5.
     levels : int
         Number of meshes, >= 1.
     factor : float
         By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
     grading : float
-        Growth of the edge length per distance from the edge on the finest mesh; times ``factor`` on coarser ones, up
-        to 1.
+        Growth of the edge length per distance from the edge on the finest mesh; ``factor`` times as much on each
+        coarser one, up to 1 on the coarsest.
     """
-    from adaptmg.mesh import sized
-
-    finest, grading = checks.positive("finest", finest), checks.positive("grading", grading)
-    levels, factor = checks.integer("levels", levels, 1), checks.number("factor", factor)
-    if not 1 < factor <= 3:
-        raise ValueError(f"factor must be above 1 and at most 3, got {factor!r}")
-    size = float(np.ptp([problem.domain.lower, problem.domain.upper], axis=0).max())
-    a = size / _SIZE
-    meshes = []
-    for level in reversed(range(levels)):
-        steep = min(1.0, grading * factor**level)
-        near = SizeNear([(a, 0.0)], size=finest * factor**level * a, grading=steep)
-        meshes.append(sized(problem.domain, near, max_size=min(0.06 * factor**level, 0.5) * size,
-                            grading=max(0.3, steep)))
-    return meshes
+    finest = checks.positive("finest", finest)
+    if not finest <= 0.5:
+        raise ValueError(f"finest must be at most 0.5 of the half-width, got {finest!r}")
+    if not isinstance(problem.domain, Polygon) or "free" not in problem.domain.boundaries:
+        raise ValueError(f"problem {problem.name!r} is no flat punch")
+    a = problem.domain.vertices[3][0]
+    return point_meshes(problem.domain, [(a, 0.0)], size=finest * a, radius=0.0, levels=levels, factor=factor,
+                        grading=grading)

@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from adaptmg.mesh import MeshArrays, SizeNear
+from adaptmg.cases.point_meshes import point_meshes
+from adaptmg.mesh import MeshArrays
 from adaptmg.problem import (
     Assembly,
     ContactPair,
     ContactProblem,
-    Domain,
     Frictionless,
     Law,
     Outline,
@@ -42,7 +42,7 @@ __all__ = ["LineContact", "hertz_cylinder", "line_contact_meshes", "pressure_fit
 
 _LARGEST = 0.1
 # lengths of the surfaces that may touch, in half-widths; the master reaches further than the slave
-_SLAVE, _MASTER = 10.0, 14.0
+SLAVE_REACH, MASTER_REACH = 10.0, 14.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,12 +119,12 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
     lower_radius = None if lower_radius is None else checks.positive("lower_radius", lower_radius)
     form = closed_form(load, radius, lower_radius, material)
     a = form.half_width
-    lower = (_half_block(radius, a) if lower_radius is None else
-             quarter_cylinder(lower_radius, _MASTER * a, above=False))
+    lower = (half_block(radius, a) if lower_radius is None else
+             quarter_cylinder(lower_radius, MASTER_REACH * a, above=False))
     return ContactProblem(
         name="Hertz, cylinder on block" if lower_radius is None else "Hertz, two cylinders",
         material=material,
-        domain=Assembly(parts={"upper": quarter_cylinder(radius, _SLAVE * a, above=True), "lower": lower}),
+        domain=Assembly(parts={"upper": quarter_cylinder(radius, SLAVE_REACH * a, above=True), "lower": lower}),
         # the weighted gap at the pole, of chords seen along turning normals, is negative by terms of the order of h^4
         contact=ContactPair("upper.contact", "lower.contact", allow_interference=True),
         law=law,
@@ -138,12 +138,16 @@ def closed_form(load: float, radius: float, lower_radius: float | None, material
     """The closed form for two bodies of one material; ValueError where it does not hold."""
     curvature = 1 / radius + (0.0 if lower_radius is None else 1 / lower_radius)
     form = LineContact(load=load, radius=1 / curvature, modulus=material.young / (2 * (1 - material.poisson**2)))
-    smallest = min(radius, radius if lower_radius is None else lower_radius)
-    if not form.half_width <= _LARGEST * smallest:
-        raise ValueError(f"load {load!r} makes a contact of half-width {form.half_width:.3g} m, more than a tenth of "
-                         f"the radius {smallest:g} m: Hertz does not hold there; take a smaller load or a larger "
-                         "radius")
+    refuse_large(load, form.half_width, radius, lower_radius)
     return form
+
+
+def refuse_large(load: float, half_width: float, radius: float, lower_radius: float | None) -> None:
+    """ValueError if the contact is too wide for Hertz."""
+    smallest = min(radius, radius if lower_radius is None else lower_radius)
+    if not half_width <= _LARGEST * smallest:
+        raise ValueError(f"load {load!r} makes a contact of half-width {half_width:.3g} m, more than a tenth of the "
+                         f"radius {smallest:g} m: Hertz does not hold there; take a smaller load or a larger radius")
 
 
 def hertz_reference(form: LineContact) -> Mapping[str, Any]:
@@ -179,59 +183,51 @@ def _on_circle(radius: float, contact: float) -> tuple[float, float]:
     return radius * math.sin(turn), 2 * radius * math.sin(0.5 * turn)**2
 
 
-def _half_block(size: float, a: float) -> Polygon:
-    edge = min(_MASTER * a, 0.75 * size)
+def half_block(size: float, a: float) -> Polygon:
+    """The square x >= 0 below the origin; its top is called "contact" over 14 half-widths a, at most 3/4 of it."""
+    edge = min(MASTER_REACH * a, 0.75 * size)
     return Polygon(vertices=((0.0, -size), (size, -size), (size, 0.0), (edge, 0.0), (0.0, 0.0)),
                    boundaries=("bottom", "side", "top", "contact", "symmetry"))
 
 
-def line_contact_meshes(problem: ContactProblem, *, finest: float = 1 / 40, levels: int = 5, factor: float = 1.8,
-                        grading: float = 0.12) -> list[MeshArrays]:
+def line_contact_meshes(problem: ContactProblem, *, finest: float = 1 / 40, levels: int = 5, factor: float = 2.0,
+                        grading: float = 0.06) -> list[MeshArrays]:
     """Independent meshes for a hierarchy, coarse to fine, refined around the contact at the origin.
 
     Parameters
     ----------
     problem : ContactProblem
-        :func:`hertz_cylinder` or :func:`~adaptmg.cases.cattaneo.cattaneo`.
+        :func:`hertz_cylinder`, :func:`~adaptmg.cases.cattaneo.cattaneo` or
+        :func:`~adaptmg.cases.hertz_sphere.hertz_sphere`.
     finest : float
         Edge length at contact over the half-width on the finest mesh, above 0 and at most 0.5.
     levels : int
-        Number of meshes, >= 1.
+        Number of meshes, >= 1; on the coarsest, ``finest * factor**(levels - 1)`` is at most 1.
     factor : float
         By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
     grading : float
-        Growth of the edge length per distance on the finest mesh; on coarser meshes it is larger, up to 1.
+        Growth of the edge length per distance on the finest mesh; ``factor`` times as much on each coarser one, up to
+        1 on the coarsest.
 
     Returns
     -------
     list of MeshArrays
-        For :meth:`adaptmg.Hierarchy.from_meshes`. Within 1.6 half-widths of the middle the edges have the length
+        For :meth:`adaptmg.Hierarchy.from_meshes`. Within 1.3 half-widths of the middle the edges have the length
         ``finest`` times a times ``factor`` to the number of finer meshes.
     """
-    from adaptmg.mesh import sized
-
-    finest, grading = checks.positive("finest", finest), checks.positive("grading", grading)
-    levels, factor = checks.integer("levels", levels, 1), checks.number("factor", factor)
+    finest, levels = checks.positive("finest", finest), checks.integer("levels", levels, 1)
     if not finest <= 0.5:
         raise ValueError(f"finest must be at most 0.5 of the half-width, got {finest!r}")
-    if not 1 < factor <= 3:
-        raise ValueError(f"factor must be above 1 and at most 3, got {factor!r}")
     if "half_width" not in problem.reference or problem.domain is None:
         raise ValueError(f"problem {problem.name!r} has no half_width in its reference, or no domain: take a case of "
-                         "line contact")
+                         "Hertz")
+    coarsest = finest * checks.number("factor", factor)**(levels - 1)
+    if not coarsest <= 1 + 1e-9:
+        raise ValueError(f"the coarsest mesh would have edges of {coarsest:.3g} half-widths at contact, more than 1: "
+                         "take fewer levels or a smaller finest")
     a = problem.reference["half_width"]
-    whole = float(max(np.ptp([part.lower, part.upper], axis=0).max() for part in _parts(problem.domain)))
-    meshes = []
-    for level in reversed(range(levels)):
-        scale = factor**level
-        steep = min(1.0, grading * scale)
-        near = SizeNear([(0.0, 0.0)], size=finest * scale * a, radius=1.6 * a, grading=steep)
-        meshes.append(sized(problem.domain, near, max_size=min(0.06 * scale, 0.5) * whole, grading=max(0.3, steep)))
-    return meshes
-
-
-def _parts(domain: Domain) -> tuple[Domain, ...]:
-    return tuple(domain.parts.values()) if isinstance(domain, Assembly) else (domain,)
+    return point_meshes(problem.domain, [(0.0,) * problem.dim], size=finest * a, radius=1.3 * a, levels=levels,
+                        factor=factor, grading=grading)
 
 
 def pressure_fit(x: np.ndarray, pressure: np.ndarray, half_width: float, share: float = 0.8) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from adaptmg.cases.dovetail import dovetail
 from adaptmg.cases.flat_punch import flat_punch
 from adaptmg.cases.greco import greco_bar
 from adaptmg.cases.hertz_cylinder import hertz_cylinder
+from adaptmg.cases.hertz_sphere import hertz_sphere
 from adaptmg.cases.incline import incline
 from adaptmg.cases.two_blocks import two_block_patch
 from adaptmg.cases.upset import upset_block
@@ -45,6 +46,7 @@ CASES: Mapping[str, Case] = MappingProxyType({
     "greco_block": Case(greco_block, "the GRECO bar as a solid (3D)"),
     "dovetail": Case(dovetail, "a tongue pulled out of its notch, Coulomb friction 0.2: two bodies (2D)"),
     "hertz_cylinder": Case(hertz_cylinder, "a cylinder on a block or another cylinder, closed form of Hertz (2D)"),
+    "hertz_sphere": Case(hertz_sphere, "a ball on a block or another ball, closed form of Hertz (axisymmetric, 3D)"),
     "cattaneo": Case(cattaneo, "a cylinder pressed on a block, then pulled sideways: partial slip (2D)"),
     "flat_punch": Case(flat_punch, "a flat rigid punch on a block, frictionless: singular edge (2D)"),
     "incline": Case(incline, "a block on a tilted slab, held by friction alone: two bodies (2D)"),

@@ -10,7 +10,7 @@ starts.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import netgen.meshing
@@ -35,7 +35,7 @@ _MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 _NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 
-def netgen_mesh(domain: Domain, sizes: SizeField, max_size: float, side_sizes: dict[str, float],
+def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
                 grading: float, rounds: int) -> MeshArrays:
     """Mesh a domain by a size field.
 
@@ -44,8 +44,9 @@ def netgen_mesh(domain: Domain, sizes: SizeField, max_size: float, side_sizes: d
     domain : Rectangle, Polygon, Outline or Box
         Its boundaries name those of the mesh; of an Outline the mesh has the numbers of its edges instead, until
         :func:`adaptmg.mesh.outline.finished`.
-    sizes : callable
-        Points (n, dim) in m -> wanted edge length (n,) in m.
+    sizes : callable or sequence of these
+        Points (n, dim) in m -> wanted edge length (n,) in m; a sequence has one for each round, and the meshes before
+        the last are drafts.
     max_size : float
         No element is to be larger, m.
     side_sizes : dict of str to float
@@ -68,11 +69,13 @@ def netgen_mesh(domain: Domain, sizes: SizeField, max_size: float, side_sizes: d
     lower, scale = _extent(domain)
     refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
     mesh = None
-    for _ in range(rounds + 1):
-        options = netgen.meshing.MeshingParameters(maxh=max_size / scale, grading=grading)
+    for step in range(rounds + 1):
+        # the steps that improve shapes take most of the time; of a draft only the centroids are used
+        draft = {"optsteps2d": 0} if not callable(sizes) and step < rounds else {}
+        options = netgen.meshing.MeshingParameters(maxh=max_size / scale, grading=grading, **draft)
         if mesh is not None:
             centroids = mesh.points[mesh.elements].mean(axis=1)
-            wanted = sizes(centroids)
+            wanted = (sizes if callable(sizes) else sizes[step - 1])(centroids)
             refuse_too_many(expected_nodes(mesh, wanted), domain)
             small = wanted < max_size
             places = np.zeros((small.sum(), 3))

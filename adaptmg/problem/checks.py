@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterable
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
 
-__all__ = ["boundary_name", "choice", "field", "integer", "nonnegative", "number", "positive", "vector"]
+__all__ = ["boundary_name", "choice", "field", "integer", "nonnegative", "number", "positive",
+           "suggestion", "vector"]
 
 
 def number(name: str, value: Any) -> float:
@@ -122,3 +124,9 @@ def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: 
         wanted = "finite" if minimum is None else f"finite and >= {minimum}"
         raise ValueError(f"{name} must be {wanted}, got {result[i]} at {tuple(float(c) for c in points[i])}")
     return result
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """The most similar of ``known`` in words, to follow "does not exist"; "" if none is similar."""
+    close = get_close_matches(name, list(known), n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""

@@ -162,8 +162,9 @@ class ContactProblem:
         used |= {s.boundary: "a support" for s in self.supports}
         for boundary, use in used.items():
             if boundary not in known:
-                raise ValueError(f"boundary {boundary!r}, used for {use}, does not exist; "
-                                 f"the boundaries are {', '.join(sorted(set(known)))}")
+                raise ValueError(f"boundary {boundary!r}, used for {use}, does not exist"
+                                 f"{checks.suggestion(boundary, known)}; the boundaries are "
+                                 f"{', '.join(sorted(set(known)))}")
 
     def check_bodies(self, known: tuple[str, ...]) -> None:
         """Raise ValueError unless the materials name exactly the bodies ``known``, and loads name some of them."""
@@ -173,8 +174,8 @@ class ContactProblem:
         for load in self.loads:
             body = load.body if isinstance(load, BodyForce | InitialStrain) else None
             if body is not None and body not in known:
-                raise ValueError(f"body {body!r}, used for a load, does not exist; "
-                                 f"the bodies are {', '.join(map(repr, known))}")
+                raise ValueError(f"body {body!r}, used for a load, does not exist"
+                                 f"{checks.suggestion(body, known)}; the bodies are {', '.join(map(repr, known))}")
 
 
 def _materials(material: object) -> dict[str, Elastic]:
