@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyamg
+from pyamg.multilevel import MultilevelSolver
+from pyamg.relaxation.smoothing import change_smoothers
 from scipy import sparse
 
 import adaptmg as am
@@ -115,6 +117,28 @@ def geometric_preconditioner(problem: Glued) -> tuple[Callable[[np.ndarray], np.
         return cycle.solve(top)
 
     return precondition, run
+
+
+def geometric_pyamg_preconditioner(problem: Glued) -> Callable[[np.ndarray], np.ndarray]:
+    """The same geometric V-cycle with pyamg's levels and block Gauss-Seidel: as one would build it from packages."""
+    levels = []
+    prolongations = nodal_prolongations(problem.hierarchy)
+    for number in range(len(problem.hierarchy) - 1, -1, -1):
+        level = MultilevelSolver.Level()
+        matrix = problem.hierarchy[number].discrete.matrix
+        level.A = sparse.bsr_matrix(without_fixed(matrix, problem.fixed[number]))
+        if number:
+            dim = matrix.blocksize[0]
+            rows, columns = (sparse.diags_array((~problem.fixed[k]).astype(float)) for k in (number, number - 1))
+            P = rows @ sparse.csr_array(sparse.kron(prolongations[number - 1], np.eye(dim))) @ columns
+            level.P = sparse.bsr_matrix(P, blocksize=(dim, dim))
+            level.R = sparse.bsr_matrix(level.P.T)
+        levels.append(level)
+    solver = MultilevelSolver(levels, coarse_solver="splu")
+    sweeps = ("block_gauss_seidel", {"sweep": "symmetric"})
+    change_smoothers(solver, sweeps, sweeps)
+    operator = solver.aspreconditioner(cycle="V")
+    return lambda r: operator @ r
 
 
 @dataclass(frozen=True)
