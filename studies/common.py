@@ -117,9 +117,11 @@ def _nested_below(divisions: int) -> tuple[int, ...]:
 
 def energy_error(result: am.Result, reference: am.Result, hierarchy: am.Hierarchy) -> float:
     """||u - u_h||_A / ||u_h||_A."""
-    matrix = hierarchy.finest.discrete.matrix
-    error = (result.displacement - reference.displacement).reshape(-1)
-    u = reference.displacement.reshape(-1)
+    discrete = hierarchy.finest.discrete
+    matrix = discrete.matrix
+    # between bodies the matrix is that of relative coordinates
+    error = discrete.relative(result.displacement - reference.displacement).reshape(-1)
+    u = discrete.relative(reference.displacement).reshape(-1)
     return float(np.sqrt(error @ (matrix @ error) / (u @ (matrix @ u))))
 
 
@@ -189,11 +191,11 @@ def paper(name: str) -> pd.DataFrame:
 
 
 def write_picture(figure: Any, path: Path, dpi: int = 130) -> None:
-    """Write a figure as PNG with few colours, whole or not at all."""
+    """Write a figure as PNG with 256 colours, whole or not at all."""
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=dpi, bbox_inches="tight")
     small = io.BytesIO()
-    Image.open(buffer).convert("RGB").quantize(128).save(small, format="png", optimize=True)
+    Image.open(buffer).convert("RGB").quantize(256, kmeans=1).save(small, format="png", optimize=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, small.getvalue())
 

@@ -1,6 +1,6 @@
-"""The picture at the top of the README: problem, non-nested grids, contact line, convergence.
+"""The pictures of the README: the bar (problem, non-nested grids, contact line, convergence), and the dovetail.
 
-    python studies/overview.py [--out FILE]
+    python studies/overview.py [--out DIR]
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import adaptmg as am
 SIZES = (10e-3, 6e-3, 3.6e-3, 2.2e-3, 1.3e-3)
 
 
-def draw() -> Figure:
+def bar() -> Figure:
     """Solve the bar with friction 1 on graded independent meshes and draw."""
     problem = am.cases.greco_bar(law=am.Coulomb(1.0))
     grids = am.Hierarchy.graded(problem, sizes=SIZES, contact_ratio=4)
@@ -49,14 +49,25 @@ def draw() -> Figure:
     return figure
 
 
+def dovetail() -> Figure:
+    """The joint deformed as in Fig. 3 of the paper, and its stress."""
+    problem = am.cases.dovetail()
+    result = am.solve(am.Hierarchy.graded(problem, sizes=(6e-3, 3.6e-3, 2.2e-3), contact_ratio=6))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 6.6), layout="constrained", width_ratios=(1.12, 1.0))
+    am.plot.deformation(result, amplify=20, states=True, ax=left)
+    am.plot.deformation(result, amplify=20, stress=True, problem=problem, lines=False, ax=right)
+    return figure
+
+
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description="Draw the picture of the README.")
-    parser.add_argument("--out", type=Path, default=Path("data/pictures/overview.png"), metavar="FILE")
+    parser = argparse.ArgumentParser(description="Draw the pictures of the README.",
+                                     epilog="example: python studies/overview.py --out /tmp/pictures")
+    parser.add_argument("--out", type=Path, default=Path("data/pictures"), metavar="DIR")
     out = parser.parse_args().out
-    figure = draw()
-    write_picture(figure, out, dpi=90)
-    print(out)
+    for name, draw in {"overview": bar, "dovetail": dovetail}.items():
+        write_picture(draw(), out / f"{name}.png", dpi=90)
+        print(out / f"{name}.png")
 
 
 if __name__ == "__main__":

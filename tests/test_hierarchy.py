@@ -117,3 +117,18 @@ def test_wrong_names_and_dimensions_are_refused(problem):
     block = am.mesh.structured(am.Box(width=1, depth=1, height=1), 2)
     with pytest.raises(ValueError, match="3D"):
         am.Hierarchy.from_meshes(problem, [block, am.mesh.structured(am.Box(width=1, depth=1, height=1), 4)])
+
+
+class Nearest:
+    """Values of the nearest coarse node, of whatever body."""
+
+    def build(self, coarse, fine):
+        near = np.argmin(np.linalg.norm(fine.points[:, None] - coarse.points, axis=2), axis=1)
+        return sparse.csr_array((np.ones(fine.n_nodes), (np.arange(fine.n_nodes), near)),
+                                shape=(fine.n_nodes, coarse.n_nodes))
+
+
+def test_a_transfer_that_mixes_bodies_is_refused():
+    # bodies that touch have nodes at the same places
+    with pytest.raises(ValueError, match=r"lets node \d+ of body '\w+' follow body '\w+': build the rows of each body"):
+        am.Hierarchy.graded(am.cases.dovetail(), sizes=(10e-3, 6e-3), contact_ratio=2, transfer=Nearest())

@@ -16,17 +16,18 @@ def test_examples_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) == 3
-    for block in blocks[:2]:
+    assert len(blocks) == 4
+    for block in blocks[:3]:
         exec(compile(block, "README.md", "exec"), names)
         assert names["result"].status is am.Status.CONVERGED
         assert names["result"].residual < 1e-7
-    exec(compile(blocks[2], "README.md", "exec"), names)
+    assert names["steps"].complete
+    exec(compile(blocks[3], "README.md", "exec"), names)
     table = names["study"].table()
     assert len(table) == 8
     assert (table["status"] == "done").all()
     assert (table["outcome"] == "CONVERGED").all()
-    assert {"contact.png", "run.npz", "results"} <= {path.name for path in tmp_path.iterdir()}
+    assert {"contact.png", "run.npz", "bodies.png", "history.png", "results"} <= {path.name for path in tmp_path.iterdir()}
 
 
 def test_commands_and_files_exist():

@@ -17,11 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
+from adaptmg.transfer.fine_nodes import nodes_of_bodies
 from adaptmg.transfer.protocol import Transfer
 
 __all__ = ["LevelTransfer", "between_levels"]
@@ -59,7 +61,7 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
     Raises
     ------
     ValueError
-        If the transfer returns a matrix of another shape or entries that are not finite.
+        If the transfer returns a matrix of another shape, entries that are not finite, or rows that mix bodies.
     """
     nodal = sparse.csr_array(transfer.build(coarse, fine))
     wanted = (fine.n_nodes, coarse.n_nodes)
@@ -69,6 +71,8 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
     if not np.isfinite(nodal.data).all():
         raise ValueError(f"transfer.build of {transfer!r} returned entries that are not finite")
     contact, coupling = fine_problem.contact, fine_problem.coupling
+    if coupling is not None:
+        _check_bodies(nodal, coarse, fine, transfer)
     slave_rows = [_along(coarse, fine, name, contact.nodes[contact.boundary == k])
                   for k, name in enumerate(contact.names)]
     if contact_rows:
@@ -84,6 +88,22 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
         if contact.masters[k] and len(known):
             surface = with_contact_rows(surface, nodes, _among(known, rows, fine.points[nodes], coarse.points))
     return LevelTransfer(relative, surface)
+
+
+def _check_bodies(nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, transfer: Transfer) -> None:
+    """No fine node may follow coarse nodes of a body that its own does not hang together with."""
+    incidence = sparse.csr_array((np.ones(coarse.elements.size), (coarse.elements.ravel(), np.repeat(
+        coarse.element_body, coarse.elements.shape[1]))), shape=(coarse.n_nodes, len(coarse.bodies)))
+    _, part = connected_components(incidence.T @ incidence, directed=False)
+    rows = np.repeat(np.arange(fine.n_nodes), np.diff(nodal.indptr))
+    wrong = np.flatnonzero((part[nodes_of_bodies(fine)[rows]] != part[nodes_of_bodies(coarse, "coarse")[nodal.indices]])
+                           & (nodal.data != 0.0))
+    if wrong.size:
+        node = rows[wrong[0]]
+        own = fine.bodies[nodes_of_bodies(fine)[node]]
+        other = coarse.bodies[nodes_of_bodies(coarse, "coarse")[nodal.indices[wrong[0]]]]
+        raise ValueError(f"transfer.build of {transfer!r} lets node {node} of body {own!r} follow body {other!r}: build "
+                         "the rows of each body from its own nodes (mesh.element_body tells which they are)")
 
 
 def _along(coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarray

@@ -1,0 +1,193 @@
+"""The dovetail against friction, clearance and angle, beside one body, and beside the active set method.
+
+Part of ``dovetail.py``.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import common
+import dovetail_pictures
+import numpy as np
+import pandas as pd
+from common import Context, Figure, Table
+from paper_runs import repeats, table
+
+import adaptmg as am
+
+#: sizes fall by this from level to level in the sweeps
+STEP = 1.6
+FRICTIONS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
+CLEARANCES = (0.0, 10e-6, 20e-6, 50e-6)
+ANGLES = (45.0, 50.0, 60.0, 70.0)
+#: ratio of sizes and number of levels of the grids on which two bodies are compared with one
+FAMILIES = ((1.4, 6), (1.6, 5), (2.0, 4), (2.4, 3))
+RTOL = 1e-8
+TOP = (0.0, 24e-3)
+
+
+def sizes(finest: float, step: float, levels: int) -> tuple[float, ...]:
+    """Coarse to fine, m."""
+    return tuple(finest * step**k for k in reversed(range(levels)))
+
+
+@lru_cache(maxsize=4)
+def grids_of(friction: float, clearance: float, angle: float, finest: float, step: float, levels: int) -> am.Hierarchy:
+    """Graded grids of a joint, 4 times finer at contact."""
+    problem = am.cases.dovetail(law=am.Coulomb(friction), clearance=clearance, angle=angle)
+    return am.Hierarchy.graded(problem, sizes(finest, step, levels), contact_ratio=4)
+
+
+def joint(friction: float, clearance: float, angle: float, finest: float, levels: int, rtol: float) -> dict[str, Any]:
+    """One joint in the default mode: lift, zones on the flank, cost, and the difference to the active set method."""
+    grids = grids_of(friction, clearance, angle, finest, STEP, levels)
+    am.solve(grids, am.FullMultigrid(rtol=rtol), throw=False)
+    result = am.solve(grids, am.FullMultigrid(rtol=rtol), throw=False)
+    other = am.solve(grids.finest.discrete, am.ActiveSet(rtol=1e-12), throw=False)
+    slave, master = (result.resultant(name).force for name in ("tongue.flank", "block.flank"))
+    pull = 100e6 * 12e-3
+    return {"nodes": grids.finest.n_nodes, "lift": float(result.probe([TOP])[0, 1]), **zones(result),
+            "cycles": result.cycles, "work": result.work_units, "start_work": result.start_work_units,
+            "rate": result.rate, "run_seconds": result.seconds, "residual": result.residual,
+            "outcome": result.status.name, "other_outcome": other.status.name,
+            "difference": common.energy_error(result, other, grids),
+            "states_differ": int((result.contact.state != other.contact.state).sum()),
+            "force_error": abs(float(result.resultant("contact").force[1]) / pull + 1),
+            "balance": float(np.abs(slave + master).max() / pull)}
+
+
+def zones(result: am.Result) -> dict[str, float]:
+    """Ends of the zones on the flank, depth below the mouth in m: half-way between nodes; NaN without such a zone."""
+    c = result.contact
+    mine = c.boundary == c.names.index("tongue.flank")
+    order = np.argsort(-c.x[mine, 1])
+    depth, state = -c.x[mine, 1][order], c.state[mine][order]
+    middle = np.r_[0.0, 0.5 * (depth[1:] + depth[:-1]), depth[-1]]
+    stick, closed = np.flatnonzero(state == am.STICK), np.flatnonzero(state != am.OPEN)
+    return {"open_to": float(middle[closed[0]]) if closed.size else float("nan"),
+            "stick_from": float(middle[stick[0]]) if stick.size else float("nan"),
+            "stick_to": float(middle[stick[-1] + 1]) if stick.size else float("nan")}
+
+
+def beside_one_body(body: str, family: tuple[float, int], finest: float, rtol: float, times: int) -> dict[str, Any]:
+    """The joint or the GRECO bar on graded grids of the same sizes, friction .2."""
+    problem = am.cases.dovetail() if body == "dovetail" else am.cases.greco_bar(law=am.Coulomb(0.2))
+    grids = am.Hierarchy.graded(problem, sizes(finest, *family), contact_ratio=4)
+    am.solve(grids, am.FullMultigrid(rtol=rtol), throw=False)
+    result = common.quickest(grids, am.FullMultigrid(rtol=rtol), times=times)
+    return {"nodes": grids.finest.n_nodes, "coarsest": grids[0].n_nodes, "cycles": result.cycles,
+            "work": result.work_units, "start_work": result.start_work_units, "rate": result.rate,
+            "run_seconds": result.seconds, "residual": result.residual, "outcome": result.status.name,
+            "mesh_ratio": max(level.mesh_ratio for level in grids.levels[1:])}
+
+
+def items(context: Context) -> tuple[list[Table | Figure], pd.DataFrame]:
+    """Tables and figures, and the ratios to one body."""
+    fixed = {"finest": 2.4e-3 if context.quick else 0.9e-3, "levels": 3 if context.quick else 5, "rtol": RTOL}
+    frictions = context.study(joint, {"friction": FRICTIONS}, clearance=0.0, angle=50.0, **fixed)
+    clearances = context.study(joint, {"clearance": CLEARANCES, "friction": (0.0, 0.2)}, angle=50.0, **fixed)
+    angles = context.study(joint, {"angle": ANGLES}, friction=0.2, clearance=0.0, **fixed)
+    ratios = ratios_of(context)
+    made = [friction_table(frictions), dovetail_pictures.friction_figure(frictions), shape_table(clearances, angles),
+            agreement_table(pd.concat([frictions, clearances, angles], ignore_index=True)), ratio_table(ratios)]
+    return made, ratios
+
+
+_MM = {"open_to": "open to", "stick_from": "stick from", "stick_to": "stick to"}
+_SHAPE = {"friction": ".2f", "open to": ".2f", "stick from": ".2f", "stick to": ".2f", "lift": ".2f"}
+_UNITS = {"open to": "mm", "stick from": "mm", "stick to": "mm", "lift": "µm"}
+
+
+def in_units(frame: pd.DataFrame) -> pd.DataFrame:
+    """Lift in µm, zones in mm."""
+    return frame.assign(lift=1e6 * frame["lift"], test=f"error {RTOL:g}",
+                        **{name: 1e3 * frame[key] for key, name in _MM.items()})
+
+
+def with_units(made: Table, **units: str) -> Table:
+    """Units of the columns that :func:`paper_runs.table` does not know."""
+    made.units = dict(made.units) | {name: unit for name, unit in (_UNITS | units).items() if name in made.frame}
+    return made
+
+
+def friction_table(frame: pd.DataFrame) -> Table:
+    """Lift, zones and cost against friction."""
+    low, high = frame["cycles"].min(), frame["cycles"].max()
+    note = (f"{low} to {high} cycles for all coefficients. Zones along the flank from the mouth (depth 0) to its lower "
+            "end (13 mm): open, slip, stick, slip; ends half-way between nodes. Without friction nothing sticks. All "
+            "loads are applied in one step; in several, friction gives another answer (see the load history).")
+    columns = ["friction", "nodes", "lift", *_MM.values(), "cycles", "work", "rate", "run_seconds", "test", "residual",
+               "outcome"]
+    return with_units(table("dovetail_friction", in_units(frame), columns, "Dovetail: friction, full start in the "
+                            "truncated mode", note, _SHAPE))
+
+
+def shape_table(clearances: pd.DataFrame, angles: pd.DataFrame) -> Table:
+    """Clearance and angle."""
+    frame = in_units(pd.concat([clearances, angles], ignore_index=True))
+    tight = clearances[clearances["clearance"] == 0].set_index("friction")["lift"]
+    rise = clearances["lift"] - clearances["friction"].map(tight)
+    loose = clearances["clearance"] > 0
+    share = (rise / clearances["clearance"] * np.cos(np.radians(50)))[loose & (clearances["friction"] == 0)]
+    frame["clearance"] = 1e6 * frame["clearance"]
+    note = (f"A clearance c lets the tongue rise by c / cos(angle) before the flank carries; without friction the lift "
+            f"grows by {share.min():.3f} to {share.max():.3f} times that. With friction a small clearance lifts less, a "
+            "large one slips as without.")
+    columns = ["clearance", "angle", "friction", "nodes", "lift", *_MM.values(), "cycles", "work", "rate", "test",
+               "residual", "outcome"]
+    made = table("dovetail_shape", frame, columns, "Dovetail: clearance, and angle of the flanks from the horizontal",
+                 note, _SHAPE | {"clearance": ".0f", "angle": ".0f"})
+    return with_units(made, clearance="µm", angle="deg")
+
+
+def agreement_table(frame: pd.DataFrame) -> Table:
+    """Multigrid beside the active set method, and equilibrium."""
+    worst = pd.DataFrame([{
+        "joints": len(frame), "converged": int((frame["outcome"] == "CONVERGED").sum()),
+        "active set converged": int((frame["other_outcome"] == "CONVERGED").sum()),
+        "difference": frame["difference"].max(), "states that differ": int(frame["states_differ"].sum()),
+        "force error": frame["force_error"].max(), "slave + master": frame["balance"].max()}])
+    note = ("Largest over all joints of these sweeps. Difference: relative A-norm, multigrid to an estimated error of "
+            f"{RTOL:g} against the active set method to 1e-12. Force error: contact force over the pull, minus 1. "
+            "Slave + master: sum of the forces of the flank on both sides, over the pull.")
+    return Table("dovetail_agreement", worst, "Dovetail: two independent methods, and the balance of forces", note,
+                 formats={"difference": ".1e", "force error": ".1e", "slave + master": ".1e"})
+
+
+def ratios_of(context: Context) -> pd.DataFrame:
+    """Two bodies beside one."""
+    families = FAMILIES[1:3] if context.quick else FAMILIES
+    parts = [context.study(beside_one_body, {"family": families, "body": ("GRECO bar", "dovetail")}, finest=finest,
+                           rtol=RTOL, times=repeats(context))
+             .assign(finest=finest) for finest in ((1.5e-3,) if context.quick else (1e-3, 0.5e-3))]
+    frame = pd.concat(parts, ignore_index=True)
+    frame["step"], frame["levels"] = zip(*frame["family"], strict=True)
+    keys = list(zip(frame["finest"], frame["step"], strict=True))
+    one = frame[frame["body"] == "GRECO bar"].set_index(["finest", "step"])["work"]
+    frame["ratio"] = np.where(frame["body"] == "dovetail", frame["work"] / one.loc[keys].to_numpy(), np.nan)
+    return frame
+
+
+def ratio_table(frame: pd.DataFrame) -> Table:
+    """The cost of the second body."""
+    two = frame[frame["body"] == "dovetail"]
+    within, beyond = two[two["ratio"] <= 2], two[two["ratio"] > 2]
+    note = (f"Friction .2, sizes four times finer at contact, full start to an estimated error of {RTOL:g}. In "
+            f"{len(within)} of {len(two)} cases two bodies take at most twice the work units of one")
+    if len(beyond):
+        note += (f"; not where sizes fall by {', '.join(f'{v:g}' for v in sorted(set(beyond['step'])))} "
+                 f"({beyond['ratio'].min():.2f} to {beyond['ratio'].max():.2f})")
+    note += (". Larger steps from grid to grid cost fewer units on both, but the soft edge of the block at the mouth "
+             "then needs more cycles.")
+    frame = frame.assign(test=f"error {RTOL:g}", finest=1e3 * frame["finest"],
+                         **{"sizes fall by": frame["step"], "h ratio": frame["mesh_ratio"], "finest size":
+                            1e3 * frame["finest"], "over one body": frame["ratio"]})
+    made = table("dovetail_one_body", frame, ["body", "finest size", "sizes fall by", "levels", "coarsest", "nodes",
+                                              "h ratio", "cycles", "start_work", "work", "over one body", "rate",
+                                              "run_seconds", "test", "residual", "outcome"],
+                 "Two bodies beside one (GRECO bar) on grids of equal sizes and grading", note,
+                 {"finest size": ".2f", "sizes fall by": ".1f", "h ratio": ".2f", "over one body": ".2f"})
+    made.units = dict(made.units) | {"finest size": "mm"}
+    return made
