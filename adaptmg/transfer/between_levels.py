@@ -92,16 +92,15 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
 
 def _check_bodies(nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, transfer: Transfer) -> None:
     """No fine node may follow coarse nodes of a body that its own does not hang together with."""
-    incidence = sparse.csr_array((np.ones(coarse.elements.size), (coarse.elements.ravel(), np.repeat(
-        coarse.element_body, coarse.elements.shape[1]))), shape=(coarse.n_nodes, len(coarse.bodies)))
+    body = np.repeat(coarse.element_body, coarse.elements.shape[1])
+    incidence = sparse.csr_array((np.ones(coarse.elements.size), (coarse.elements.ravel(), body)),
+                                 shape=(coarse.n_nodes, len(coarse.bodies)))
     _, part = connected_components(incidence.T @ incidence, directed=False)
     rows = np.repeat(np.arange(fine.n_nodes), np.diff(nodal.indptr))
-    wrong = np.flatnonzero((part[nodes_of_bodies(fine)[rows]] != part[nodes_of_bodies(coarse, "coarse")[nodal.indices]])
-                           & (nodal.data != 0.0))
+    below, above = nodes_of_bodies(fine)[rows], nodes_of_bodies(coarse, "coarse")[nodal.indices]
+    wrong = np.flatnonzero((part[below] != part[above]) & (nodal.data != 0.0))
     if wrong.size:
-        node = rows[wrong[0]]
-        own = fine.bodies[nodes_of_bodies(fine)[node]]
-        other = coarse.bodies[nodes_of_bodies(coarse, "coarse")[nodal.indices[wrong[0]]]]
+        node, own, other = rows[wrong[0]], fine.bodies[below[wrong[0]]], coarse.bodies[above[wrong[0]]]
         raise ValueError(f"transfer.build of {transfer!r} lets node {node} of body {own!r} follow body {other!r}: build "
                          "the rows of each body from its own nodes (mesh.element_body tells which they are)")
 
