@@ -39,7 +39,8 @@ class MeshArrays:
     bodies : tuple of str
         Names of the bodies.
     source : ngsolve.Mesh, optional
-        A straight ngsolve.Mesh of these arrays, with the same node and element numbers; assembly needs it. Not saved.
+        A straight ngsolve.Mesh of these arrays, with the same node and element numbers, for work in
+        NGSolve. Not saved.
     """
 
     points: np.ndarray

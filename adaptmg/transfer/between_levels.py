@@ -101,8 +101,8 @@ def _check_bodies(nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays,
     wrong = np.flatnonzero((part[below] != part[above]) & (nodal.data != 0.0))
     if wrong.size:
         node, own, other = rows[wrong[0]], fine.bodies[below[wrong[0]]], coarse.bodies[above[wrong[0]]]
-        raise ValueError(f"transfer.build of {transfer!r} lets node {node} of body {own!r} follow body {other!r}: build "
-                         "the rows of each body from its own nodes (mesh.element_body tells which they are)")
+        raise ValueError(f"transfer.build of {transfer!r} lets node {node} of body {own!r} follow body {other!r}: "
+                         "build the rows of each body from its own nodes (mesh.element_body tells which they are)")
 
 
 def _along(coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarray
