@@ -75,6 +75,25 @@ class TestPatch:
         assert result.resultant(pair[1]).force == pytest.approx([0, -sign * P], rel=1e-11, abs=1e-9 * P)
 
     @pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
+    @pytest.mark.parametrize("inner", [0.0, 0.3], ids=["disks", "rings"])
+    def test_axisymmetric(self, inner, pair):
+        materials = [am.Axisymmetric(young=m.young, poisson=m.poisson) for m in (STIFF, SOFT)]
+        flat = stacked([(4, 2), (7, 3)])
+        mesh = replace(flat, points=flat.points + np.array([inner, 0.0]), source=None)
+        problem = pressed(mesh, [pair], materials)
+        held = problem.supports if inner == 0 else problem.supports[:1]
+        exact, base = np.zeros(mesh.points.shape), 0.0
+        for k, material in enumerate(materials):
+            nodes = np.unique(mesh.elements[mesh.element_body == k])
+            r, z = mesh.points[nodes].T
+            exact[nodes] = P / material.young * np.column_stack([material.poisson * r, 0.6 * k - z]) + [0, base]
+            base -= 0.6 * P / material.young
+        result = am.solve(am.Hierarchy.from_meshes(replace(problem, supports=held), [mesh]), EXACT)
+        assert_state(result, exact)
+        force = np.pi * ((1 + inner)**2 - inner**2) * P
+        assert result.resultant("lower.top").force[1] == pytest.approx(-force, rel=1e-11)
+
+    @pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
     @pytest.mark.parametrize("angle", [0.3, 2.0, -1.1])
     def test_turned(self, angle, pair):
         materials = (STIFF, SOFT)

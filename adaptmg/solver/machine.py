@@ -6,14 +6,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import sparse
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.correction import InitialContact
 from adaptmg.multigrid.cycle import CycleRunner
 from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prolonged_start
 from adaptmg.multigrid.stack import build_stack
-from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver.condensation import condense
+from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
+from adaptmg.solver.condensation import Condensed, condense
 from adaptmg.solver.convergence import Convergence, euclidean_norm
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.status import Status
@@ -34,6 +35,9 @@ class Machine:
     run : Run
     """
 
+    #: of the diagonal, added to a coarsest matrix that is singular
+    SHIFT = 1e-9
+
     def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
         hierarchy.need_discretised(f"the correction {type(options.correction).__name__}")
         self.options, self.hierarchy, self.run = options, hierarchy, run
@@ -49,9 +53,19 @@ class Machine:
         condensed = None
         if o.coarse.condensed:
             with self.run.phase("factorise"):
-                coarsest = stack.levels[0].system
-                condensed = condense(replace(self.problems[0], system=coarsest, load=np.zeros(coarsest.n_dofs)))
+                condensed = self._condensed(stack.levels[0].system)
         return CycleRunner(stack, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial, condensed)
+
+    def _condensed(self, coarsest: LocalSystem) -> Condensed:
+        """The coarsest problem on its contact nodes."""
+        local = replace(self.problems[0], system=coarsest, load=np.zeros(coarsest.n_dofs))
+        try:
+            return condense(local)
+        except ValueError:
+            # where the next mesh is locally the coarser one, some coarse functions vanish on it
+            matrix = sparse.csr_array(coarsest.matrix) + self.SHIFT * sparse.diags_array(coarsest.matrix.diagonal())
+            blocks = sparse.bsr_array(matrix, blocksize=(coarsest.dim,) * 2)
+            return condense(replace(local, system=LocalSystem.from_matrix(blocks, coarsest.fixed, coarsest.nodes)))
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest (steps a and b of the paper).

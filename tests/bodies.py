@@ -1,0 +1,182 @@
+"""Bodies in contact that several tests share: stacks with exact states, the bar on a block, bodies in a corner."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from saddle import Parts, solve_saddle
+
+import adaptmg as am
+from adaptmg.discretisation.rigid_motions import rigid_motions
+from adaptmg.mesh import graded, merged, structured
+from adaptmg.mesh.arrays import MeshArrays
+
+EXACT = am.ActiveSet(rtol=1e-12)
+SOFT, STIFF = am.PlaneStrain(young=7e10, poisson=0.34), am.PlaneStrain(young=2.1e11, poisson=0.28)
+P = 5e7
+
+
+def strains(material, pressure=P):
+    """(lateral, axial) strain under a uniaxial pressure in plane strain."""
+    E, nu = material.young, material.poisson
+    return nu * (1 + nu) / E * pressure, -(1 - nu**2) / E * pressure
+
+
+def turned(mesh, angle):
+    """A mesh turned about the origin."""
+    c, s = np.cos(angle), np.sin(angle)
+    return MeshArrays(mesh.points @ np.array([[c, s], [-s, c]]), mesh.elements, mesh.facets, mesh.facet_labels,
+                      mesh.boundaries, element_body=mesh.element_body, bodies=mesh.bodies)
+
+
+def held_at_points(problem, mesh, exact, points, load=0.0):
+    """The discrete problem with prescribed values of ``exact`` (n_nodes, dim) at some (node, component)."""
+    parts = Parts.of(problem, mesh)
+    fixed, values = np.zeros(mesh.points.shape, dtype=bool), np.zeros(mesh.points.shape)
+    for node, component in points:
+        fixed[node, component] = True
+        values[node, component] = exact[node, component]
+    return am.DiscreteProblem.coupled(
+        matrix=parts.matrix, load=parts.load + np.ravel(load), fixed=fixed.ravel(), fixed_values=values.ravel(),
+        law=parts.law, contact=parts.contact, weights=parts.weights, coordinates=mesh.points,
+        near_nullspace=rigid_motions(mesh))
+
+
+def far_node(mesh, body, direction):
+    """The node of a body farthest in a direction."""
+    nodes = np.unique(mesh.elements[mesh.element_body == mesh.bodies.index(body)])
+    return nodes[np.argmax(mesh.points[nodes] @ np.asarray(direction))]
+
+
+def assert_state(result, exact, pressure=P):
+    np.testing.assert_allclose(result.displacement, exact, atol=1e-10 * np.abs(exact).max())
+    np.testing.assert_allclose(result.contact.pressure, pressure, rtol=1e-9)
+    assert np.abs(result.contact.traction).max() < 1e-9 * pressure
+
+
+def stacked(divisions, width=1.0):
+    """A mesh of blocks "lower", "middle" (with three divisions), "upper", all 1 wide but the last."""
+    names = ("lower", "upper") if len(divisions) == 2 else ("lower", "middle", "upper")
+    parts = {name: am.Rectangle(width=width if name == "upper" else 1.0, height=0.6, origin=(0.0, 0.6 * k))
+             for k, name in enumerate(names)}
+    return merged({name: structured(parts[name], n) for name, n in zip(names, divisions, strict=True)})
+
+
+def uniaxial(mesh, materials):
+    """Exact displacement of a stack under the pressure P, zero at the origin."""
+    exact, base = np.zeros(mesh.points.shape), 0.0
+    for k, material in enumerate(materials):
+        nodes = np.unique(mesh.elements[mesh.element_body == k])
+        lateral, axial = strains(material)
+        x = mesh.points[nodes]
+        exact[nodes] = np.column_stack([lateral * x[:, 0], base + axial * (x[:, 1] - 0.6 * k)])
+        base += 0.6 * axial
+    return exact
+
+
+def pressed(mesh, pairs, materials, law=None):
+    """A stack under the pressure P with rollers below and at the left."""
+    return am.ContactProblem(
+        material=dict(zip(mesh.bodies, materials, strict=True)), contact=tuple(am.ContactPair(*p) for p in pairs),
+        law=am.Frictionless() if law is None else law, loads=(am.Pressure("upper.top", P),),
+        supports=(am.Support("lower.bottom", y=0.0), *(am.Support(f"{body}.left", x=0.0) for body in mesh.bodies)))
+
+
+UPPER_ON_LOWER, LOWER_ON_UPPER = ("upper.bottom", "lower.top"), ("lower.top", "upper.bottom")
+
+def in_the_corner(order, law):
+    """A block in the corner of a seat, a cap on the block, equal pressure all around: mesh, problem, exact state."""
+    seat = am.Polygon(vertices=[(-1, -1), (1, -1), (1, 0), (0, 0), (0, 1), (-1, 1)],
+                      boundaries=("bottom", "right", "floor", "wall", "top", "left"))
+    block, cap = am.Rectangle(width=1.0, height=1.0), am.Rectangle(width=1.0, height=0.5, origin=(0.0, 1.0))
+    mesh = merged({"seat": graded(seat, 0.3, ()), "block": structured(block, (4, 5)), "cap": structured(cap, (3, 2))})
+    pairs = {"floor": am.ContactPair("block.bottom", "seat.floor"), "wall": am.ContactPair("block.left", "seat.wall"),
+             "cap": am.ContactPair("cap.bottom", "block.top")}
+    outside = ("seat.bottom", "seat.right", "seat.top", "seat.left", "block.right", "cap.top", "cap.left", "cap.right")
+    problem = am.ContactProblem(material=SOFT, contact=tuple(pairs[name] for name in order), law=law,
+                                loads=tuple(am.Pressure(name, P) for name in outside))
+    strain = (1 + SOFT.poisson) * (1 - 2 * SOFT.poisson) * P / SOFT.young
+    return mesh, problem, -strain * mesh.points
+
+
+def bar_on_block(law, pair=UPPER_ON_LOWER, ratio=1.0, **options):
+    """The GRECO bar pressed on an elastic block 1.5 times as wide, ``ratio`` times as stiff."""
+    size, bar = 40e-3, am.PlaneStrain(young=1.3e11, poisson=0.2)
+    return am.ContactProblem(
+        material={"upper": bar, "lower": replace(bar, young=ratio * bar.young)}, law=law,
+        domain=am.Assembly(parts={"upper": am.Rectangle(width=size, height=size), "lower": am.Rectangle(
+            width=1.5 * size, height=size, origin=(-0.5 * size, -size))}),
+        contact=am.ContactPair(*pair, **options),
+        loads=(am.Pressure("upper.top", 5e7), am.Pressure("upper.left", 15e7)),
+        supports=(am.Support("upper.right", x=0.0), am.Support("lower.right", x=0.0),
+                  am.Support("lower.bottom", y=0.0)))
+
+
+def bumpy(points):
+    return 4e-6 * (1 + np.sin(points[:, 0] * 400))
+
+
+def corner_pushed(law):
+    """Three bodies, three pairs, unequal loads; the cap follows the block, which follows the seat."""
+    order = ("wall", "floor", "cap")
+    _, problem, _ = in_the_corner(order, law)
+    seat = am.Polygon(vertices=[(-1, -1), (1, -1), (1, 0), (0, 0), (0, 1), (-1, 1)],
+                      boundaries=("bottom", "right", "floor", "wall", "top", "left"))
+    return replace(problem, domain=am.Assembly(parts={
+        "seat": seat, "block": am.Rectangle(width=1.0, height=1.0),
+        "cap": am.Rectangle(width=1.0, height=0.5, origin=(0.0, 1.0))}),
+        loads=(am.Pressure("cap.top", lambda x: 4e7 * (1 + x[:, 0])), am.Pressure("block.right", 3e7),
+               am.Traction("cap.left", (4e6, 0.0))),
+        supports=(am.Support("seat.bottom", x=0.0, y=0.0), am.Support("cap.right", x=0.0)))
+
+
+def bar_hierarchy(problem, n=3):
+    return am.Hierarchy.uniform(problem, [{"upper": k, "lower": (5 * k // 4, k)} for k in (4, 8, 16, 32)[:n]])
+
+
+def assert_agrees(grids, solvers):
+    """Each solver finds what multipliers on the untransformed system find, and forces that balance."""
+    parts = Parts.of(grids.problem, grids.finest.mesh)
+    displacement, pressure, force = solve_saddle(parts)
+    length = np.abs(displacement).max()
+    relative = displacement - np.where(parts.fixed.reshape(displacement.shape), 0.0, parts.weights @ displacement)
+    for name, solver in solvers.items():
+        result = am.solve(grids, solver)
+        contact = result.contact
+        assert energy(parts, result.displacement - displacement) <= 1e-8 * energy(parts, displacement), name
+        assert np.abs(contact.force_n - pressure).max() <= 1e-8 * pressure.max(), name
+        assert np.abs(contact.force - force).max() <= 1e-8 * pressure.max(), name
+        # relative to the master, but along what supports fix
+        local = np.einsum("nkd,nd->nk", contact.frames, relative[contact.node])
+        np.testing.assert_allclose(np.column_stack([contact.u_n, contact.u_t]), local, atol=1e-8 * length)
+        assert_balanced(result, parts, 1e-7)
+
+
+def energy(parts, displacement):
+    flat = displacement.ravel()
+    return np.sqrt(flat @ (parts.matrix @ flat))
+
+
+def assert_balanced(result, parts, tolerance):
+    """Slaves and masters to rounding; supports and loads, and free nodes, to the tolerance of the solver."""
+    contact, mesh = result.contact, result.mesh
+    load = parts.load.reshape(-1, mesh.dim)
+    size, arm = np.abs(load).sum(), np.ptp(mesh.points)
+    for slave, master in zip(contact.names, contact.masters, strict=True):
+        one, other = result.resultant(slave), result.resultant(master)
+        assert np.abs(one.force + other.force).max() <= 1e-12 * size
+        # surfaces that lie on each other: no lever between the forces
+        assert np.abs(one.moment + other.moment).max() <= 1e-12 * size * arm
+    of_contact = np.zeros_like(load)
+    of_contact[contact.node] = contact.force
+    np.add.at(of_contact, contact.master_node, contact.master_force)
+    supports = np.where(parts.fixed.reshape(load.shape), result.reaction - of_contact, 0.0)
+    assert np.abs(result.reaction - of_contact - supports).max() <= tolerance * np.abs(of_contact).max()
+    # around an axis of symmetry radial forces balance by themselves
+    assert np.abs((supports + load).sum(axis=0))[int(parts.axisymmetric):].max() <= tolerance * size
+    for name in result.mesh.boundaries:
+        if name not in (*contact.names, *contact.masters):
+            nodes = mesh.boundary_nodes(name)
+            expected = (result.reaction - of_contact)[nodes].sum(axis=0)
+            np.testing.assert_allclose(result.resultant(name).force, expected, atol=1e-12 * size)

@@ -1,0 +1,233 @@
+"""Bodies in contact in 2D: an independent solver with multipliers, balance of forces, limits, interference fits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import (
+    EXACT,
+    LOWER_ON_UPPER,
+    SOFT,
+    STIFF,
+    UPPER_ON_LOWER,
+    assert_agrees,
+    bar_hierarchy,
+    bar_on_block,
+    bumpy,
+    corner_pushed,
+    energy,
+    turned,
+)
+from saddle import Parts, solve_saddle
+
+import adaptmg as am
+from adaptmg.discretisation.discretise import discretise
+from adaptmg.mesh import merged, structured
+
+PROBLEMS = {
+    "bar": lambda law: bar_hierarchy(bar_on_block(law)),
+    "block": lambda law: bar_hierarchy(bar_on_block(law, LOWER_ON_UPPER)),
+    "bumpy": lambda law: bar_hierarchy(bar_on_block(law, gap=bumpy)),
+    "interference": lambda law: bar_hierarchy(bar_on_block(law, gap=lambda x: bumpy(x) - 5e-6,
+                                                           allow_interference=True)),
+    "independent meshes": lambda law: am.Hierarchy.graded(bar_on_block(law), sizes=(16e-3, 8e-3, 4e-3),
+                                                          contact_ratio=2),
+    "corner": lambda law: am.Hierarchy.graded(corner_pushed(law), sizes=(0.5, 0.3, 0.17), contact_ratio=1.5),
+    "axisymmetric": lambda law: am.Hierarchy.uniform(
+        ring_on_disk(law), [{"upper": (4 * k, 3 * k), "lower": (5 * k, 2 * k)} for k in (1, 2, 4)]),
+    "turned": lambda law: am.Hierarchy.from_meshes(turned_bar(law), [
+        turned(structured(bar_on_block(law).domain, {"upper": k, "lower": k + 1}), 0.7) for k in (4, 7, 12)])}
+LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(1.5e7), "friction 0.3": am.Coulomb(0.3),
+        "friction 1": am.Coulomb(1.0)}
+SOLVERS = {"nested start": am.FullMultigrid(rtol=1e-11), "cold": am.Multigrid(rtol=1e-11), "active set": EXACT,
+           "sparse active set": am.ActiveSet(condensed=False, rtol=1e-12),
+           "monotone": am.FullMultigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400),
+           "single grid": am.SingleGrid(condensed=True, rtol=1e-11)}
+
+
+def ring_on_disk(law):
+    """A ring pressed unevenly, and from inside, on a larger disk."""
+    steel = am.Axisymmetric(young=2.1e11, poisson=0.3)
+    return am.ContactProblem(
+        material={"upper": replace(steel, young=7e10), "lower": steel}, law=law,
+        domain=am.Assembly(parts={"upper": am.Rectangle(width=0.04, height=0.03, origin=(0.01, 0.0)),
+                                  "lower": am.Rectangle(width=0.07, height=0.03, origin=(0.0, -0.03))}),
+        contact=am.ContactPair(*UPPER_ON_LOWER),
+        loads=(am.Pressure("upper.top", lambda x: 1e8 * (2 - x[:, 0] / 0.03)), am.Pressure("upper.left", 1.5e8)),
+        supports=(am.Support("lower.left", x=0.0), am.Support("lower.bottom", y=0.0)))
+
+
+def turned_bar(law):
+    """For meshes turned by any angle: no rollers, so the supports hold all components."""
+    return replace(bar_on_block(law), domain=None, supports=(am.Support("lower.bottom", x=0.0, y=0.0),),
+                   loads=(am.Pressure("upper.top", lambda x: 5e7 * (1 + 5 * x[:, 0])), am.Pressure("upper.left", 5e6)))
+
+
+# without friction nothing would hold the turned bar along the block
+@pytest.mark.parametrize(("make", "law"), [(make, law) for make in PROBLEMS for law in LAWS
+                                           if (make, law) != ("turned", "frictionless")])
+def test_against_multipliers(make, law):
+    assert_agrees(PROBLEMS[make](LAWS[law]), SOLVERS)
+
+
+def test_forces_balance_however_loose_the_solver():
+    grids = bar_hierarchy(bar_on_block(am.Coulomb(0.5), LOWER_ON_UPPER))
+    result = am.solve(grids, am.FullMultigrid(rtol=1e-2))
+    assert result.residual > 1e-6
+    on_slave, on_master = (result.resultant(name) for name in LOWER_ON_UPPER)
+    size = np.abs(on_slave.force).max()
+    assert size > 1e6 and np.abs(on_slave.force + on_master.force).max() <= 1e-13 * size
+    assert abs(on_slave.moment + on_master.moment) <= 1e-13 * size
+    total = am.solve(grids, EXACT).resultant("lower.bottom").force[1]
+    assert total == pytest.approx(5e7 * 40e-3, rel=1e-9)
+
+
+@pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(0.4)], ids=["frictionless", "coulomb"])
+def test_matching_meshes_node_to_node_or_mortar(law):
+    results = []
+    for coupling in ("mortar", "nodes"):
+        problem = bar_on_block(law, coupling=coupling)
+        grids = am.Hierarchy.uniform(problem, [{"upper": (2 * k, k), "lower": (3 * k, 2 * k)} for k in (2, 4, 8)])
+        results.append(am.solve(grids, EXACT))
+        assert am.solve(grids, am.FullMultigrid(rtol=1e-10), reference=results[0]).history["true_error"][-1] < 1e-9
+    mortar, nodes = results
+    # the mortar leaves out the corner of the bar, if it does: here all of it lies on the block
+    np.testing.assert_array_equal(mortar.contact.node, nodes.contact.node)
+    np.testing.assert_allclose(mortar.contact.weights, nodes.contact.weights, rtol=1e-12)
+    np.testing.assert_allclose(mortar.displacement, nodes.displacement,
+                               atol=1e-10 * np.abs(nodes.displacement).max())
+    assert (mortar.contact.pair == "upper.bottom on lower.top").all()
+
+
+def test_a_stiff_block_becomes_the_rigid_plane():
+    rigid = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(0.5)), (4, 8, 16)), EXACT)
+    differences = []
+    for ratio in (1e2, 1e3, 1e4, 1e6):
+        result = am.solve(bar_hierarchy(bar_on_block(am.Coulomb(0.5), ratio=ratio)), EXACT)
+        n = len(rigid.displacement)
+        differences.append(np.abs(result.displacement[:n] - rigid.displacement).max()
+                           / np.abs(rigid.displacement).max())
+    assert differences[-1] < 1e-5
+    # of first order in the compliance
+    assert differences[1] / differences[2] == pytest.approx(10, rel=0.3)
+    assert am.solve(bar_hierarchy(bar_on_block(am.Coulomb(0.5), ratio=1e4)), am.FullMultigrid()).cycles <= 30
+
+
+@pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
+def test_an_interference_fit(pair):
+    # two blocks between rigid walls, 0.2 mm too long together: uniaxial strain, modulus M = E (1-nu)/((1+nu)(1-2nu))
+    overlap, heights = 2e-4, {"lower": 0.6, "upper": 0.4}
+    assembly = am.Assembly(parts={"lower": am.Rectangle(width=1.0, height=0.6),
+                                  "upper": am.Rectangle(width=1.0, height=0.4, origin=(0.0, 0.6 - overlap))})
+    supports = (am.Support("lower.bottom", y=0.0), am.Support("upper.top", y=0.0),
+                *(am.Support(f"{body}.{side}", x=0.0) for body in heights for side in ("left", "right")))
+    materials = {"lower": STIFF, "upper": SOFT}
+    problem = am.ContactProblem(material=materials, domain=assembly, supports=supports, law=am.Coulomb(0.3),
+                                contact=am.ContactPair(*pair, allow_interference=True))
+    grids = am.Hierarchy.uniform(problem, [{"lower": (k, k), "upper": (5 * k // 4, k)} for k in (4, 8)])
+    modulus = {name: m.young * (1 - m.poisson) / ((1 + m.poisson) * (1 - 2 * m.poisson))
+               for name, m in materials.items()}
+    pressure = overlap / sum(heights[name] / modulus[name] for name in heights)
+    for solver in (EXACT, am.FullMultigrid(rtol=1e-10), am.Multigrid(rtol=1e-10),
+                   am.Multigrid(correction=am.Monotone(), rtol=1e-10), am.SingleGrid(condensed=True, rtol=1e-12)):
+        result = am.solve(grids, solver)
+        np.testing.assert_allclose(result.contact.pressure, pressure, rtol=1e-7)
+        assert np.abs(result.contact.gap).max() <= 1e-8 * overlap
+        top = grids.finest.mesh.boundary_nodes("lower.top")
+        np.testing.assert_allclose(result.displacement[top, 1], -pressure * 0.6 / modulus["lower"], rtol=1e-7)
+    # from a start that overlaps, one that gapes, and the solution
+    for start in (np.zeros_like(result.displacement), result, 3 * result.displacement):
+        again = am.solve(grids, am.Multigrid(rtol=1e-10), start=start)
+        np.testing.assert_allclose(again.contact.pressure, pressure, rtol=1e-7)
+        assert again.cycles <= (1 if start is result else 30)
+    with pytest.raises(ValueError, match=rf"{pair[0]}.*{pair[1]}.*overlap by up to 0.0002 m.*allow_interference"):
+        discretise(replace(problem, contact=am.ContactPair(*pair)), grids.finest.mesh)
+
+
+def test_a_start_and_a_reference_are_displacements():
+    grids = bar_hierarchy(bar_on_block(am.Coulomb(0.5)))
+    exact = am.solve(grids, EXACT)
+    result = am.solve(grids, am.Multigrid(rtol=1e-8), start=exact, reference=exact)
+    assert result.cycles <= 1 and result.history["true_error"][0] < 1e-10
+    discrete = grids.finest.discrete
+    flat = exact.displacement.ravel()
+    np.testing.assert_allclose(discrete.physical(discrete.relative(flat)).ravel(), flat,
+                               atol=1e-14 * np.abs(flat).max())
+
+
+@pytest.mark.parametrize("slave", ["ring.left", "shaft.right"])
+def test_a_shrink_fit_without_any_load(slave):
+    # Lamé, both ends held: p = overlap / (r (flexibility of the ring + that of the shaft))
+    radius, outer, overlap = 0.03, 0.07, 3e-5
+    ring, shaft = am.Axisymmetric(young=7e10, poisson=0.34), am.Axisymmetric(young=2.1e11, poisson=0.28)
+    inner, size = radius - overlap, {"height": 0.01}
+    shapes = {"ring": am.Rectangle(width=outer - inner, origin=(inner, 0.0), **size),
+              "shaft": am.Rectangle(width=radius, **size)}
+    problem = am.ContactProblem(
+        material={"ring": ring, "shaft": shaft}, law=am.Coulomb(0.2),
+        contact=am.ContactPair(slave, "shaft.right" if slave == "ring.left" else "ring.left",
+                               allow_interference=True),
+        supports=(am.Support("shaft.left", x=0.0), *(am.Support(f"{body}.{end}", y=0.0) for body in ("ring", "shaft")
+                                                      for end in ("bottom", "top"))))
+    pressures, meshes = [], []
+    for n in (4, 8, 16):
+        meshes.append(merged({name: structured(shape, (n, n // 4 + len(name))) for name, shape in shapes.items()}))
+        result = am.solve(am.Hierarchy.from_meshes(problem, meshes),
+                          EXACT if n == 4 else am.FullMultigrid(rtol=1e-10))
+        pressures.append(result.contact.force_n.sum() / result.contact.weights.sum())
+    ratio = (outer**2 + radius**2 * (1 - 2 * ring.poisson)) / (outer**2 - radius**2)
+    flexible = ((1 + ring.poisson) / ring.young * ratio
+                + (1 + shaft.poisson) * (1 - 2 * shaft.poisson) / shaft.young)
+    errors = np.abs(np.array(pressures) / (overlap / (radius * flexible)) - 1)
+    assert errors[-1] < 3e-3 and errors[0] / errors[-1] > 6
+
+
+def test_a_support_on_the_master_is_no_trouble():
+    down = -3e-5  # the upper body follows the master
+    problem = bar_on_block(am.Frictionless())
+    held = (am.Support("lower.top", x=0.0, y=down), am.Support("upper.right", x=0.0))
+    rigid = am.solve(discretise(am.cases.greco_bar(law=am.Frictionless()),
+                                structured(problem.domain.parts["upper"], 4)), EXACT)
+    result = am.solve(am.Hierarchy.uniform(replace(problem, supports=held), [{"upper": 4, "lower": 5}]), EXACT)
+    np.testing.assert_allclose(result.displacement[:25] - [0, down], rigid.displacement, atol=1e-10 * abs(down))
+    # the master passes on what the support takes
+    assert result.resultant("lower.top").force == pytest.approx(-result.resultant("upper.bottom").force)
+
+
+@pytest.mark.parametrize("make", ["block", "independent meshes", "corner"])
+def test_a_load_history_against_multipliers(make):
+    """Side pressure on, off and on again; slip counts from where the step before left the surfaces."""
+    grids = PROBLEMS[make](am.Coulomb(0.5))
+    problem, mesh = grids.problem, grids.finest.mesh
+    side = problem.loads[1].boundary
+    path = am.LoadPath({side: [0.4, 1.0, 0.1, 0.7]}, default=1.0)
+    found = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-11))
+    before, slid = np.zeros(mesh.points.shape), []
+    for result, factor in zip(found, path.of(side), strict=True):
+        loads = tuple(replace(load, value=factor * load.value) if load.boundary == side else load
+                      for load in problem.loads)
+        parts = Parts.of(replace(problem, loads=loads), mesh, slip_reference=before)
+        displacement, pressure, force = solve_saddle(parts)
+        assert energy(parts, result.displacement - displacement) <= 1e-8 * energy(parts, displacement)
+        assert np.abs(result.contact.force - force).max() <= 1e-8 * pressure.max()
+        before = displacement - parts.weights @ displacement
+        slid.append(result.contact.state == am.SLIP)
+    assert any(now.any() for now in slid[1:])
+    # what slid on the way up does not come back: without history the third step is another
+    alone = am.solve(am.Hierarchy.from_meshes(replace(problem, loads=tuple(
+        replace(load, value=0.1 * load.value) if load.boundary == side else load for load in problem.loads),
+        domain=None), [mesh]), EXACT)
+    assert np.abs(found[2].displacement - alone.displacement).max() > 1e-3 * np.abs(alone.displacement).max()
+
+
+def test_a_coarse_mesh_that_is_the_finer_one_in_a_body():
+    """Coarse functions that vanish on the finer mesh make the coarsest matrix singular: the solvers must bear it."""
+    problem = bar_on_block(am.Coulomb(0.3))
+    meshes = [structured(problem.domain, divisions) for divisions in (
+        {"upper": 4, "lower": (15, 10)}, {"upper": 16, "lower": (5, 3)})]
+    grids = am.Hierarchy.from_meshes(replace(problem, domain=None), meshes)
+    seen = np.unique(grids.finest.prolongation.indices)
+    assert len(seen) < meshes[0].n_nodes
+    assert_agrees(grids, {name: SOLVERS[name] for name in ("nested start", "cold", "monotone")})
