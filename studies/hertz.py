@@ -34,8 +34,8 @@ CASES: Mapping[str, Callable[..., am.ContactProblem]] = {
 #: a wider contact, a = R/20, that uniform meshes can resolve too
 WIDE_LOAD = 1.135e7
 #: edge lengths at contact, a over these
-FINENESS, QUICK_FINENESS = (5, 10, 20, 40, 80), (5, 10, 20)
-UNIFORM, QUICK_UNIFORM = (2.5, 5, 10), (2.5, 5)
+FINENESS, QUICK_FINENESS = (5, 10, 20, 40, 80), (5, 10)
+UNIFORM, QUICK_UNIFORM = (2.5, 5, 10), (1.25, 2.5)
 #: growth of the edge length per distance is this over the fineness
 GROWTH = 2.4
 COARSEST = 2.5
@@ -63,16 +63,18 @@ def wide(refinement: str, finest: float) -> tuple[am.ContactProblem, list[MeshAr
 
 def profile(problem: am.ContactProblem, result: am.Result) -> dict[str, np.ndarray]:
     """Distance from the middle over a, weights, pressure and its closed form over p0, by distance."""
-    contact, form = result.contact, problem.reference["closed_form"]
-    x = contact.x[:, 0]
-    order = np.argsort(x)
-    found = {"x": x / form.half_width, "weight": contact.weights, "p": contact.pressure / form.peak,
-             "exact p": form.pressure(x) / form.peak, "sticks": (contact.state == am.STICK).astype(float)}
+    form = problem.reference["closed_form"]
+    order = np.argsort(result.contact.x[:, 0])
+    contact = {"x": result.contact.x[:, 0], "weight": result.contact.weights, "p": result.contact.pressure / form.peak,
+               "sticks": (result.contact.state == am.STICK).astype(float)}
+    found = {name: values[order] for name, values in contact.items()}
+    x = found["x"]
+    found |= {"x": x / form.half_width, "exact p": form.pressure(x) / form.peak}
     if "partial_slip" in problem.reference:
         slip = problem.reference["partial_slip"]
         bound = slip.friction * form.peak
-        found |= {"t": -contact.traction[:, 0] / bound, "exact t": slip.traction(x) / bound}
-    return {name: values[order] for name, values in found.items()}
+        found |= {"t": -result.contact.traction[order, 0] / bound, "exact t": slip.traction(x) / bound}
+    return found
 
 
 def mean_square(found: Mapping[str, np.ndarray], name: str) -> float:
@@ -190,7 +192,8 @@ def convergence_table(rows: pd.DataFrame) -> Table:
         "L2 error": 100 * rows["l2"], "levels": rows["levels"], "cycles": rows["cycles"], "WU": rows["work_units"],
         "rate": rows["rate"], "residual": rows["residual"], "status": rows["outcome"]})
     note = ("a and p0: of the fit against the closed form. L2 error: of the nodal pressures, over p0 on the contact. "
-            "The closed forms hold for half-planes; terms of the order of (a/R)^2 = 2e-4 remain. From a nested start.")
+            "The closed forms hold for half-planes; terms of the order of (a/R)^2 = 2e-4 (Cattaneo 2e-5) remain. From "
+            "a nested start.")
     return Table("hertz_convergence", frame, f"Hertz and Cattaneo: errors of the pressure, full multigrid to {RTOL:g}",
                  note, {"a error": "%", "p0 error": "%", "L2 error": "%"},
                  {"a error": ".3f", "p0 error": ".3f", "L2 error": ".3f", "WU": ".1f", "rate": ".2f",
@@ -205,8 +208,9 @@ def rate_table(rows: pd.DataFrame) -> Table:
         found.append({"case": case, "L2 of pressure": common.slope(h, part["l2"]),
                       "L2 of traction": common.slope(h, part["traction_l2"]) if case == "Cattaneo" else np.nan,
                       "largest WU": part["work_units"].max(), "most cycles": part["cycles"].max()})
-    note = ("Exponent of the error over h. The pressure ends like the root of the distance to the edge of contact, "
-            "which lies between two nodes: the error of these is of the order of h^(1/2), its L2 norm of that of h.")
+    note = ("Exponent of the error over h, all meshes. The pressure ends like the root of the distance to the edge of "
+            "contact, which lies anywhere between two nodes: the error of these is of the order of h^(1/2), its L2 "
+            "norm of that of h, up and down with the place of the edge.")
     return Table("hertz_rates", pd.DataFrame(found), "Orders of convergence", note, {},
                  {"L2 of pressure": ".2f", "L2 of traction": ".2f", "largest WU": ".1f"})
 
@@ -219,8 +223,9 @@ def stick_table(rows: pd.DataFrame) -> Table:
                           "traction L2 error": 100 * part["traction_l2"], "cycles": part["cycles"],
                           "WU": part["work_units"], "status": part["outcome"]})
     note = ("c: half the width that sticks, each end taken halfway between the last node that sticks and the next, so "
-            "that its error jumps by h/2; shift: of its middle, over a. Traction: over mu p0. Both loads at once, "
-            "which gives the same state as first P, then Q.")
+            "that its error jumps by h/2; shift: of its middle, over a. Traction: over mu p0. What stays under "
+            "refinement is of the bodies' finite size, a / (mu R) = 1.6 %. Both loads at once, which gives the same "
+            "state as first P, then Q.")
     return Table("hertz_cattaneo", frame, "Cattaneo: the strip that sticks, and the traction", note,
                  {"c error": "%", "shift": "% of a", "traction L2 error": "%"},
                  {"c error": ".2f", "shift": ".2f", "traction L2 error": ".2f", "WU": ".1f"})
@@ -232,7 +237,7 @@ def uniform_table(rows: pd.DataFrame) -> Table:
                           "nodes": rows["nodes"], "p0 error": 100 * rows["peak_error"], "L2 error": 100 * rows["l2"],
                           "cycles": rows["cycles"], "WU": rows["work_units"], "status": rows["outcome"]})
     return Table("hertz_uniform", frame, "Cylinder on block, a = R/20: uniform meshes against refinement near contact",
-                 "At equal h the errors are alike; the uniform meshes take far more nodes.",
+                 "At equal h the errors are of one size; the uniform meshes take far more nodes.",
                  {"p0 error": "%", "L2 error": "%"}, {"p0 error": ".3f", "L2 error": ".3f", "WU": ".1f"})
 
 
@@ -259,7 +264,7 @@ def bodies_table(rows: pd.DataFrame) -> Table:
 @styled
 def pressure_figure(rows: pd.DataFrame) -> Figure:
     """Pressure and traction over x/a on one mesh of each case."""
-    fineness = 20
+    fineness = min(20, rows["fineness"].max())
     figure, axes = plt.subplots(1, 4, figsize=(13.0, 3.3), sharey=True)
     for ax, (case, part) in zip(axes, rows[rows["fineness"] == fineness].groupby("case", sort=False), strict=True):
         found = {name: np.array(values) for name, values in json.loads(part["profile"].iloc[0]).items()}
@@ -274,7 +279,8 @@ def pressure_figure(rows: pd.DataFrame) -> Figure:
         ax.set(title=case, xlabel="r / a" if case.startswith("ball") else "x / a")
         ax.grid(True)
     axes[0].legend(loc="lower left", fontsize=8)
-    axes[-1].legend(*(part[::2] for part in axes[-1].get_legend_handles_labels()), loc="upper left", fontsize=8)
+    axes[-1].legend(*(part[-1:] for part in axes[-1].get_legend_handles_labels()), loc="center", fontsize=8,
+                    handletextpad=0.2)
     axes[0].set_ylabel("over p0")
     return Figure("hertz_pressure", figure, f"Nodal pressures with edges of a/{fineness} at contact, and the closed "
                   "forms; of Cattaneo's problem the tangential traction too.")

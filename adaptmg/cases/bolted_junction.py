@@ -15,9 +15,10 @@ joint through their heads,
 :math:`A_m` being the effective section of flanges, heads and seats, found once from the default geometry.
 
 In axisymmetry (dim = 2) the bolts are an equivalent ring of I-shaped section that lies over the flanges without sharing
-nodes: only the undersides of its heads touch them. Its modulus is scaled to :math:`E_r = E\,nA / (2\pi r_b w)`, w being
-the width of its shank, so that its axial stiffness is that of the n bolts. A ring also resists hoop strain, which
-single bolts do not; without friction under the heads (the default in 2D) that does not reach the flanges.
+nodes: only the undersides of its heads touch them. The section of its shank is that of the n bolts, and so are axial
+stiffness and stress. Its Poisson number is 0: a ring under tension would shrink towards the axis of the vessels, which
+bolts do not. It also resists hoop strain, which single bolts do not; without friction under the heads (the default in
+2D) that does not reach the flanges.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptmg.cases.flanges import Flanges, bolt_places, bolt_solid, drilled, flange_section, mirrored, ring_section
 from adaptmg.problem import (
     Assembly,
     Axisymmetric,
@@ -46,99 +48,21 @@ from adaptmg.problem import (
     Traction,
     checks,
 )
-from adaptmg.problem.solids import Cut, Cylinder, Fuse, Revolution, SolidDomain
+from adaptmg.problem.solids import SolidDomain
 
-__all__ = ["BOLTS", "Flanges", "bolted_junction"]
+__all__ = ["BOLTS", "bolted_junction"]
 
 BOLTS = ("ring", "traction", "solid")
 _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
            "nothing published stands behind them.")
-# effective section A_m of what the bolts clamp, m^2, from solutions of the default geometry without pressure
-_CLAMPED = {2: 0.0366, 3: 0.0124}
 
-
-@dataclass(frozen=True, kw_only=True)
-class Flanges:
-    """Dimensions of the junction, m.
-
-    Parameters
-    ----------
-    bore : float
-        Inner radius of the vessels.
-    wall : float
-        Thickness of their walls.
-    length : float
-        From the joint to the end of each pipe.
-    outer : float
-        Outer radius of the flanges.
-    upper, lower : float
-        Thickness of the flanges.
-    bolt_circle : float
-        Radius on which the bolts stand.
-    n_bolts : int
-    diameter : float
-        Of a bolt's shank. Heads are 1.6 times as wide and 0.7 times as high, holes 1.1 times as wide.
-    seat : float
-        Radial width of the equivalent ring's heads, and of the ring on which bolts act as a traction.
-    """
-
-    bore: float = 0.200
-    wall: float = 0.012
-    length: float = 0.120
-    outer: float = 0.270
-    upper: float = 0.040
-    lower: float = 0.050
-    bolt_circle: float = 0.240
-    n_bolts: int = 16
-    diameter: float = 0.024
-    seat: float = 0.020
-
-    def __post_init__(self) -> None:
-        for name in ("bore", "wall", "length", "outer", "upper", "lower", "bolt_circle", "diameter", "seat"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
-        checks.integer("n_bolts", self.n_bolts, 1)
-        wide = 0.5 * max(self.seat, self.head_diameter)
-        if not self.bore + self.wall < self.bolt_circle - wide < self.bolt_circle + wide < self.outer:
-            raise ValueError(f"bolt_circle must leave room for heads and seats, {wide:g} m to each side, between the "
-                             f"wall (r = {self.bore + self.wall:g}) and outer (r = {self.outer:g}), "
-                             f"got {self.bolt_circle!r}")
-        if not max(self.upper, self.lower) < self.length:
-            raise ValueError(f"length must exceed the thickness of the flanges, got {self.length!r}")
-        if not self.n_bolts * self.head_diameter < 2 * math.pi * self.bolt_circle:
-            raise ValueError(f"n_bolts: {self.n_bolts} heads of {self.head_diameter:g} m do not fit on the bolt circle")
-
-    @property
-    def head_diameter(self) -> float:
-        """m."""
-        return 1.6 * self.diameter
-
-    @property
-    def head_height(self) -> float:
-        """m."""
-        return 0.7 * self.diameter
-
-    @property
-    def hole(self) -> float:
-        """Radius of the bolt holes, m."""
-        return 0.55 * self.diameter
-
-    @property
-    def clamped(self) -> float:
-        """Clamped length of the bolts, m."""
-        return self.upper + self.lower
-
-    @property
-    def bolt_area(self) -> float:
-        """Section of all shanks together, m^2."""
-        return self.n_bolts * 0.25 * math.pi * self.diameter**2
-
-    def thrust(self, pressure: float) -> float:
-        """Force of the closed ends under a pressure in Pa, N."""
-        return pressure * math.pi * self.bore**2
-
-    def shortening(self, preload: float, young: float, dim: int) -> float:
-        """Shortening of the bolts, m, that gives a bolt force in all of ``preload``, N (module docstring)."""
-        return preload * self.clamped / young * (1 / self.bolt_area + 1 / _CLAMPED[dim])
+# with the default parameters; see the docstring of the case
+_VALUES: Mapping[str, Mapping[str, float]] = {
+    "ring": {"open_to": 0.2249, "slip_to": 0.2342, "gap": 8.88e-6, "peak": 33.5e6, "peak_at": 0.245,
+             "joint_force": 1.985e6, "bolt_force": 2.488e6},
+    "traction": {"open_to": 0.2250, "slip_to": 0.2343, "gap": 8.93e-6, "peak": 33.5e6, "peak_at": 0.246,
+                 "joint_force": 1.9973e6},
+}
 
 
 @dataclass(frozen=True)
@@ -186,9 +110,18 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
         the flanges: ``joint``, ``rim``, ``face``, ``seat``, ``wall``, ``pipe``, ``bore``; of the bolts ``upper_head``
         and ``lower_head`` (undersides), ``side`` and ``tip``. The first contact pair is the joint.
 
-        ``reference`` holds ``remark``, ``flanges`` and ``thrust`` (N); with ``bolt="traction"`` and the default
-        parameters also ``values`` found by mesh convergence: ``open_to``, ``slip_to``, ``peak_at`` (radii, m), ``gap``
-        (at the bore, m), ``peak`` (Pa), ``joint_force`` (N).
+        ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N); with the default parameters
+        in 2D also ``values`` found by mesh convergence: ``open_to``, ``slip_to``, ``peak_at`` (radii, m), ``gap`` (at
+        the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N; this one of the ring).
+
+    See Also
+    --------
+    adaptmg.cases.bolted_measures : the load path, bolt force, opening, tightness.
+
+    Notes
+    -----
+    Tightening first and the pressure afterwards (:func:`~adaptmg.cases.bolted_measures.junction_path`), or both at
+    once: with the default parameters the answer is the same to the digits of ``values``.
     """
     checks.choice("dim", dim, (2, 3))
     bolt = {2: "ring", 3: "solid"}[dim] if bolt is None else bolt
@@ -199,6 +132,8 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
         raise TypeError(f"flanges must be Flanges, got {flanges!r}")
     preload, pressure = checks.positive("preload", preload), checks.number("pressure", pressure)
     material = (Axisymmetric if dim == 2 else Solid)(young=young, poisson=poisson)
+    usual = shortening is None and not head_friction and (
+        preload, pressure, friction, flanges, young, poisson) == (2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)
     model = _Model(flanges, material, bolt, _shortening(shortening, preload, bolt, flanges, material), preload)
     return ContactProblem(
         name={"ring": "bolted junction", "traction": "bolted junction, bolts as traction",
@@ -209,8 +144,7 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
         law=_law(friction, head_friction, model),
         loads=model.loads(pressure),
         supports=model.supports(),
-        reference=_reference(flanges, pressure, bolt == "traction" and (
-            preload, pressure, friction, flanges, young, poisson) == (2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)),
+        reference=_reference(flanges, pressure, _VALUES.get(bolt) if usual else None),
     )
 
 
@@ -237,12 +171,12 @@ def _law(friction: float, head_friction: float | None, model: _Model) -> Law:
     return Coulomb(_Friction(friction, heads, 0.5 * min(model.flanges.upper, model.flanges.lower)))
 
 
-def _reference(flanges: Flanges, pressure: float, known: bool) -> Mapping[str, Any]:
-    reference: dict[str, Any] = {"remark": _REMARK, "flanges": flanges, "thrust": flanges.thrust(pressure)}
-    if known:
-        reference["values"] = {"open_to": 0.2249, "slip_to": 0.2341, "gap": 8.91e-6, "peak": 33.6e6, "peak_at": 0.2453,
-                               "joint_force": 2.5e6 - flanges.thrust(pressure)}
-        reference["sources"] = {"values": "mesh convergence of this case; joint_force from equilibrium"}
+def _reference(flanges: Flanges, pressure: float, values: Mapping[str, float] | None) -> Mapping[str, Any]:
+    reference: dict[str, Any] = {"remark": _REMARK, "flanges": flanges, "pressure": pressure,
+                                 "thrust": flanges.thrust(pressure)}
+    if values is not None:
+        reference["values"] = dict(values)
+        reference["sources"] = {"values": "mesh convergence of this case: contact edges of 1, 0.5 and 0.25 mm"}
     return reference
 
 
@@ -259,14 +193,14 @@ class _Model:
 
     def __post_init__(self) -> None:
         f = self.flanges
-        upper, lower = _profile(f, f.upper, self.bolt), _mirrored(_profile(f, f.lower, self.bolt))
+        upper, lower = flange_section(f, f.upper, self.bolt), mirrored(flange_section(f, f.lower, self.bolt))
         parts: dict[str, Polygon | SolidDomain] = {"upper": upper, "lower": lower}
         if self.bolt == "ring":
-            parts["bolt"] = _ring(f)
+            parts["bolt"] = ring_section(f)
         elif self.bolt == "solid":
-            places = _places(f)
-            parts = {name: _drilled(part, f, places) for name, part in parts.items()}
-            parts |= {f"bolt{k}": _bolt(f, place) for k, place in enumerate(places)}
+            places = bolt_places(f)
+            parts = {name: drilled(part, f, places) for name, part in parts.items()}
+            parts |= {f"bolt{k}": bolt_solid(f, place) for k, place in enumerate(places)}
         object.__setattr__(self, "parts", parts)
 
     @property
@@ -280,10 +214,9 @@ class _Model:
     def materials(self) -> Elastic | dict[str, Elastic]:
         if self.bolt != "ring":
             return self.material
-        f = self.flanges
-        scale = f.bolt_area / (2 * math.pi * f.bolt_circle * _shank(f))
-        scaled = Axisymmetric(young=scale * self.material.young, poisson=self.material.poisson)
-        return {"upper": self.material, "lower": self.material, "bolt": scaled}
+        # each bolt contracts towards its own axis, not towards that of the vessels
+        ring = Axisymmetric(young=self.material.young, poisson=0.0)
+        return {"upper": self.material, "lower": self.material, "bolt": ring}
 
     def pairs(self) -> tuple[ContactPair, ...]:
         heads = [ContactPair(f"{name}.{side}_head", f"{side}.{'seat' if self.dim == 2 else 'face'}")
@@ -307,68 +240,3 @@ class _Model:
         planes = [Support(f"{side}.{name}", **{axis: 0.0}) for side in ("upper", "lower")
                   for name, axis in (("start", "y"), ("end", "x"))]
         return (Support("lower.pipe", z=0.0), *planes)
-
-
-def _shank(flanges: Flanges) -> float:
-    """Radial width of the equivalent ring's shank, m."""
-    return 0.4 * flanges.seat
-
-
-def _profile(flanges: Flanges, thickness: float, bolt: str) -> Polygon:
-    """Section of the upper flange, the joint at z = 0."""
-    f, wall = flanges, flanges.bore + flanges.wall
-    # the seat of a ring that is a body of its own is a little wider than its heads
-    half = 0.5 * f.seat * (1.0 if bolt == "traction" else 1.2)
-    seat = [] if bolt == "solid" else [((f.bolt_circle + half, thickness), "seat"),
-                                       ((f.bolt_circle - half, thickness), "face")]
-    corners = [((f.bore, 0.0), "joint"), ((f.outer, 0.0), "rim"), ((f.outer, thickness), "face"), *seat,
-               ((wall, thickness), "wall"), ((wall, f.length), "pipe"), ((f.bore, f.length), "bore")]
-    return Polygon(vertices=tuple(point for point, _ in corners), boundaries=tuple(name for _, name in corners))
-
-
-def _mirrored(profile: Polygon) -> Polygon:
-    """The section on the other side of z = 0, counter-clockwise again."""
-    vertices = tuple((r, -z) for r, z in reversed(profile.vertices))
-    names = tuple(reversed(profile.boundaries))
-    return Polygon(vertices=vertices, boundaries=names[1:] + names[:1])
-
-
-def _ring(flanges: Flanges) -> Polygon:
-    """I-shaped section of the equivalent ring."""
-    f, head, shank = flanges, 0.5 * flanges.seat, 0.5 * _shank(flanges)
-    tip, top, low, end = f.upper + f.head_height, f.upper, -f.lower, -f.lower - f.head_height
-    corners = [((-head, end), "tip"), ((head, end), "side"), ((head, low), "lower_head"), ((shank, low), "side"),
-               ((shank, top), "upper_head"), ((head, top), "side"), ((head, tip), "tip"), ((-head, tip), "side"),
-               ((-head, top), "upper_head"), ((-shank, top), "side"), ((-shank, low), "lower_head"),
-               ((-head, low), "side")]
-    return Polygon(vertices=tuple((f.bolt_circle + r, z) for (r, z), _ in corners),
-                   boundaries=tuple(name for _, name in corners))
-
-
-def _places(flanges: Flanges) -> list[tuple[float, float]]:
-    """Axes of the bolts in the sector of 90 degrees, m."""
-    n = flanges.n_bolts
-    if n % 4:
-        raise ValueError(f"n_bolts must be a multiple of 4 in 3D: a sector of 90 degrees holds a quarter, got {n}")
-    angles = (np.arange(n // 4) + 0.5) * 2 * math.pi / n
-    return [(flanges.bolt_circle * math.cos(a), flanges.bolt_circle * math.sin(a)) for a in angles]
-
-
-def _drilled(profile: Polygon, flanges: Flanges, places: list[tuple[float, float]]) -> SolidDomain:
-    """A flange as a solid with its holes."""
-    solid: SolidDomain = Revolution(profile, angle=90.0)
-    reach = 2 * flanges.clamped
-    for x, y in places:
-        solid = Cut(solid, Cylinder((x, y, -reach), (0.0, 0.0, 1.0), flanges.hole, 2 * reach), {"b.side": "hole"})
-    return solid
-
-
-def _bolt(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
-    """A bolt: the shank reaches half into both heads, so that their undersides stay whole."""
-    f, (x, y) = flanges, place
-    inside = 0.5 * f.head_height
-    solid: SolidDomain = Cylinder((x, y, -f.lower - inside), (0.0, 0.0, 1.0), 0.5 * f.diameter, f.clamped + 2 * inside)
-    for name, z, axis in (("upper_head", f.upper, 1.0), ("lower_head", -f.lower, -1.0)):
-        head = Cylinder((x, y, z), (0.0, 0.0, axis), 0.5 * f.head_diameter, f.head_height)
-        solid = Fuse(solid, head, {"b.bottom": name, "b.top": "tip"})
-    return solid

@@ -190,8 +190,8 @@ def half_block(size: float, a: float) -> Polygon:
                    boundaries=("bottom", "side", "top", "contact", "symmetry"))
 
 
-def line_contact_meshes(problem: ContactProblem, *, finest: float = 1 / 40, levels: int = 5, factor: float = 2.0,
-                        grading: float = 0.06) -> list[MeshArrays]:
+def line_contact_meshes(problem: ContactProblem, *, finest: float | None = None, levels: int | None = None,
+                        factor: float = 2.0, grading: float | None = None) -> list[MeshArrays]:
     """Independent meshes for a hierarchy, coarse to fine, refined around the contact at the origin.
 
     Parameters
@@ -199,15 +199,15 @@ def line_contact_meshes(problem: ContactProblem, *, finest: float = 1 / 40, leve
     problem : ContactProblem
         :func:`hertz_cylinder`, :func:`~adaptmg.cases.cattaneo.cattaneo` or
         :func:`~adaptmg.cases.hertz_sphere.hertz_sphere`.
-    finest : float
-        Edge length at contact over the half-width on the finest mesh, above 0 and at most 0.5.
-    levels : int
-        Number of meshes, >= 1; on the coarsest, ``finest * factor**(levels - 1)`` is at most 1.
+    finest : float, optional
+        Edge length at contact over the half-width on the finest mesh, above 0 and at most 0.5; default 1/40, in 3D 1/6.
+    levels : int, optional
+        Number of meshes, >= 1; on the coarsest, ``finest * factor**(levels - 1)`` is at most 1. Default 5, in 3D 3.
     factor : float
         By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
-    grading : float
+    grading : float, optional
         Growth of the edge length per distance on the finest mesh; ``factor`` times as much on each coarser one, up to
-        1 on the coarsest.
+        1 on the coarsest. Default 0.06, in 3D 0.25.
 
     Returns
     -------
@@ -215,7 +215,11 @@ def line_contact_meshes(problem: ContactProblem, *, finest: float = 1 / 40, leve
         For :meth:`adaptmg.Hierarchy.from_meshes`. Within 1.3 half-widths of the middle the edges have the length
         ``finest`` times a times ``factor`` to the number of finer meshes.
     """
-    finest, levels = checks.positive("finest", finest), checks.integer("levels", levels, 1)
+    defaults = {"finest": 1 / 40, "levels": 5, "grading": 0.06}
+    if problem.dim == 3:
+        defaults = {"finest": 1 / 6, "levels": 3, "grading": 0.25}
+    finest = checks.positive("finest", defaults["finest"] if finest is None else finest)
+    levels = checks.integer("levels", defaults["levels"] if levels is None else levels, 1)
     if not finest <= 0.5:
         raise ValueError(f"finest must be at most 0.5 of the half-width, got {finest!r}")
     if "half_width" not in problem.reference or problem.domain is None:
@@ -227,7 +231,7 @@ def line_contact_meshes(problem: ContactProblem, *, finest: float = 1 / 40, leve
                          "take fewer levels or a smaller finest")
     a = problem.reference["half_width"]
     return point_meshes(problem.domain, [(0.0,) * problem.dim], size=finest * a, radius=1.3 * a, levels=levels,
-                        factor=factor, grading=grading)
+                        factor=factor, grading=defaults["grading"] if grading is None else grading)
 
 
 def pressure_fit(x: np.ndarray, pressure: np.ndarray, half_width: float, share: float = 0.8) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from types import MappingProxyType
 
 from adaptmg.cases.block import greco_block
+from adaptmg.cases.bolted_junction import bolted_junction
 from adaptmg.cases.cattaneo import cattaneo
 from adaptmg.cases.curved import curved_obstacle
 from adaptmg.cases.dovetail import dovetail
@@ -45,6 +46,7 @@ CASES: Mapping[str, Case] = MappingProxyType({
     "upset_block": Case(upset_block, "square squeezed on a plane, friction 0.5: singular foot (2D)"),
     "greco_block": Case(greco_block, "the GRECO bar as a solid (3D)"),
     "dovetail": Case(dovetail, "a tongue pulled out of its notch, Coulomb friction 0.2: two bodies (2D)"),
+    "bolted_junction": Case(bolted_junction, "two bolted flanges under internal pressure (axisymmetric; 3D sector)"),
     "hertz_cylinder": Case(hertz_cylinder, "a cylinder on a block or another cylinder, closed form of Hertz (2D)"),
     "hertz_sphere": Case(hertz_sphere, "a ball on a block or another ball, closed form of Hertz (axisymmetric, 3D)"),
     "cattaneo": Case(cattaneo, "a cylinder pressed on a block, then pulled sideways: partial slip (2D)"),
