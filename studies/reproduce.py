@@ -14,13 +14,14 @@ from pathlib import Path
 
 from common import Context, Section, Table, show
 
-STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "adaptive_vs_uniform", "transfer_operators",
-           "amg_comparison", "kernels")
+STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "hertz",
+           "adaptive_vs_uniform", "transfer_operators", "amg_comparison", "kernels")
 #: run only where they are named: minutes on large grids, and a campaign of hundreds of problems
 LARGE = ("benchmark", "robustness")
 TITLE = "adaptmg: multigrid for frictional contact"
-SUMMARY = """The three tables of 'Multigrid in Structure Assembling Problem' beside ours, adaptive against uniform
-meshes, transfers between meshes that are not nested, and algebraic multigrid on the same matrices.
+SUMMARY = """The three tables of 'Multigrid in Structure Assembling Problem' beside ours, the same on its assemblies
+(reconstructed), closed forms of contact, adaptive against uniform meshes, transfers between meshes that are not nested,
+and algebraic multigrid on the same matrices.
 
 One work unit is one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros, inside
 coarse solves and in nested starts too. Direct factorisations are reported in seconds only. The true error is
@@ -34,7 +35,7 @@ def main() -> None:
                                      epilog="example: python studies/reproduce.py --quick --out /tmp/report")
     parser.add_argument("studies", nargs="*", metavar="STUDY",
                         help=f"some of: {', '.join(STUDIES + LARGE)} (default: all but the last two)")
-    parser.add_argument("--quick", action="store_true", help="smaller grids: under a minute")
+    parser.add_argument("--quick", action="store_true", help="smaller grids: a couple of minutes")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
                         help="where report.html, CSV files, pictures and the store go (default: results)")
     parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")

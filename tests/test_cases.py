@@ -16,6 +16,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation import discretise, element_stress
 from adaptmg.mesh import graded, structured
 from adaptmg.problem import Assembly, Box, Coulomb, Frictionless, Rectangle, Tresca
+from adaptmg.solver.statics import check_statics
 
 PAPER = Path(__file__).parent.parent / "data" / "paper"
 
@@ -61,9 +62,10 @@ def coarse_mesh(problem):
 
 
 @pytest.mark.parametrize("name", cases.names())
-def test_every_case_discretises(name):
+def test_every_case_discretises_and_stands(name):
     problem = cases.get(name).function()
     discrete = discretise(problem, coarse_mesh(problem))
+    check_statics(discrete)
     assert discrete.name.startswith(problem.name)
     pickle.loads(pickle.dumps(problem)).check_boundaries(problem.domain.boundaries)
 

@@ -27,7 +27,8 @@ def test_examples_run(tmp_path, monkeypatch):
     assert len(table) == 8
     assert (table["status"] == "done").all()
     assert (table["outcome"] == "CONVERGED").all()
-    assert {"contact.png", "run.npz", "bodies.png", "history.png", "results"} <= {path.name for path in tmp_path.iterdir()}
+    written = {"contact.png", "run.npz", "bodies.png", "history.png", "results"}
+    assert written <= {path.name for path in tmp_path.iterdir()}
 
 
 def test_commands_and_files_exist():
