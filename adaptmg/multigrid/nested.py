@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -23,11 +24,15 @@ class NestedStart:
     ----------
     cycles : int or "complete", optional
         Cycles on each level between the coarsest and the finest, or until ``rtol`` is met. Default: 1, and 2 where
-        bodies touch each other, as interpolation carries the edges of their contact less well.
+        bodies touch each other (interpolation carries the edges of their contact less well) on levels that the next
+        one outnumbers ``CHEAP`` times.
     rtol : float
         Tolerance on the coarsest level, and with 'complete' on all of them. With two levels and a coarse solve that
         is not condensed a tight one is most of the work of the start.
     """
+
+    #: nodes of the next level over those of this one from which on a second cycle costs less than it saves
+    CHEAP: ClassVar[float] = 3.0
 
     cycles: int | str | None = None
     rtol: float = 1e-8
@@ -37,10 +42,10 @@ class NestedStart:
             checks.integer("cycles", self.cycles, 1)
         object.__setattr__(self, "rtol", checks.positive("rtol", self.rtol))
 
-    def cycles_on(self, problem: DiscreteProblem) -> int:
-        """Cycles on a level with this problem, unless complete."""
+    def cycles_on(self, problem: DiscreteProblem, finer: DiscreteProblem) -> int:
+        """Cycles on a level with this problem below one with that, unless complete."""
         if self.cycles is None:
-            return 1 if problem.coupling is None else 2
+            return 1 if problem.coupling is None or finer.n_nodes < self.CHEAP * problem.n_nodes else 2
         return int(self.cycles)
 
 

@@ -84,7 +84,7 @@ class Machine:
                 elif start.cycles == "complete":
                     self._by_error(runner, unknowns, start.rtol)
                 else:
-                    for _ in range(start.cycles_on(local.discrete)):
+                    for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
                         runner.once(level, local.contact, local.load, unknowns, self.options.cycle.shape)
                 if self.options.correction.needs_initial:
                     defect = runner.residual(level, local.load, unknowns)

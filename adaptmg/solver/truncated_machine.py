@@ -143,7 +143,7 @@ class TruncatedMachine:
             self._cycles(runner, watch, False, self.COMPLETE_LIMIT, None)
             return
         watch = TruncatedWatch(self.problems[number], 0.0)
-        wanted = start.cycles_on(self.problems[number])
+        wanted = start.cycles_on(self.problems[number], self.problems[number + 1])
         for cycle in range(max(wanted, self.options.correction.safe_cycles)):
             runner.smooth()
             look = runner.look(safe=False, trusted=self.TRUSTED * watch.scale)
