@@ -17,42 +17,23 @@ import bolted_sector
 import common
 import numpy as np
 import pandas as pd
+from bolted_grids import chain, exact, nodes_of
 from common import Context, Figure, Section, Table, main
 from paper_runs import CHANGE, COUNT, RTOL, TARGET, listed, measured, repeats, table
 
 import adaptmg as am
 from adaptmg.plot.style import styled
 
-MM = 1e-3
-#: sizes away from contact, m; at contact 2 times finer. The third grid has about as many nodes as the paper's grid 1
-SIZES = (12 * MM, 7 * MM, 4 * MM, 2.4 * MM)
-#: the GRECO bar with about as many nodes, the same ratios between grids and towards contact
-BAR_SIZES = tuple(0.3 * size for size in SIZES)
-RATIO = 2.0
 FRICTIONS = (0.0, 0.1, 0.2, 0.4, 0.8)
+QUICK_FRICTIONS = (0.0, 0.2, 0.8)
 OMEGAS = (1.9, 1.95, 1.98)
 CONDENSED_OMEGAS = (1.5, 1.7, 1.8)
 MOST_SWEEPS = 20_000
 #: sweeps before and after the correction
+QUICK_SMOOTHINGS = ((1, 0), (2, 0), (4, 0), (1, 1))
 SMOOTHINGS = ((1, 0), (2, 0), (3, 0), (4, 0), (1, 1), (2, 1), (2, 2))
 CYCLES = 300
 FINE = 1e-10
-
-
-@lru_cache(maxsize=32)
-def chain(case: str, finest: int, levels: int, friction: float = 0.2) -> am.Hierarchy:
-    """``levels`` grids, the finest of which is number ``finest``: of the junction by its bolts, or of the "bar"."""
-    if case == "bar":
-        problem, sizes = am.cases.greco_bar(law=am.Coulomb(friction)), BAR_SIZES
-    else:
-        problem, sizes = am.cases.bolted_junction(bolt=case, friction=friction), SIZES
-    return am.Hierarchy.graded(problem, sizes[finest + 1 - levels:finest + 1], contact_ratio=RATIO)
-
-
-@lru_cache(maxsize=32)
-def exact(case: str, finest: int, friction: float = 0.2) -> am.Result:
-    """The exact discrete solution by an independent method: semismooth Newton with direct solves."""
-    return am.solve(chain(case, finest, 1, friction), am.ActiveSet(rtol=1e-12))
 
 
 def one_grid(finest: int, condensed: bool, omega: float, max_sweeps: int, rtol: float, target: float, times: int
@@ -107,17 +88,10 @@ def compared(finest: int, case: str, friction: float, rtol: float, times: int) -
     if case == "bar":
         return row | dict.fromkeys(("opening", "open_to", "slip_to", "bolt_force"), float("nan"))
     c = reference.contact
-    joint = c.boundary == 0
-    slips = c.x[joint & (c.state == am.SLIP), 0]
-    force = am.cases.bolt_force(reference) if case == "ring" else float("nan")
+    slips = c.x[(c.boundary == 0) & (c.state == am.SLIP), 0]
     return row | {"opening": am.cases.joint_opening(reference), "open_to": am.cases.open_to(reference),
-                  "slip_to": float(slips.max(initial=np.nan)) if not slips.size else float(slips.max()),
-                  "bolt_force": force}
-
-
-def nodes_of(grids: am.Hierarchy) -> str:
-    """Nodes of the grids as the paper writes them, finest first."""
-    return "/".join(str(level.n_nodes) for level in reversed(grids.levels))
+                  "slip_to": slips.max() if slips.size else float("nan"),
+                  "bolt_force": am.cases.bolt_force(reference) if case == "ring" else float("nan")}
 
 
 @lru_cache(maxsize=1)
@@ -134,11 +108,11 @@ def run(context: Context) -> Section:
     finest = 2 if context.quick else 3
     fixed = {"finest": finest, "target": TARGET, "times": repeats(context)}
     counts, rows = grid_counts(context, fixed), comparisons(context, finest)
-    pressure, found = bolted_pressure.items(context)
+    pressure, found, steps = bolted_pressure.items(context)
     items: list[Table | Figure] = [posed(), counts_table(counts), smoothing_table(context, fixed),
                                    start_table(context, fixed), cost_table(rows), friction_table(rows), *pressure]
     if not context.quick:
-        items += bolted_sector.items(context)
+        items += bolted_sector.items(context, steps)
     return Section("Example 3: the bolted junction", text(counts, rows, found), items)
 
 
@@ -154,6 +128,7 @@ def grid_counts(context: Context, fixed: dict[str, Any]) -> pd.DataFrame:
     """Table 1: one grid, plain and with the best of some factors, and more."""
     parts = []
     for condensed, omegas in ((False, OMEGAS), (True, CONDENSED_OMEGAS)):
+        omegas = omegas[-1:] if context.quick else omegas
         frame = context.study(one_grid, {"omega": (1.0, *omegas)}, condensed=condensed,
                               max_sweeps=MOST_SWEEPS // 10 if context.quick else MOST_SWEEPS, rtol=RTOL, **fixed)
         frame["label"] = [f"one grid, {'condensed, ' if condensed else ''}omega {omega:g}" for omega in frame["omega"]]
@@ -186,11 +161,12 @@ def counts_table(frame: pd.DataFrame) -> Table:
 
 def smoothing_table(context: Context, fixed: dict[str, Any]) -> Table:
     """Table 2: how many smoothings."""
-    frame = context.study(smoothing, {"counts": SMOOTHINGS}, stop="error", rtol=RTOL, **fixed)
-    own = context.study(smoothing, {"counts": SMOOTHINGS}, stop="change", rtol=CHANGE, **fixed)
-    frame = frame.assign(pre=[counts[0] for counts in SMOOTHINGS], post=[counts[1] for counts in SMOOTHINGS],
-                         test=f"error {RTOL:g}", **{"cycles, paper's test": own["cycles"],
-                                                    "its error": own["true_error"]})
+    counts = QUICK_SMOOTHINGS if context.quick else SMOOTHINGS
+    frame = context.study(smoothing, {"counts": counts}, stop="error", rtol=RTOL, **fixed)
+    own = context.study(smoothing, {"counts": counts}, stop="change", rtol=CHANGE, **fixed)
+    pre, post = zip(*counts, strict=True)
+    frame = frame.assign(pre=pre, post=post, test=f"error {RTOL:g}", **{"cycles, paper's test": own["cycles"],
+                                                                        "its error": own["true_error"]})
     reached = frame.dropna(subset="work_at")
     note = (f"The paper's test is the change over a cycle, relative, at most {CHANGE:g}; 'its error' is the true error "
             "where it stops.")
@@ -208,7 +184,7 @@ def smoothing_table(context: Context, fixed: dict[str, Any]) -> Table:
 def start_table(context: Context, fixed: dict[str, Any]) -> Table:
     """Table 3: the full start."""
     frames = []
-    for levels in dict.fromkeys((2, fixed["finest"] + 1)):
+    for levels in (3,) if context.quick else (2, 4):
         frame = context.study(start, {"correction": ("monotone", "truncated"), "full": (False, True)}, levels=levels,
                               rtol=RTOL, **fixed)
         frames.append(frame.assign(mode=[f"{COUNT[levels]}, {name}" for name in frame["correction"]]))
@@ -231,7 +207,8 @@ def start_table(context: Context, fixed: dict[str, Any]) -> Table:
 def comparisons(context: Context, finest: int) -> pd.DataFrame:
     """The default solver over friction, bolts and the one-body bar."""
     fixed = {"finest": finest, "rtol": 1e-8, "times": repeats(context)}
-    ring = context.study(compared, {"friction": FRICTIONS}, case="ring", **fixed).assign(case="ring")
+    frictions = QUICK_FRICTIONS if context.quick else FRICTIONS
+    ring = context.study(compared, {"friction": frictions}, case="ring", **fixed).assign(case="ring")
     rest = [context.study(compared, {"friction": (0.2,)}, case=case, **fixed).assign(case=case)
             for case in ("traction", "bar")]
     return pd.concat([ring, *rest], ignore_index=True)
@@ -281,7 +258,7 @@ def text(counts: pd.DataFrame, rows: pd.DataFrame, found: dict[str, float]) -> s
             f"{at.loc['ring', 'work'] / at.loc['bar', 'work']:.2f} times the work units, two bodies "
             f"{at.loc['traction', 'work'] / at.loc['bar', 'work']:.2f}. The joint leaks at {found['leak']:.2f} MPa "
             f"(no circle between bore and bolt holes is left on which the contact pressure exceeds the fluid's) and is "
-            f"open as far as the bolt holes at {found['open']:.2f} MPa.")
+            f"open as far as the bolt circle at {found['open']:.2f} MPa.")
 
 
 if __name__ == "__main__":

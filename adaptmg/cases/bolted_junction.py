@@ -99,7 +99,8 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
     head_friction : float, optional
         Under the heads; default 0 in 2D, 0.2 in 3D, where nothing else holds the bolts.
     flanges : Flanges, optional
-        Dimensions; by default 16 bolts of 24 mm, in 3D 8 bolts of the same section.
+        Dimensions; by default 16 bolts of 24 mm, in 3D 8 bolts of the same section, far enough apart for the joint to
+        open between them.
     young, poisson : float
         Pa, and a number.
 

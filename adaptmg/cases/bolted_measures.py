@@ -1,9 +1,8 @@
 r"""What an engineer reads off a solved bolted junction: bolt force, opening, tightness; and its load path.
 
-The fluid is not followed into the joint. A joint is called tight as long as somewhere on a closed circle between the
-bore and the bolt holes the contact pressure exceeds that of the fluid: :func:`sealing_pressure` > p. It is separated
-to the bolts when it is open all the way there: :func:`open_to` reaches :attr:`Flanges.inside_bolts`. The first comes
-before the second.
+The fluid is not followed into the joint. An axisymmetric joint is called tight as long as somewhere between the bore
+and the bolt holes the contact pressure exceeds that of the fluid: :func:`sealing_pressure` > p. At a higher pressure it
+is open as far as the bolts: :func:`open_to` reaches the bolt circle.
 """
 
 from __future__ import annotations

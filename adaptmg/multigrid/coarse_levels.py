@@ -9,7 +9,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.halves import Halves, split
 from adaptmg.transfer.aggregation import without_fixed
-from adaptmg.transfer.galerkin import galerkin_product, is_galerkin
+from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen
 
 __all__ = ["coarse_levels", "nodal_prolongations"]
 
@@ -32,14 +32,15 @@ def coarse_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -
     truncation changes, is symmetric: its lower half is all that is stored.
     """
     matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
-    result = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)]
+    result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
     for level, nodal in zip(reversed(hierarchy.levels[:-1]), reversed(prolongations), strict=True):
         if level.discrete is None:
             matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
         elif level.discrete.coupling is None and is_galerkin(matrix, nodal, level.discrete.matrix):
-            matrix, fixed = level.discrete.matrix, level.discrete.fixed
+            matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
         else:
-            matrix = galerkin_product(_supported(matrix, fine, nodal, level.discrete), nodal)
+            finer = seen(nodal, finer)
+            matrix = galerkin_product(_supported(matrix, fine, nodal, level.discrete), finer)
             fixed = level.discrete.fixed
         fine = level.discrete
         result.insert(0, split(matrix, fixed))

@@ -100,7 +100,8 @@ def build_stack(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
         levels[0].prolongation = local_prolongation(nodal, upper, lower)
         levels[0].restriction = sparse.bsr_array(levels[0].prolongation.T)
         levels[0].contact_prolongation = contact_weights(nodal, upper.discrete, lower.discrete)
-        system = galerkin(levels[0], lower.system) if coarse_matrices == "galerkin" else lower.system
+        finer = levels[1] if len(levels) > 1 else None
+        system = galerkin(levels[0], lower.system, finer) if coarse_matrices == "galerkin" else lower.system
         levels.insert(0, StackLevel(system))
     return Stack(levels, fine)
 
@@ -151,10 +152,17 @@ def _tangential_part(rotation: np.ndarray) -> np.ndarray:
     return result
 
 
-def galerkin(level: StackLevel, coarse: LocalSystem) -> LocalSystem:
-    """The Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale diagonal."""
+def galerkin(level: StackLevel, coarse: LocalSystem, finer: StackLevel | None = None) -> LocalSystem:
+    """The Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale diagonal.
+
+    Dofs of ``level`` that ``finer``, the next level, does not see have such a diagonal, which is left out.
+    """
     dim = coarse.dim
-    product = sparse.csr_array(level.restriction @ level.system.matrix @ level.prolongation)
+    prolongation, restriction = level.prolongation, level.restriction
+    if finer is not None:
+        taken = sparse.diags_array((np.asarray(abs(finer.prolongation).sum(axis=0)).ravel() > 0).astype(float))
+        prolongation, restriction = taken @ prolongation, restriction @ taken
+    product = sparse.csr_array(restriction @ level.system.matrix @ prolongation)
     diagonal = product.diagonal()
     empty = ~(diagonal > 0)
     fill = np.where(empty, diagonal[~empty].mean() if (~empty).any() else 1.0, 0.0)

@@ -15,7 +15,7 @@ from scipy import sparse
 
 from adaptmg.transfer.aggregation import without_fixed
 
-__all__ = ["coarse_spaces", "galerkin_product", "is_galerkin"]
+__all__ = ["coarse_spaces", "galerkin_product", "is_galerkin", "seen"]
 
 
 @njit(cache=True)
@@ -111,6 +111,33 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
     return result
 
 
+def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_array:
+    """A prolongation without what it gives to nodes of which the next finer level takes nothing.
+
+    The diagonal that :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next one) is no
+    stiffness: in the next product it would hold the coarser functions at zero there.
+
+    Parameters
+    ----------
+    nodal : csr_array (n, n coarse)
+    finer : csr_array (n finer, n), optional
+        To the next finer level.
+
+    Returns
+    -------
+    csr_array (n, n coarse)
+        With the pattern of ``nodal``.
+    """
+    if finer is None:
+        return nodal
+    idle = np.bincount(finer.indices, weights=np.abs(finer.data), minlength=finer.shape[1]) == 0
+    if not idle.any():
+        return nodal
+    result = nodal.copy()
+    result.data[np.repeat(idle, np.diff(nodal.indptr))] = 0.0
+    return result
+
+
 def _with_diagonal_blocks(indptr: np.ndarray, indices: np.ndarray, data: np.ndarray
                           ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Blocks (indptr, indices, data) of a square matrix with the missing diagonal ones added as zeros."""
@@ -195,13 +222,14 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
     if of_dofs:
         current = sparse.bsr_array(sparse.csr_array(current), blocksize=(1, 1))
     matrices: list[sparse.bsr_array] = []
-    rows = given[-1].shape[0]
+    rows, finer = given[-1].shape[0], None
     for k in range(len(given) - 1, -1, -1):
         P = given[k]
         if P.shape[0] != rows or P.shape[1] >= rows:
             raise ValueError(f"prolongations[{k}] must have {rows} rows and fewer columns, got {P.shape}: they go from "
                              "coarse to fine")
         rows = P.shape[1]
-        current = galerkin_product(current, P)
+        finer = seen(P, finer)
+        current = galerkin_product(current, finer)
         matrices.insert(0, current)
     return given, matrices
