@@ -10,10 +10,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from common import Figure
+from matplotlib.axes import Axes
 from paper_runs import RTOL, TARGET, draw_error
 
 import adaptmg as am
-from adaptmg.plot.style import BLUE, GREEN, GREY, INK, ORANGE, SKY, styled
+from adaptmg.plot.states import STATE_COLORS, state_patches
+from adaptmg.plot.style import BLUE, GREEN, GREY, INK, ORANGE, styled
 
 #: of the paper's Fig. 3
 AMPLIFY = 20
@@ -22,8 +24,8 @@ FLANK_MM = 13.0
 
 def posed() -> Figure:
     """What is posed."""
-    return Figure("dovetail_problem", am.plot.problem(am.cases.dovetail()), "The dovetail as posed (reconstruction): one "
-                  "half, the tongue pulled, the block clamped from the side.")
+    return Figure("dovetail_problem", am.plot.problem(am.cases.dovetail()), "The dovetail as posed (reconstruction): "
+                  "one half, the tongue pulled, the block clamped from the side.")
 
 
 @lru_cache(maxsize=2)
@@ -39,12 +41,12 @@ def solution(quick: bool) -> list[Figure]:
     nodes = len(result.displacement)
     return [Figure("dovetail_deformed", am.plot.deformation(result, AMPLIFY, states=True), f"Displacement amplified "
                    f"{AMPLIFY} times, as in Fig. 3 of the paper ({nodes} nodes). Dots: states of the contact nodes."),
-            Figure("dovetail_stress", am.plot.deformation(result, AMPLIFY, stress=True, problem=problem),
-                   f"Von Mises stress on the deformed joint ({nodes} nodes, constant on each element); it is singular at "
-                   "the lower end of the tongue's flank and at the root of the notch, so that the largest values grow "
-                   "with refinement."),
-            Figure("dovetail_flank", am.plot.interface(result, "tongue.flank"), "The flank from the mouth to the "
-                   "chamfer: contact pressure, friction within its bound, gap; colours are the states.")]
+            Figure("dovetail_stress", am.plot.deformation(result, AMPLIFY, stress=True, problem=problem, lines=False),
+                   f"Von Mises stress on the deformed joint ({nodes} nodes, constant on each element); it is singular "
+                   "at the lower end of the tongue's flank and at the root of the notch, so that the largest values "
+                   "grow with refinement."),
+            Figure("dovetail_flank", am.plot.interface(result, "tongue.flank"), "The flank from the chamfer (arc "
+                   "length 0) to the mouth: contact pressure, friction within its bound, gap; colours are the states.")]
 
 
 @styled
@@ -65,58 +67,64 @@ def error_figure(frame: pd.DataFrame) -> Figure:
     ax.axhline(TARGET, color=GREY, linewidth=0.8)
     ax.grid(True)
     canvas.legend(loc="outside right upper", fontsize=8.5)
-    return Figure("dovetail_error", canvas, f"True error against work on {frame['grids'].iloc[-1].split('/')[0]} nodes: "
-                  "one grid, and several in the monotone and the truncated mode; a cross where a run stops before "
-                  f"{TARGET:g}.")
+    return Figure("dovetail_error", canvas, f"True error against work on {frame['grids'].iloc[-1].split('/')[0]} "
+                  "nodes: one grid, and several in the monotone and the truncated mode; a cross where a run stops "
+                  f"before {TARGET:g}.")
 
 
 @styled
 def friction_figure(frame: pd.DataFrame) -> Figure:
     """Lift, zones and cost against friction."""
-    canvas, axes = plt.subplots(1, 3, figsize=(11, 3.5))
+    canvas, axes = plt.subplots(1, 3, figsize=(11, 3.9))
     mu = frame["friction"].to_numpy()
     axes[0].plot(mu, 1e6 * frame["lift"], marker="o", color=BLUE)
-    axes[0].set(ylabel="lift of the neck [µm]", ylim=(0, None))
-    ends = {name: 1e3 * frame[name].to_numpy() for name in ("open_to", "stick_from", "stick_to")}
-    # where nothing sticks the two ends of the stick zone meet
-    meet = np.nanmean([ends["stick_from"][1], ends["stick_to"][1]]) if len(mu) > 1 else np.nan
-    low, high = (np.where(np.isnan(ends[name]), meet, ends[name]) for name in ("stick_from", "stick_to"))
-    ax = axes[1]
-    for lower, upper, color, name in ((0 * mu, ends["open_to"], "#eceef1", "open"), (ends["open_to"], low, ORANGE, "slip"),
-                                      (low, high, GREEN, "stick"), (high, 0 * mu + FLANK_MM, ORANGE, None)):
-        ax.fill_between(mu, lower, upper, color=color, alpha=0.55, linewidth=0, label=name)
-    for values in (ends["open_to"], ends["stick_from"], ends["stick_to"]):
-        ax.plot(mu, values, color=INK, marker="o", markersize=3, linewidth=0.8)
-    ax.set(ylabel="depth below the mouth [mm]", ylim=(FLANK_MM, 0), xlim=(0, mu.max()))
-    ax.legend(loc="center right", frameon=True, framealpha=0.9, edgecolor="none")
-    axes[2].plot(mu, frame["work"], marker="o", color=BLUE, label="work units")
-    axes[2].plot(mu, frame["cycles"], marker="s", color=SKY, label="cycles")
-    axes[2].set(ylabel="work units, cycles", ylim=(0, None))
-    axes[2].legend()
+    axes[0].set(ylabel="lift of the neck [µm]", ylim=(0, 1.1e6 * frame["lift"].max()))
+    draw_zones(axes[1], mu, *(1e3 * frame[name].to_numpy() for name in ("open_to", "stick_from", "stick_to")))
+    axes[2].plot(mu, frame["work"], marker="o", color=BLUE)
+    axes[2].set(ylabel="work units to an estimated error of 1e-8", ylim=(0, 1.1 * frame["work"].max()))
     for ax in axes:
         ax.set_xlabel("friction coefficient")
         ax.grid(ax is not axes[1])
-    return Figure("dovetail_friction", canvas, f"Lift, zones on the flank and cost against friction, "
-                  f"{frame['nodes'].iloc[0]} nodes, all loads in one step.")
+    return Figure("dovetail_friction_zones", canvas, f"Lift, zones on the flank and cost against friction, "
+                  f"{frame['nodes'].iloc[0]} nodes, all loads in one step; {frame['cycles'].min()} to "
+                  f"{frame['cycles'].max()} cycles.")
 
 
-def history_figure(results: Sequence[am.Result], pulls: np.ndarray) -> Figure:
+def draw_zones(ax: Axes, mu: np.ndarray, opened: np.ndarray, first: np.ndarray, last: np.ndarray) -> None:
+    """States along the flank, depth in mm; where nothing sticks (NaN) the zone of sticking has shrunk to a point."""
+    sticks = np.isfinite(first)
+    meet = 0.5 * (first[sticks][0] + last[sticks][0]) if sticks.any() else FLANK_MM
+    low, high = np.where(sticks, first, meet), np.where(sticks, last, meet)
+    bands = ((0 * mu, opened, am.OPEN), (opened, low, am.SLIP), (low, high, am.STICK),
+             (high, 0 * mu + FLANK_MM, am.SLIP))
+    for lower, upper, state in bands:
+        ax.fill_between(mu, lower, upper, color=STATE_COLORS[state], linewidth=0)
+    for values in (opened, first, last):
+        ax.plot(mu, values, color=INK, marker="o", markersize=3, linewidth=0.8)
+    ax.set(ylabel="depth below the mouth [mm]", ylim=(FLANK_MM, 0), xlim=(0, mu.max()))
+    ax.legend(handles=state_patches((am.OPEN, am.SLIP, am.STICK)), loc="lower center", bbox_to_anchor=(0.5, 1.0),
+              ncols=3)
+
+
+def history_figure(results: Sequence[am.Result], pulls: np.ndarray, steps: int) -> Figure:
     """Hysteresis and contact pressure."""
     def lift(result: am.Result) -> float:
         return 1e6 * float(result.probe([(0.0, 24e-3)])[0, 1])
 
-    def share(result: am.Result) -> float:
-        on = on_flank(result)
-        return float(np.abs(result.contact.force_t[on, 0]).sum() / (0.2 * result.contact.force_n[on].sum()))
+    def mobilised(result: am.Result) -> float:
+        c, on = result.contact, on_flank(result)
+        return float(np.abs(c.force_t[on, 0]).sum() / c.limit[on].sum())
 
-    def largest(result: am.Result) -> float:
-        return 1e-6 * float(result.contact.pressure[on_flank(result)].max())
+    def normal(result: am.Result) -> float:
+        return 1e-6 * float(result.contact.force_n[on_flank(result)].sum())
 
-    quantities: dict[str, Any] = {"lift of the neck [µm]": lift, "friction on the flank over its bound": share,
-                                  "largest pressure on the flank [MPa]": largest}
-    figure = am.plot.load_history(list(results), pulls, quantities, against="pull [MPa]", pair="tongue.flank", steps=8)
-    return Figure("dovetail_history", figure, "The clamped joint pulled in ten steps and let go again: hysteresis of the "
-                  "lift, and contact pressure along the flank.")
+    quantities: dict[str, Any] = {"lift of the neck [µm]": lift, "normal force on the flank [MN/m]": normal,
+                                  "friction over its bound, flank [-]": mobilised}
+    figure = am.plot.load_history(list(results), pulls, quantities, against="pull [MPa]", pair="tongue.flank",
+                                  steps=steps)
+    return Figure("dovetail_hysteresis", figure, "The clamped joint pulled in ten steps and let go: hysteresis of "
+                  "the lift; normal force on the flank, and sum of the friction forces over what they may be at most; "
+                  "contact pressure from the chamfer (arc length 0) to the mouth.")
 
 
 def on_flank(result: am.Result) -> np.ndarray:

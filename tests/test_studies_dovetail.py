@@ -1,0 +1,133 @@
+"""The study of the dovetail: a quick run end to end, and what must hold of what it measures."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from study_scripts import STUDIES, load
+
+import adaptmg as am
+
+common = load("common")
+dovetail, history, sweeps = load("dovetail"), load("dovetail_history"), load("dovetail_sweeps")
+pictures = load("dovetail_pictures")
+
+
+def test_the_pull_goes_up_and_down():
+    assert history.factors(4, False).tolist() == [0.25, 0.5, 0.75, 1.0]
+    assert history.factors(2, True).tolist() == [0.0, 0.5, 1.0, 0.5, 0.0]
+    assert history.factors(1, True).tolist() == [0.0, 1.0, 0.0]
+
+
+def test_sizes_fall_by_the_same_factor():
+    assert sweeps.sizes(1e-3, 2.0, 3) == pytest.approx((4e-3, 2e-3, 1e-3))
+
+
+def test_grids_of_a_chain_end_at_the_same_mesh():
+    two, one = dovetail.chain(1, 2), dovetail.chain(1, 1)
+    assert len(two) == 2 and len(one) == 1
+    assert two.finest.mesh.points == pytest.approx(one.finest.mesh.points, abs=0)
+
+
+def test_stored_steps_unfold():
+    row = pd.Series({"n": 2, "complete": True, "lift 0": 1.0, "lift 1": 2.0, "state 0": "a", "state 1": "b"})
+    assert history.unfolded(row).to_dict("list") == {"lift": [1.0, 2.0], "state": ["a", "b"]}
+
+
+def test_zone_ends_lie_half_way_between_nodes():
+    result = am.solve(dovetail.chain(1, 2), am.FullMultigrid())
+    found = sweeps.zones(result)
+    on = pictures.on_flank(result)
+    depth = np.sort(-result.contact.x[on, 1])
+    middles = 0.5 * (depth[1:] + depth[:-1])
+    assert np.abs(middles - found["open_to"]).min() < 1e-12
+    assert 0 < found["open_to"] < found["stick_from"] < found["stick_to"] <= 13e-3 + 1e-9
+
+
+def test_energy_errors_are_those_of_relative_coordinates():
+    grids = dovetail.chain(1, 2)
+    exact = dovetail.exact(1)
+    rough = am.solve(grids, am.FullMultigrid(max_cycles=3), reference=exact, throw=False)
+    assert common.energy_error(rough, exact, grids) == pytest.approx(rough.history["true_error"][-1], rel=0.9)
+    assert common.energy_error(exact, exact, grids) == 0.0
+
+
+def test_help_gives_an_example(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["dovetail.py", "--help"])
+    with pytest.raises(SystemExit):
+        runpy.run_path(str(STUDIES / "dovetail.py"), run_name="__main__")
+    assert "Example: python studies/dovetail.py --quick" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    """Tables of a quick run by name."""
+    folder = tmp_path_factory.mktemp("dovetail")
+    section = dovetail.run(common.Context(quick=True, out=folder))
+    common.show(section, folder)
+    names = [item.name for item in section.items]
+    assert len(set(names)) == len(names)
+    for item in section.items:
+        suffix = "csv" if isinstance(item, common.Table) else "png"
+        assert (folder / f"{item.name}.{suffix}").stat().st_size > 100
+    assert {"dovetail_deformed", "dovetail_stress", "dovetail_flank", "dovetail_hysteresis"} <= set(names)
+    return {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
+
+
+@pytest.mark.slow
+class TestQuickRun:
+    def test_several_grids_beat_one(self, tables):
+        frame = tables["dovetail_grids"].set_index("method")
+        plain = frame.loc["one grid, omega 1"]
+        assert plain["status"] == "LIMIT" and plain["true error"] > 1e-2
+        several = frame[~frame.index.str.startswith("one grid")]
+        assert (several["status"] == "CONVERGED").all() and (several["true error"] < 1e-6).all()
+        truncated = several[several.index.str.endswith("truncated")]
+        assert (truncated["over best one grid"] > 2).all()
+        assert truncated["work"].max() < several.drop(truncated.index)["work"].min()
+
+    def test_more_smoothing_needs_fewer_cycles(self, tables):
+        frame = tables["dovetail_smoothing"]
+        pre = frame[frame["post"] == 0].sort_values("pre")
+        assert (np.diff(pre["cycles"]) < 0).all()
+        local = tables["dovetail_local"].groupby("interface sweeps")["cycles"].max()
+        assert local[2] < 0.6 * local[0]
+
+    def test_the_full_start_pays(self, tables):
+        frame = tables["dovetail_start"]
+        assert (frame["zero over full"].dropna() > 1).all()
+
+    def test_friction(self, tables):
+        frame = tables["dovetail_friction"]
+        assert (frame["status"] == "CONVERGED").all() and (frame["rate"] <= 0.5).all()
+        assert (np.diff(frame["lift"]) < 0).all()
+        assert np.isnan(frame["stick from"].iloc[0]) and frame["stick from"].notna().iloc[-1]
+        assert frame["cycles"].max() <= 12
+
+    def test_two_methods_agree_and_forces_balance(self, tables):
+        row = tables["dovetail_agreement"].iloc[0]
+        assert row["converged"] == row["active set converged"] == row["joints"]
+        assert row["difference"] < 1e-8 and row["states that differ"] == 0
+        assert row["force error"] < 1e-7 and row["slave + master"] < 1e-12
+
+    def test_beside_one_body(self, tables):
+        frame = tables["dovetail_one_body"]
+        assert (frame["over one body"].dropna() < 3).all() and (frame["rate"] <= 0.5).all()
+
+    def test_history(self, tables):
+        frame = tables["dovetail_history"]
+        assert (frame["status"] == "CONVERGED").all()
+        up, down = frame["lift"][:11].to_numpy(), frame["lift"][10:].to_numpy()[::-1]
+        assert (np.diff(up) > 0).all() and (np.diff(down) > 0).all()
+        # friction holds back on both ways
+        assert (down[1:-1] > up[1:-1]).all()
+        assert tables["dovetail_steps"]["all converged"].all()
+
+    def test_ten_steps_cost_less_than_ten_times_one(self, tables):
+        frame = tables["dovetail_history_cost"]
+        assert frame["complete"].all()
+        assert (frame["work ratio"] < 10).all()
