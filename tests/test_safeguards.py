@@ -104,6 +104,13 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, monkeypatch
         assert not spaces.status.ok and "then" not in spaces.solver_name
 
 
+def test_nothing_takes_over_where_arithmetic_ends():
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8, 16, 32))
+    result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-17), throw=False)
+    assert result.status is am.Status.STALLED and "then" not in result.solver_name
+    assert result.residual < 1e-11
+
+
 @dataclass(frozen=True)
 class Mistaken:
     """Says that it converged, to this many times the solution."""

@@ -109,7 +109,8 @@ class TruncatedMachine:
             status, cycles = self._cycles(runner, watch, cold, self.options.max_cycles, start)
         displacement = (runner.unknowns + self.problems[-1].fixed_values).reshape(-1, self.problems[-1].dim)
         outcome = Outcome(displacement, status, cycles, watch.rtol, watch.error_estimate, watch.rate)
-        if status in (Status.STALLED, Status.DIVERGED) and cycles < self.options.max_cycles and watch.rtol > 0:
+        failed = status in (Status.STALLED, Status.DIVERGED) and not watch.at_rounding(runner.rounding())
+        if failed and cycles < self.options.max_cycles and watch.rtol > 0:
             better = watch.residual < watch.residuals[0] and not watch.diverged
             return Fallback(self.options, self.hierarchy, self.run, watch.rtol).finish(outcome, better)
         return outcome

@@ -69,7 +69,7 @@ class TruncatedWatch:
         self._last = residual
         if len(self.residuals) == 1:
             self._first = residual
-        if residual <= Convergence.ROUNDING * floor and self.residual <= Convergence.ROUNDING_LIMIT:
+        if self.at_rounding(floor):
             self.error_estimate = self.residual
             return True
         rate = self.safe_rate
@@ -78,6 +78,10 @@ class TruncatedWatch:
         else:
             self.error_estimate = np.inf
         return self.error_estimate <= self.rtol and self.residual <= Convergence.RESIDUAL_FACTOR * self.rtol
+
+    def at_rounding(self, floor: float) -> bool:
+        """Whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N."""
+        return self._last <= Convergence.ROUNDING * floor and self.residual <= Convergence.ROUNDING_LIMIT
 
     def corrected(self, energy: float) -> None:
         """Take the energy of a coarse correction, N m."""
