@@ -35,7 +35,7 @@ def main() -> None:
                                      epilog="example: python studies/reproduce.py --quick --out /tmp/report")
     parser.add_argument("studies", nargs="*", metavar="STUDY",
                         help=f"some of: {', '.join(STUDIES + LARGE)} (default: all but the last two)")
-    parser.add_argument("--quick", action="store_true", help="smaller grids: a couple of minutes")
+    parser.add_argument("--quick", action="store_true", help="smaller grids: some three minutes")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
                         help="where report.html, CSV files, pictures and the store go (default: results)")
     parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")
