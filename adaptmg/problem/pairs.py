@@ -21,7 +21,8 @@ class ContactPair:
     Parameters
     ----------
     slave : str
-        The boundary that carries the contact nodes: rather the finer one, and the one that lies inside the other.
+        The boundary that carries the contact nodes: rather that of the softer body, the finer one, and the one that
+        lies inside the other. Multigrid is slow where a stiff slave sits on a master that gives way.
     master : str
         The boundary it may touch.
     coupling : {"mortar", "nodes"}
