@@ -1,8 +1,9 @@
 """A campaign of random contact problems: does the default solver solve them, and does it say so when it does not?
 
 Bar and block with random pressures and shear, laws, friction up to 2, gap shapes, nested and independent meshes, some
-held by contact alone; each from the nested start and from zero. A body that contact cannot hold is refused. Solved
-means: status CONVERGED and natural residual below 1e-8 of the forces.
+held by contact alone; and pairs of bodies of unequal moduli and meshes, either of them as slave. Each from the nested
+start and from zero. A body that contact cannot hold is refused. Solved means: status CONVERGED and natural residual
+below 1e-8 of the forces.
 
     python studies/robustness.py [--quick] [--out DIR]
 """
@@ -16,11 +17,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from common import Context, Section, Table, main
+from random_bodies import random_pair
 
 import adaptmg as am
 from adaptmg.solver.statics import check_statics
 
 CASES, QUICK_CASES = 320, 12
+PAIRS, QUICK_PAIRS = 80, 3
 #: seeds from here on were not looked at while the safeguards of the solver were made
 FIRST_SEED = 1000
 RTOL = 1e-9
@@ -82,8 +85,16 @@ def random_grids(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
 
 
 def solve_case(seed: int) -> dict[str, Any]:
-    """One case from both starts."""
-    row, hierarchy = random_grids(seed)
+    """One body from both starts."""
+    return _from_both_starts(*random_grids(seed))
+
+
+def solve_pair(seed: int) -> dict[str, Any]:
+    """Two bodies from both starts."""
+    return _from_both_starts(*random_pair(seed))
+
+
+def _from_both_starts(row: dict[str, Any], hierarchy: am.Hierarchy) -> dict[str, Any]:
     try:
         # the load may push the body off its contact: refused before any work, which is a right answer
         check_statics(hierarchy.finest.discrete)
@@ -106,8 +117,23 @@ def solve_case(seed: int) -> dict[str, Any]:
 
 def run(context: Context) -> Section:
     """The campaign."""
-    count = QUICK_CASES if context.quick else CASES
-    rows = context.study(solve_case, {"seed": list(range(FIRST_SEED, FIRST_SEED + count))})
+    cases, pairs = (QUICK_CASES, QUICK_PAIRS) if context.quick else (CASES, PAIRS)
+    rows = context.study(solve_case, {"seed": list(range(FIRST_SEED, FIRST_SEED + cases))})
+    bodies = context.study(solve_pair, {"seed": list(range(FIRST_SEED, FIRST_SEED + pairs))})
+    columns = ["nested_status", "nested_cycles", "nested_residual", "nested_fallback", "cold_status", "cold_cycles",
+               "cold_residual", "cold_fallback"]
+    what = ["seed", "dim", "nested", "floating", "law", "friction", "nodes"]
+    return Section("Random contact problems", __doc__.split("\n\n")[1],
+                   [Table("robustness", _summary(rows), "Outcomes, one body on an obstacle."),
+                    Table("robustness_pairs", _summary(bodies), "Outcomes, two bodies."),
+                    Table("robustness_cases", rows[what + columns], "Every case of one body."),
+                    Table("robustness_pair_cases", bodies[["seed", "nested", "law", "friction", "slave", "stiffness",
+                                                           "nodes", *columns]],
+                          "Every case of two; stiffness: modulus of the slave over that of the master.")])
+
+
+def _summary(rows: pd.DataFrame) -> pd.DataFrame:
+    """Counts of outcomes by start."""
     summary = []
     for name in ("nested", "cold"):
         status, cycles, residual, fallback = (rows[f"{name}_{what}"]
@@ -119,11 +145,7 @@ def run(context: Context) -> Section:
                         "silent_failure": int((converged & ~(residual <= RESIDUAL)).sum()),
                         "by_fallback": int((converged & (fallback != "")).sum()),
                         "median_cycles": float(cycles[converged].median()), "most_cycles": int(cycles.max())})
-    columns = ["seed", "dim", "nested", "floating", "law", "friction", "nodes", "nested_status", "nested_cycles",
-               "nested_residual", "nested_fallback", "cold_status", "cold_cycles", "cold_residual", "cold_fallback"]
-    return Section("Random contact problems", __doc__.split("\n\n")[1],
-                   [Table("robustness", pd.DataFrame(summary), "Outcomes."),
-                    Table("robustness_cases", rows[columns], "Every case.")])
+    return pd.DataFrame(summary)
 
 
 if __name__ == "__main__":

@@ -46,8 +46,8 @@ def test_rivals_reach_the_tolerance():
 
 
 def test_random_cases_are_solved():
-    for seed in range(4):
-        row = robustness.solve_case(seed)
+    rows = [robustness.solve_case(seed) for seed in range(4)] + [robustness.solve_pair(seed) for seed in range(2)]
+    for row in rows:
         assert row["nested_status"] == row["cold_status"] == "CONVERGED"
         assert max(row["nested_residual"], row["cold_residual"]) <= robustness.RESIDUAL
 
