@@ -38,7 +38,7 @@ SIZES = {"nested 2D": (128, 192, 256, 384, 512, 768, 1024), "nested 3D": (16, 32
 QUICK = {"nested 2D": (32, 64), "nested 3D": (8,), "independent 2D": (2,), "independent 3D": (1,)}
 #: nodes up to which each check or rival is run
 ACTIVE_SET, CHOLESKY, ALL_SETTINGS, SINGLE_GRID = 20_000, 300_000, 70_000, 1_200
-FRICTION = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0)
+FRICTION, QUICK_FRICTION = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0), (0.3, 2.0)
 
 
 @lru_cache(maxsize=1)
@@ -242,7 +242,8 @@ def run(context: common.Context) -> common.Section:
         parts.append(context.study(measure, {"family": [family], "size": list(each), "friction": [1.0]},
                                    repetitions=repetitions, linear=True))
         middle = each[0] if context.quick else each[min(1, len(each) - 1)]
-        friction.append(context.study(measure, {"family": [family], "size": [middle], "friction": list(FRICTION)},
+        coefficients = QUICK_FRICTION if context.quick else FRICTION
+        friction.append(context.study(measure, {"family": [family], "size": [middle], "friction": list(coefficients)},
                                       repetitions=1, linear=False))
     rows = pd.concat(parts, ignore_index=True)
     scaling = []

@@ -22,7 +22,7 @@ from random_bodies import random_pair
 import adaptmg as am
 from adaptmg.solver.statics import check_statics
 
-CASES, QUICK_CASES = 320, 12
+CASES, QUICK_CASES = 320, 8
 PAIRS, QUICK_PAIRS = 80, 3
 #: seeds from here on were not looked at while the safeguards of the solver were made
 FIRST_SEED = 1000
