@@ -15,15 +15,16 @@ from typing import Any
 import bolted_pressure
 import bolted_sector
 import common
-import numpy as np
 import pandas as pd
+from assembly_tables import smoothing_table, start_table
 from bolted_grids import chain, exact, nodes_of
 from common import Context, Figure, Section, Table, main
-from paper_runs import CHANGE, COUNT, RTOL, TARGET, listed, measured, repeats, table
+from paper_runs import COUNT, RTOL, TARGET, measured, repeats, table
 
 import adaptmg as am
 from adaptmg.plot.style import styled
 
+NAME = "bolted junction"
 FRICTIONS = (0.0, 0.1, 0.2, 0.4, 0.8)
 QUICK_FRICTIONS = (0.0, 0.2, 0.8)
 OMEGAS = (1.9, 1.95, 1.98)
@@ -107,10 +108,12 @@ def run(context: Context) -> Section:
     """Tables and figures; see the module."""
     finest = 2 if context.quick else 3
     fixed = {"finest": finest, "target": TARGET, "times": repeats(context)}
+    smoothings = QUICK_SMOOTHINGS if context.quick else SMOOTHINGS
     counts, rows = grid_counts(context, fixed), comparisons(context, finest)
     pressure, found, steps = bolted_pressure.items(context)
-    items: list[Table | Figure] = [posed(), counts_table(counts), smoothing_table(context, fixed),
-                                   start_table(context, fixed), cost_table(rows), friction_table(rows), *pressure]
+    items: list[Table | Figure] = [
+        posed(), counts_table(counts), smoothing_table(context, smoothing, smoothings, NAME, fixed),
+        start_table(context, start, NAME, fixed), cost_table(rows), friction_table(rows), *pressure]
     if not context.quick:
         items += bolted_sector.items(context, steps)
     return Section("Example 3: the bolted junction", text(counts, rows, found), items)
@@ -157,51 +160,6 @@ def counts_table(frame: pd.DataFrame) -> Table:
                   "true_error", "residual", "outcome"],
                  "Table 1 on the bolted junction: sweeps or cycles, work and seconds to a true error of "
                  f"{TARGET:g} (relative A-norm, against the active set method)", note, {"over best one grid": ".2f"})
-
-
-def smoothing_table(context: Context, fixed: dict[str, Any]) -> Table:
-    """Table 2: how many smoothings."""
-    counts = QUICK_SMOOTHINGS if context.quick else SMOOTHINGS
-    frame = context.study(smoothing, {"counts": counts}, stop="error", rtol=RTOL, **fixed)
-    own = context.study(smoothing, {"counts": counts}, stop="change", rtol=CHANGE, **fixed)
-    pre, post = zip(*counts, strict=True)
-    frame = frame.assign(pre=pre, post=post, test=f"error {RTOL:g}", **{"cycles, paper's test": own["cycles"],
-                                                                        "its error": own["true_error"]})
-    reached = frame.dropna(subset="work_at")
-    note = (f"The paper's test is the change over a cycle, relative, at most {CHANGE:g}; 'its error' is the true error "
-            "where it stops.")
-    if len(reached):
-        least = reached.loc[reached["work_at"].idxmin()]
-        note = f"Least work at {least['pre']} + {least['post']} smoothings. " + note
-    return table("bolted_smoothing", frame,
-                 ["pre", "post", "grids", "cycles_at", "work_at", "seconds_at", "rate", "cycles, paper's test",
-                  "its error", "test", "true_error", "residual", "outcome"],
-                 f"Table 2 on the bolted junction: two grids, monotone mode, full start; cycles and work to a true "
-                 f"error of {TARGET:g} against the smoothings before and after the correction", note,
-                 {"pre": "d", "post": "d", "cycles, paper's test": "d", "its error": ".1e"})
-
-
-def start_table(context: Context, fixed: dict[str, Any]) -> Table:
-    """Table 3: the full start."""
-    frames = []
-    for levels in (3,) if context.quick else (2, 4):
-        frame = context.study(start, {"correction": ("monotone", "truncated"), "full": (False, True)}, levels=levels,
-                              rtol=RTOL, **fixed)
-        frames.append(frame.assign(mode=[f"{COUNT[levels]}, {name}" for name in frame["correction"]]))
-    frame = pd.concat(frames, ignore_index=True)
-    zero = frame[~frame["full"]].set_index("mode")["work_at"]
-    frame = frame.assign(start=np.where(frame["full"], "full", "zero"), test=f"error {RTOL:g}",
-                         **{"zero over full": np.where(frame["full"], frame["mode"].map(zero) / frame["work_at"],
-                                                       np.nan)})
-    gains = frame[frame["full"]].dropna(subset="zero over full")
-    note = ("What a start from zero costs over the full start: "
-            + listed([f"{value:.2f} ({mode})" for mode, value in zip(gains["mode"], gains["zero over full"],
-                                                                     strict=True)])
-            + "; the paper: 2.1 for two grids on the bar.")
-    return table("bolted_start", frame, ["mode", "start", "grids", "start_work", "cycles_at", "work_at",
-                                         "zero over full", "seconds_at", "test", "true_error", "residual", "outcome"],
-                 f"Table 3 on the bolted junction: zero and full start, work to a true error of {TARGET:g}", note,
-                 {"zero over full": ".2f"})
 
 
 def comparisons(context: Context, finest: int) -> pd.DataFrame:

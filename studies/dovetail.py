@@ -15,15 +15,18 @@ from typing import Any
 import dovetail_history
 import dovetail_pictures
 import dovetail_sweeps
-import numpy as np
 import pandas as pd
+from assembly_tables import smoothing_table, start_table
 from common import Context, Figure, Section, Table, main
-from paper_runs import CHANGE, COUNT, RTOL, TARGET, listed, measured, repeats, table
+from paper_runs import COUNT, RTOL, TARGET, measured, repeats, table
 
 import adaptmg as am
 
 #: sizes away from contact, m; at contact 4 times finer. The third has about as many nodes as the paper's grid 1
 SIZES = (8e-3, 4e-3, 2e-3, 1e-3)
+NAME = "dovetail"
+START_REMARK = ("From zero the joint comes loose first: the contact zones have to be found, in the truncated mode by "
+                "safe cycles, for which the active set method may take over.")
 OMEGAS = (1.9, 1.97, 1.98, 1.95)
 CONDENSED_OMEGAS = (1.7, 1.8, 1.95, 1.9)
 MOST_SWEEPS = 20_000
@@ -110,7 +113,9 @@ def run(context: Context) -> Section:
     counts = grid_counts(context, fixed)
     items: list[Table | Figure] = [] if context.quick else [dovetail_pictures.posed()]
     items += [counts_table(counts), dovetail_pictures.error_figure(counts)]
-    items += [smoothing_table(context, fixed), local_table(context, fixed), start_table(context, fixed)]
+    smoothings = QUICK_SMOOTHINGS if context.quick else SMOOTHINGS
+    items += [smoothing_table(context, smoothing, smoothings, NAME, fixed), local_table(context, fixed),
+              start_table(context, start, NAME, fixed, START_REMARK)]
     sweeps, ratios = dovetail_sweeps.items(context)
     history, costs = dovetail_history.items(context)
     items += [*sweeps, *dovetail_pictures.solution(context.quick), *history]
@@ -154,65 +159,23 @@ def counts_table(frame: pd.DataFrame) -> Table:
                  {"over best one grid": ".1f"})
 
 
-def smoothing_table(context: Context, fixed: dict[str, Any]) -> Table:
-    """Table 2: how many smoothings."""
-    tried = QUICK_SMOOTHINGS if context.quick else SMOOTHINGS
-    frame = context.study(smoothing, {"counts": tried}, stop="error", rtol=RTOL, **fixed)
-    own = context.study(smoothing, {"counts": tried}, stop="change", rtol=CHANGE, **fixed)
-    frame = frame.assign(pre=[counts[0] for counts in tried], post=[counts[1] for counts in tried],
-                         **{"cycles, paper's test": own["cycles"], "its error": own["true_error"],
-                            "test": f"error {RTOL:g}"})
-    least = frame.loc[frame["work_at"].idxmin()]
-    note = (f"Least work at {least['pre']} + {least['post']} smoothings. The paper's test is the change over a cycle, "
-            f"relative, at most {CHANGE:g}; 'its error' is the true error where it stops.")
-    return table("dovetail_smoothing", frame,
-                 ["pre", "post", "grids", "cycles_at", "work_at", "seconds_at", "rate", "cycles, paper's test",
-                  "its error", "test", "true_error", "residual", "outcome"],
-                 f"Table 2 on the dovetail: two grids, monotone mode, full start; cycles and work to a true error of "
-                 f"{TARGET:g} against the smoothings before and after the correction", note,
-                 {"pre": "d", "post": "d", "cycles, paper's test": "d", "its error": ".1e"})
-
-
 def local_table(context: Context, fixed: dict[str, Any]) -> Table:
     """What the sweeps of the truncated mode do."""
     levels = fixed["finest"] + 1
     frame = context.study(local_smoothing, {"interface": INTERFACE[:3:2] if context.quick else INTERFACE,
-                                            "coarse": (2,) if context.quick else (1, 2)},
+                                            "coarse": (1,) if context.quick else (1, 2)},
                           levels=levels, rtol=1e-8, **fixed)
     frame = frame.assign(**{"interface sweeps": frame["interface"], "coarse sweeps": frame["coarse"],
                             "test": "error 1e-08"})
-    none, default = (frame[(frame["interface"] == n) & (frame["coarse"] == 2)].iloc[0] for n in (0, 2))
+    none, default = (frame[(frame["interface"] == n) & (frame["coarse"] == 1)].iloc[0] for n in (0, 2))
     note = (f"Sweeps within two elements of the interface after the one symmetric sweep of a cycle: without them "
             f"{none['cycles']} cycles, rate {none['rate']:.2f}; with two (the default) {default['cycles']} and "
-            f"{default['rate']:.2f}. Coarse sweeps: before and after each correction on the coarser levels.")
+            f"{default['rate']:.2f}. Coarse sweeps: before and after each correction on the coarser levels, on these "
+            "grids one by default.")
     return table("dovetail_local", frame, ["interface sweeps", "coarse sweeps", "grids", "cycles", "work", "rate",
                                            "run_seconds", "test", "true_error", "residual", "outcome"],
                  "Truncated mode, full start: sweeps along the interface and on the coarser levels", note,
                  {"interface sweeps": "d", "coarse sweeps": "d"})
-
-
-def start_table(context: Context, fixed: dict[str, Any]) -> Table:
-    """Table 3: the full start."""
-    frames = []
-    for levels in (3,) if context.quick else (2, 4):
-        frame = context.study(start, {"correction": ("monotone", "truncated"), "full": (False, True)}, levels=levels,
-                              rtol=RTOL, **fixed)
-        frames.append(frame.assign(mode=[f"{COUNT[levels]}, {name}" for name in frame["correction"]]))
-    frame = pd.concat(frames, ignore_index=True)
-    zero = frame[~frame["full"]].set_index("mode")["work_at"]
-    frame = frame.assign(start=np.where(frame["full"], "full", "zero"), test=f"error {RTOL:g}",
-                         **{"zero over full": np.where(frame["full"], frame["mode"].map(zero) / frame["work_at"],
-                                                       np.nan)})
-    gains = frame[frame["full"]]
-    note = ("What a start from zero costs over the full start: "
-            + listed([f"{value:.2f} ({mode})" for mode, value in zip(gains["mode"], gains["zero over full"],
-                                                                     strict=True)])
-            + "; the paper: 2.1 for two grids on the bar. From zero the joint comes loose first: the contact zones "
-            "have to be found, in the truncated mode by safe cycles, for which the active set method may take over.")
-    return table("dovetail_start", frame, ["mode", "start", "grids", "start_work", "cycles_at", "work_at",
-                                           "zero over full", "seconds_at", "test", "true_error", "residual", "outcome"],
-                 f"Table 3 on the dovetail: zero and full start, work to a true error of {TARGET:g}", note,
-                 {"zero over full": ".2f"})
 
 
 def text(counts: pd.DataFrame, ratios: pd.DataFrame, costs: pd.DataFrame) -> str:
