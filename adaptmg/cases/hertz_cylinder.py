@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptmg.cases.hertz_contact import HertzContact
 from adaptmg.cases.point_meshes import point_meshes
 from adaptmg.mesh import MeshArrays
 from adaptmg.problem import (
@@ -46,26 +47,8 @@ SLAVE_REACH, MASTER_REACH = 10.0, 14.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineContact:
-    """The closed form of Hertz for line contact.
-
-    Parameters
-    ----------
-    load : float
-        P, N/m, > 0.
-    radius : float
-        R, of the relative curvature, m, > 0.
-    modulus : float
-        The contact modulus E*, Pa, > 0.
-    """
-
-    load: float
-    radius: float
-    modulus: float
-
-    def __post_init__(self) -> None:
-        for name in ("load", "radius", "modulus"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+class LineContact(HertzContact):
+    """The closed form of Hertz for line contact; ``load`` in N/m."""
 
     @property
     def half_width(self) -> float:
@@ -76,10 +59,6 @@ class LineContact:
     def peak(self) -> float:
         """p0, Pa."""
         return 2 * self.load / (math.pi * self.half_width)
-
-    def pressure(self, x: np.ndarray) -> np.ndarray:
-        """Pressure at distances x from the middle, Pa."""
-        return self.peak * np.sqrt(np.maximum(0.0, 1 - (np.asarray(x) / self.half_width)**2))
 
 
 def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: float = 50e-3,  # noqa: B008

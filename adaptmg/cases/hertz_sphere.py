@@ -20,8 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
+from adaptmg.cases.hertz_contact import HertzContact
 from adaptmg.cases.hertz_cylinder import MASTER_REACH, SLAVE_REACH, half_block, quarter_cylinder, refuse_large
 from adaptmg.problem import (
     Assembly,
@@ -41,26 +40,8 @@ __all__ = ["PointContact", "hertz_sphere"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PointContact:
-    """The closed form of Hertz for point contact.
-
-    Parameters
-    ----------
-    load : float
-        P, N, > 0.
-    radius : float
-        R, of the relative curvature, m, > 0.
-    modulus : float
-        The contact modulus E*, Pa, > 0.
-    """
-
-    load: float
-    radius: float
-    modulus: float
-
-    def __post_init__(self) -> None:
-        for name in ("load", "radius", "modulus"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+class PointContact(HertzContact):
+    """The closed form of Hertz for point contact; ``load`` in N."""
 
     @property
     def half_width(self) -> float:
@@ -76,10 +57,6 @@ class PointContact:
     def approach(self) -> float:
         """The approach of points far from contact, m."""
         return self.half_width**2 / self.radius
-
-    def pressure(self, r: np.ndarray) -> np.ndarray:
-        """Pressure at distances r from the middle, Pa."""
-        return self.peak * np.sqrt(np.maximum(0.0, 1 - (np.asarray(r) / self.half_width)**2))
 
 
 def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.0, radius: float = 50e-3,  # noqa: B008
