@@ -17,8 +17,8 @@ from adaptmg.multigrid.obstacle import Obstacle
 @pytest.mark.parametrize("count", [contact_loops.count_cut, contact_loops.count_cut.py_func], ids=["jit", "python"])
 @pytest.mark.parametrize("alpha, cut", [(0.0, 0), (0.4, 0), (0.6, 1), (1.1, 2), (-1.0, 1)])
 def test_nodes_that_a_recombination_would_cut(count, alpha, cut):
-    # node 0 is open, 2 from the gap, and closes above alpha = 0.9; node 1 slips by 0.5 and turns above 0.5; node 2, which
-    # is closed, slips by -0.1 and turns below -0.1
+    # node 0 is open, 2 from the gap, and closes above alpha = 0.9; node 1 slips by 0.5 and turns above 0.5; the closed
+    # node 2 slips by -0.1 and turns below -0.1
     nodes, n = np.arange(3, dtype=np.int32), 3
     frames = np.tile(np.eye(2).reshape(-1), n)
     u = np.array([-2.0, 0.0, 0.0, 0.5, 0.0, -0.1])
