@@ -1,0 +1,32 @@
+"""Runs the rows of a table named on the command line, a JSON line each: python child.py TABLE [ROW ...]."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+
+def outcome(row) -> dict[str, object]:
+    """What a row did: the exception, whether it is the wanted one, and the files it left."""
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            row.run()
+            found: dict[str, object] = {"raised": "", "wanted": False, "text": "nothing was raised"}
+        except BaseException as error:  # whatever it is, the parent is told
+            found = {"raised": type(error).__name__, "wanted": isinstance(error, row.error),
+                     "text": str(error).encode("utf-8", "backslashreplace").decode()[:2000]}
+        found["left"] = [] if row.writes else sorted(str(p.relative_to(folder)) for p in Path(folder).rglob("*"))
+        os.chdir("/")
+    return found
+
+
+if __name__ == "__main__":
+    rows = {row.name: row for row in importlib.import_module(sys.argv[1]).INPUTS}
+    for name in sys.argv[2:]:
+        print(json.dumps({"starts": name}), flush=True)
+        print(json.dumps({"name": name, **outcome(rows[name])}), flush=True)
