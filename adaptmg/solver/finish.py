@@ -8,19 +8,15 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.smoother.residuals import contact_state, natural_residual, residual
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.result import ContactResult
+from adaptmg.solver.sizes import Sizes, euclidean_norm
 
-__all__ = ["contact_result", "force_scale", "relative_residual"]
-
-
-def force_scale(local: LocalProblem) -> float:
-    """Scale of the natural residual without reactions: max(|b|, |A u_fixed|), N."""
-    discrete = local.discrete
-    lifted = float(np.linalg.norm(discrete.matrix @ discrete.fixed_values)) if discrete.fixed_values.any() else 0.0
-    return max(float(np.linalg.norm(discrete.load)), lifted)
+__all__ = ["contact_result", "relative_residual"]
 
 
 def relative_residual(local: LocalProblem, unknowns: np.ndarray) -> float:
-    """Natural residual over max(|b|, |A u_fixed|, |reactions|), Euclidean norms; 1 if it is all there is.
+    """Natural residual over the largest of load, contact forces and, where displacements are prescribed, reactions.
+
+    Euclidean norms (:mod:`adaptmg.solver.sizes`); 1 if it is all there is.
 
     Parameters
     ----------
@@ -30,8 +26,8 @@ def relative_residual(local: LocalProblem, unknowns: np.ndarray) -> float:
     """
     vector = natural_residual(local.system, local.contact, local.load, unknowns)
     reactions = residual(local.system, local.load, unknowns).reshape(-1, local.system.dim)[local.system.nodes]
-    scale = max(force_scale(local), float(np.linalg.norm(reactions)))
-    size = float(np.linalg.norm(vector))
+    scale = Sizes(local.discrete, local.frames).forces(unknowns, euclidean_norm(reactions.reshape(-1)))
+    size = euclidean_norm(vector)
     return 0.0 if size == 0.0 else size / (scale or size)
 
 
