@@ -10,6 +10,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.arguments import default_solver, displacement_argument, warn_of_large_friction
+from adaptmg.solver.critical_friction import warn_of_several_solutions
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_of import result_of
 from adaptmg.solver.run import Run, Solver
@@ -33,7 +34,9 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         ``SingleGrid()``. One's own offers ``run`` (see
         :class:`adaptmg.solver.run.Solver`).
     start : (n_nodes, dim) array or Result, optional
-        Where to start, m; default zero. FullMultigrid makes its own start and refuses one.
+        Where to start, m; default zero. FullMultigrid makes its own start and refuses one. With Coulomb friction there
+        may be several solutions (:func:`~adaptmg.cases.leaning_strut` has three): starts from other solutions, of the
+        problem without friction or with more of it, say, show whether there are.
     reference : (n_nodes, dim) array or Result, optional
         The exact discrete solution, m: the history then has the true relative A-norm error (``true_error``).
     throw : bool
@@ -64,6 +67,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     check_statics(discrete)
     local = local_system(discrete)
     warn_of_large_friction(local)
+    warn_of_several_solutions(grids)
     known = displacement_argument("reference", reference, discrete)
     run = Run(unit=discrete.matrix.nnz, callback=callback, reference=known)
     outcome = solver.run(grids, run, displacement_argument("start", start, discrete))
