@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import operator
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -18,7 +19,12 @@ import numpy as np
 from scipy import sparse
 
 __all__ = ["array", "boundary_name", "choice", "described", "field", "file_path", "instance", "integer", "items",
-           "nonnegative", "number", "offers", "positive", "shown", "sparse_matrix", "strings", "suggestion", "vector"]
+           "nonnegative", "number", "offers", "positive", "printable", "shown", "sparse_matrix", "strings",
+           "suggestion", "vector"]
+
+#: what XML 1.0 or HTML do not allow in a text, or UTF-8 cannot encode
+_UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff"
+                          + "".join(f"{chr(0x10000 * k - 2)}{chr(0x10000 * k - 1)}" for k in range(2, 18)) + "]")
 
 
 def number(name: str, value: Any) -> float:
@@ -243,6 +249,15 @@ def shown(value: Any) -> str:
         text = f"<{type(value).__name__} whose repr fails: {type(error).__name__}>"
     text = text.encode("utf-8", "backslashreplace").decode()
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def printable(text: str) -> str:
+    """A text that every file format and terminal takes: control characters, lone surrogates and noncharacters as codes.
+
+    Line breaks and tabs stay. Of XML 1.0 and HTML both, nothing else than this is refused (but for markup).
+    """
+    return _UNPRINTABLE.sub(lambda match: match[0].encode("ascii", "backslashreplace").decode()
+                            if ord(match[0]) > 127 else f"\\x{ord(match[0]):02x}", text)
 
 
 def described(value: Any) -> str:

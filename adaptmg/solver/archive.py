@@ -61,7 +61,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     OSError
         If it cannot be opened.
     """
-    where = checks.shown(os.fspath(path))
+    where = checks.printable(os.fspath(path))
     if path.is_dir():
         raise ValueError(f"{where} is a folder, a file is wanted")
     if path.exists() and not path.is_file():

@@ -85,7 +85,7 @@ def read_result(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str,
     """
     file = checks.file_path("path", path)
     arrays = read_arrays(file)
-    where = checks.shown(os.fspath(file))
+    where = checks.printable(os.fspath(file))
     if "meta" not in arrays:
         raise ValueError(f"{where} is not a result saved by adaptmg")
     try:
