@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,9 @@ from typing import Any
 import numpy as np
 
 import adaptmg as am
+from adaptmg.atomic import make_folder, write_bytes
 from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
+from adaptmg.problem import checks
 from adaptmg.solver.run import Solver
 
 __all__ = ["hierarchy_of", "problem_of", "solved", "solver_of", "summary", "write"]
@@ -89,7 +92,8 @@ def _numbers(option: str, text: str, kind: Callable[[str], Any]) -> tuple[Any, .
         return tuple(kind(part) for part in text.split(","))
     except ValueError:
         example = "4,8,16,32" if kind is int else "10e-3,5e-3,2.5e-3"
-        raise ValueError(f"--{option} must be numbers between commas, such as {example}; got {text!r}") from None
+        raise ValueError(f"--{option} must be numbers between commas, such as {example}; "
+                         f"got {checks.shown(text)}") from None
 
 
 def solved(grids: am.Hierarchy, method: Solver, callback: Callable[[dict[str, float]], None] | None) -> am.Result:
@@ -127,7 +131,8 @@ def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, resu
     import matplotlib
 
     matplotlib.use("Agg")
-    directory.mkdir(parents=True, exist_ok=True)
+    directory = checks.file_path("--out", directory)
+    make_folder("--out", directory)
     files = [directory / "result.npz", directory / "result.vtu"]
     result.save(files[0])
     am.export.vtk(result, files[1], problem)
@@ -141,5 +146,7 @@ def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, resu
     for name, draw in pictures.items():
         figure = draw()
         files.append(directory / f"{name}.png")
-        figure.savefig(files[-1], dpi=200, bbox_inches="tight")
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png", dpi=200, bbox_inches="tight")
+        write_bytes(files[-1], picture.getvalue())
     return files

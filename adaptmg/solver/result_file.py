@@ -19,6 +19,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.solver.archive import DAMAGES, read_arrays
 from adaptmg.solver.status import Status
+from adaptmg.text import printable
 
 if TYPE_CHECKING:
     from adaptmg.solver.result import Result
@@ -85,7 +86,7 @@ def read_result(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str,
     """
     file = checks.file_path("path", path)
     arrays = read_arrays(file)
-    where = checks.printable(os.fspath(file))
+    where = printable(os.fspath(file))
     if "meta" not in arrays:
         raise ValueError(f"{where} is not a result saved by adaptmg")
     try:
