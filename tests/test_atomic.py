@@ -110,7 +110,7 @@ def test_what_is_in_the_way_is_named(tmp_path, monkeypatch):
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(IsADirectoryError, match="folder"):
         write_bytes(tmp_path / "folder", b"")
-    with pytest.raises(FileNotFoundError, match="there is no folder '.*nowhere'"):
+    with pytest.raises(FileNotFoundError, match=r"there is no folder '.*nowhere'"):
         write_bytes(tmp_path / "nowhere" / "file", b"")
     with pytest.raises(NotADirectoryError):
         write_bytes(tmp_path / "file" / "below", b"")
@@ -146,7 +146,8 @@ def test_a_kill_leaves_nothing_that_the_next_writer_does_not_remove(tmp_path, na
     code = ("import sys\nfrom pathlib import Path\nfrom adaptmg import atomic\n"
             f"if not {nameless}: atomic._write_nameless = lambda *a: False\n"
             "sys.stdout.write('x'); sys.stdout.flush()\n"
-            "for k in range(10**9):\n    atomic.write_bytes(Path(sys.argv[1], f'f{k % 3}'), bytes([k % 256]) * 10**6)\n")
+            "for k in range(10**9):\n"
+            "    atomic.write_bytes(Path(sys.argv[1], f'f{k % 3}'), bytes([k % 256]) * 10**6)\n")
     left = 0
     for k in range(6):
         with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE) as writer:
