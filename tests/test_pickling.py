@@ -113,8 +113,11 @@ def test_dask_hands_back_results_and_exceptions():
     from distributed.core import clean_exception, error_message
 
     # as a worker sends it, and as the client raises it
-    sent = error_message(NotConverged(unfinished()))
-    found = pickle.loads(pickle.dumps(clean_exception(**sent)[1]))
+    try:
+        raises("NotConverged")
+    except NotConverged as error:
+        sent = error_message(error)
+    found = clean_exception(sent["exception"].data, sent["traceback"].data)[1]
     assert type(found) is NotConverged and same(found.result, unfinished())
     given = returns(2)
     assert same(protocol.deserialize(*protocol.serialize(given)), given)
