@@ -203,7 +203,7 @@ def _sized(name: str, arrays: dict[str, np.ndarray], shape: tuple[int | None, ..
         raise ValueError(f"{name} must have shape ({', '.join('n' if w is None else str(w) for w in shape)}), "
                          f"got {array.shape}")
     if finite and not np.isfinite(array).all():
-        raise ValueError(f"{name} is not finite, where the status is CONVERGED")
+        raise ValueError(f"{name} is not finite")
     return array
 
 
