@@ -87,13 +87,14 @@ def solve(
         from adaptmg.cli import work
         from adaptmg.cli.progress import watched
 
+        folder = None if out is None else work.out_folder(out)
         problem = work.problem_of(case, law, friction, limit)
         method = work.solver_of(solver, correction=correction, cycle=cycle, pre=pre, post=post, omega=omega,
                                 linear=linear, rtol=rtol, most=most)
         with watched(method.rtol) as callback:
             grids = work.hierarchy_of(problem, divisions, sizes, contact_ratio, transfer)
             result = work.solved(grids, method, callback)
-        files = [] if out is None else work.write(out, problem, grids, result)
+        files = [] if folder is None else work.write(folder, problem, grids, result)
         if as_json:
             _say(json.dumps(work.summary(result, files), indent=2, allow_nan=False))
         else:

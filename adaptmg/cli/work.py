@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, Solv
 from adaptmg.problem import checks
 from adaptmg.solver.run import Solver
 
-__all__ = ["hierarchy_of", "problem_of", "solved", "solver_of", "summary", "write"]
+__all__ = ["hierarchy_of", "out_folder", "problem_of", "solved", "solver_of", "summary", "write"]
 
 #: options, beside rtol and most, that a method takes
 _TAKES = {SolverName.FULL: ("correction", "cycle", "pre", "post", "omega"),
@@ -126,12 +127,20 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def out_folder(given: Path) -> Path:
+    """The folder to write to, told before any work if a file is in the way; it is made when there is something."""
+    folder = checks.file_path("--out", given)
+    there = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), folder)
+    if os.path.lexists(there) and not there.is_dir():
+        raise ValueError(f"--out must be a folder, but {str(there)!r} is in the way")
+    return folder
+
+
 def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, result: am.Result) -> list[Path]:
     """Result, pictures and VTK file into a directory, made where missing; returns what was written."""
     import matplotlib
 
     matplotlib.use("Agg")
-    directory = checks.file_path("--out", directory)
     make_folder("--out", directory)
     files = [directory / "result.npz", directory / "result.vtu"]
     result.save(files[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -57,19 +58,20 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     if (np.diff(times) <= 0).any():
         raise ValueError(f"times must increase strictly, got {times.tolist()}: for load factors that fall or stay give "
                          "pseudo-times, or leave times out")
-    target = _target(checks.file_path("path", path))
+    given = checks.file_path("path", path)
+    target = _target(given)
     names = [f"{target.stem}_{k:04d}.vtu" for k in range(len(results))]
-    folder_is_new = not target.parent.exists()
+    _check_target(target)
+    folder_is_new = target.parent == given and not target.parent.exists()
     if folder_is_new:
         target.parent.mkdir()
-    if target.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "this is a folder, give the name of a file", str(target))
     try:
         with waiting_folder(target.parent) as waiting:
             for name, result in zip(names, results, strict=True):
                 write_bytes(waiting / name, document(result, problem))
             # of a link what it leads to: the new one is written through it
-            Path(os.path.realpath(target)).unlink(missing_ok=True)
+            if target.exists():
+                Path(os.path.realpath(target)).unlink()
             for name in names:
                 os.replace(waiting / name, target.parent / name)
         write_bytes(target, _collection(names, times))
@@ -87,6 +89,16 @@ def _target(path: Path) -> Path:
     if path.suffix in (".vtu", ".vtk", ".xdmf") or path.is_file():
         raise ValueError(f"path must be a .pvd file or a folder, got {os.fspath(path)!r}")
     return path / f"{path.name}.pvd"
+
+
+def _check_target(target: Path) -> None:
+    """OSError for a path that can be no file, before any step is written."""
+    try:
+        there = target.stat()
+    except FileNotFoundError:
+        return
+    if stat.S_ISDIR(there.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "this is a folder, give the name of a file", str(target))
 
 
 def _collection(names: Sequence[str], times: np.ndarray) -> bytes:

@@ -12,6 +12,8 @@ TABLES = (
     "numbers_and_names",
     "result_files",
     "stores",
+    "outputs",
+    "command_line",
 )
 
 
