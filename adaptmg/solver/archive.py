@@ -126,6 +126,7 @@ def _header(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> _Header:
 
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, header: _Header) -> np.ndarray:
     # reads to the end, so that zipfile compares the checksum
-    data = archive.read(entry)[header.length:]
-    flat = np.frombuffer(data, dtype=header.dtype).astype(header.dtype.newbyteorder("="))
+    flat = np.frombuffer(archive.read(entry), dtype=header.dtype, offset=header.length)
+    # a copy, which can be written to
+    flat = flat.astype(header.dtype.newbyteorder("="))
     return flat.reshape(header.shape, order="F" if header.fortran else "C")
