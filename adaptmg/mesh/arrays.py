@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -40,7 +40,7 @@ class MeshArrays:
         Names of the bodies.
     source : ngsolve.Mesh, optional
         A straight ngsolve.Mesh of these arrays, with the same node and element numbers, for work in
-        NGSolve. Not saved.
+        NGSolve. Neither saved nor pickled: :func:`adaptmg.mesh.build.with_source` makes one anew. Copies share it.
     """
 
     points: np.ndarray
@@ -60,6 +60,18 @@ class MeshArrays:
         object.__setattr__(self, "element_body", _frozen(body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
+        return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
+                            self.element_body, self.bodies)
+
+    def __copy__(self) -> MeshArrays:
+        return replace(self)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> MeshArrays:
+        # frozen arrays need no second copy, and an ngsolve.Mesh belongs to one mesh however often that is copied
+        return self
 
     @property
     def dim(self) -> int:

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-__all__ = ["array", "boundary_name", "choice", "described", "field", "file_path", "instance", "integer", "items",
-           "nonnegative", "number", "offers", "positive", "shown", "sparse_matrix", "strings", "suggestion", "vector"]
+__all__ = ["array", "boundary_name", "choice", "described", "field", "file_path", "fits", "instance", "integer",
+           "items", "nonnegative", "number", "offers", "positive", "shown", "sparse_matrix", "strings", "suggestion",
+           "vector"]
 
 
 def number(name: str, value: Any) -> float:
@@ -233,6 +234,16 @@ def file_path(name: str, value: Any) -> Path:
         return Path(text).expanduser()
     except RuntimeError as error:
         raise ValueError(f"{name}: {text!r} has no home directory: {error}") from None
+
+
+def fits(name: str, size: float, words: str) -> None:
+    """ValueError if ``size`` bytes are more than the main memory of the machine; ``words`` say of what."""
+    try:
+        memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return  # the system does not say
+    if size > memory:
+        raise ValueError(f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory / 1e9:.3g} GB")
 
 
 def shown(value: Any) -> str:

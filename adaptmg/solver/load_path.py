@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from adaptmg.solver.status import NotConverged
 
 __all__ = ["StepNotConverged", "solve_path"]
 
+
 class StepNotConverged(NotConverged):
     """Raised by :func:`solve_path` when a step did not reach its tolerance.
 
@@ -33,15 +35,20 @@ class StepNotConverged(NotConverged):
     result : Result
         The last iterate of that step.
     step : int
+    described : str
+        The factors of that step.
     partial : PathResult
         The steps before it, and it.
     """
 
     def __init__(self, result: Result, step: int, described: str, partial: PathResult) -> None:
         super().__init__(result)
-        self.step, self.partial = step, partial
+        self.step, self.described, self.partial = step, described, partial
         self.args = (f"step {step} of {partial.n_steps} ({described}): {self.args[0]} Smaller load steps help where "
                      "the contact status changes much; the steps before it are in .partial.",)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.result, self.step, self.described, self.partial)
 
 
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,

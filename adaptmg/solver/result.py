@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from adaptmg.atomic import write_bytes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
+from adaptmg.solver.result_file import read_result, write_result
 from adaptmg.solver.status import Status
 
 __all__ = ["ContactResult", "Result"]
-
-_FORMAT = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,49 +289,19 @@ class Result:
         return result
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write to an ``.npz`` file, whole or not at all (written beside it, then renamed)."""
-        arrays: dict[str, np.ndarray] = {"displacement": self.displacement, "reaction": self.reaction}
-        arrays |= {f"contact.{k}": v for k, v in vars(self.contact).items() if isinstance(v, np.ndarray)}
-        arrays |= {f"history.{k}": np.asarray(v) for k, v in self.history.items()}
-        meta = {"format": _FORMAT, "status": self.status.name, "cycles": self.cycles, "work_units": self.work_units,
-                "residual": self.residual, "error_estimate": self.error_estimate, "rate": self.rate, "rtol": self.rtol,
-                "timings": self.timings, "path": self.path, "levels": self.levels, "problem_name": self.problem_name,
-                "solver_name": self.solver_name, "start_work_units": self.start_work_units, "versions": self.versions,
-                "names": self.contact.names, "masters": self.contact.masters}
-        if self.mesh is not None:
-            arrays |= {f"mesh.{k}": getattr(self.mesh, k)
-                       for k in ("points", "elements", "facets", "facet_labels", "element_body")}
-            meta |= {"boundaries": self.mesh.boundaries, "bodies": self.mesh.bodies}
-        arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, **arrays)
-        write_bytes(path, buffer.getvalue())
+        """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.result_file`."""
+        write_result(path, self)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
-        """Read what :meth:`save` wrote; ValueError if it is something else."""
-        with np.load(path, allow_pickle=False) as data:
-            if "meta" not in data:
-                raise ValueError(f"{os.fspath(path)} is not a result saved by adaptmg")
-            meta = json.loads(data["meta"].tobytes())
-            if meta.pop("format") != _FORMAT:
-                raise ValueError(f"{os.fspath(path)} was saved by another version of adaptmg; solve again")
-            groups: dict[str, dict[str, np.ndarray]] = {"contact": {}, "history": {}, "mesh": {}}
-            for key in data.files:
-                group, _, name = key.partition(".")
-                if name:
-                    groups[group][name] = data[key]
-            mesh = None
-            if groups["mesh"]:
-                mesh = MeshArrays(**groups["mesh"], boundaries=tuple(meta.pop("boundaries")),
-                                  bodies=tuple(meta.pop("bodies")))
-            names = tuple(meta.pop("names"))
-            contact = ContactResult(**groups["contact"], names=names,
-                                    masters=tuple(meta.pop("masters", ())))
-            meta["status"] = Status[meta["status"]]
-            meta["path"] = [tuple(step) for step in meta["path"]]
-            return cls(displacement=data["displacement"], reaction=data["reaction"], contact=contact, mesh=mesh,
-                       history=groups["history"], **meta)
+        """Read what :meth:`save` wrote; ValueError, which names the file, if it is something else or damaged."""
+        return loaded(path)[0]
+
+
+def loaded(path: str | os.PathLike[str]) -> tuple[Result, dict[str, Any]]:
+    """The result in a file, and of which load path it is a part (empty if of none)."""
+    fields, part_of = read_result(path)
+    return Result(**{**fields, "contact": ContactResult(**fields["contact"])}), part_of
 
 
 @dataclass(frozen=True, eq=False)
