@@ -37,15 +37,15 @@ def solved(quick: bool) -> am.Result:
 
 def solution(quick: bool) -> list[Figure]:
     """Deformed bodies, von Mises stress, and the flank."""
-    result, problem = solved(quick), am.cases.dovetail()
+    result = solved(quick)
     nodes = len(result.displacement)
     return [Figure("dovetail_deformed", am.plot.deformation(result, AMPLIFY, states=True), f"Displacement amplified "
                    f"{AMPLIFY} times, as in Fig. 3 of the paper ({nodes} nodes). Dots: states of the contact nodes."),
-            Figure("dovetail_stress", am.plot.deformation(result, AMPLIFY, stress=True, problem=problem, lines=False),
+            Figure("dovetail_stress", am.plot.deformation(result, AMPLIFY, stress=True, lines=False),
                    f"Von Mises stress on the deformed joint ({nodes} nodes, constant on each element); it is singular "
                    "at the lower end of the tongue's flank and at the root of the notch, so that the largest values "
                    "grow with refinement."),
-            Figure("dovetail_flank", am.plot.interface(result, "tongue.flank"), "The flank from the chamfer (arc "
+            Figure("dovetail_flank", am.plot.contact(result, boundary="tongue.flank"), "The flank from the chamfer (arc "
                    "length 0) to the mouth: contact pressure, friction within its bound, gap; colours are the states.")]
 
 

@@ -40,7 +40,7 @@ def bar() -> Figure:
         ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes")
         ax.set_axis_off()
     left, right = below.subfigures(1, 2)
-    am.plot.contact(runs["truncated (default)"], left.subplots(2, 1, sharex=True))
+    am.plot.contact(runs["truncated (default)"], left.subplots(3, 1, sharex=True))
     ax = right.subplots()
     am.plot.history(runs, ax=ax)
     ax.set_xscale("log")
@@ -55,7 +55,7 @@ def dovetail() -> Figure:
     result = am.solve(am.Hierarchy.graded(problem, sizes=(6e-3, 3.6e-3, 2.2e-3), contact_ratio=6))
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 6.6), layout="constrained", width_ratios=(1.12, 1.0))
     am.plot.deformation(result, amplify=20, states=True, ax=left)
-    am.plot.deformation(result, amplify=20, stress=True, problem=problem, lines=False, ax=right)
+    am.plot.deformation(result, amplify=20, stress=True, lines=False, ax=right)
     return figure
 
 

@@ -11,15 +11,15 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from adaptmg.atomic import write_bytes
-from adaptmg.export.vtu import Materials, document
+from adaptmg.export.vtu import document
 from adaptmg.problem import checks
 from adaptmg.solver.result import Result
 
 __all__ = ["vtk_series"]
 
 
-def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None,
-               problem: Materials | None = None) -> Path:
+def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None
+               ) -> Path:
     """Write a sequence of results for ParaView; see :mod:`adaptmg.export.vtu` for the fields.
 
     Parameters
@@ -33,8 +33,6 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         there, all it lists is there. An older one of the same name is removed before its steps are replaced.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ... (load factors that fall are no times: give pseudo-times).
-    problem : ContactProblem, or a material, or mapping of body name to material, optional
-        For the stress.
 
     Returns
     -------
@@ -64,7 +62,7 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     try:
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.stem}") as waiting:
             for name, result in zip(names, results, strict=True):
-                write_bytes(Path(waiting, name), document(result, problem))
+                write_bytes(Path(waiting, name), document(result))
             target.unlink(missing_ok=True)
             for name in names:
                 os.replace(Path(waiting, name), target.parent / name)

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.plot.solid import finish_axes
+from adaptmg.plot.space.axes import finish_axes, view_of
+from adaptmg.plot.space.surface import draw_facets
 from adaptmg.plot.style import BODY_COLORS, INK, ORANGE, PALE, axes_of, bounds, canvas, scaled, styled
-from adaptmg.plot.surface import draw_facets
 
 __all__ = ["grids", "mesh"]
 
@@ -101,8 +101,7 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
         colors = np.where(marked[:, None], np.array([0.93, 0.55, 0.25, 1.0]), fills[body[drawn.facets[:, 0]]])
         draw_facets(ax, points[drawn.facets], colors)
         finish_axes(ax, points, unit)
-        if marked.any() and _mean_normal(points, drawn.facets[marked])[2] < -0.5:
-            ax.view_init(elev=-24, azim=-58)
+        view_of(ax, points[drawn.facets[marked]])
         return
     width = float(np.clip(18 / np.sqrt(len(drawn.elements)), 0.12, 0.7))
     ax.add_collection(PolyCollection(points[drawn.elements], facecolor=fills[drawn.element_body],
@@ -114,10 +113,3 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
     ax.spines[:].set_visible(False)
     ax.set_xlabel(f"x [{unit}]")
     ax.set_ylabel(f"y [{unit}]")
-
-
-def _mean_normal(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Mean outward unit normal (3,) of boundary triangles (n, 3), weighted by area."""
-    a, b, c = (points[facets[:, k]] for k in range(3))
-    total = np.cross(b - a, c - a).sum(axis=0)
-    return total / max(float(np.linalg.norm(total)), np.finfo(float).tiny)

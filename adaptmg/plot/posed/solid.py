@@ -10,15 +10,13 @@ from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d import Axes3D
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.plot.bodies_3d import sharp_edges
-from adaptmg.plot.labels import describe_law, support_text
-from adaptmg.plot.plan import values_at
-from adaptmg.plot.solid import finish_axes
-from adaptmg.plot.style import BLUE, BODY_COLORS, INK, PALE, bounds, number, scaled
-from adaptmg.plot.surface import Lines, draw_facets
+from adaptmg.plot.posed.words import describe_law, support_text, surface_load_text, tractions, volume_load_text
+from adaptmg.plot.space.axes import finish_axes, view_of
+from adaptmg.plot.space.surface import Lines, draw_facets, normals_of, sharp_edges, viewer
+from adaptmg.plot.style import BLUE, BODY_COLORS, GREY, INK, PALE, bounds, plain, quoted, scaled
 from adaptmg.problem import BodyForce, ContactPair, ContactProblem, Domain, InitialStrain, Pressure, Traction
 
-__all__ = ["coarse_mesh", "draw_on_mesh"]
+__all__ = ["coarse_mesh", "draw"]
 
 _CONTACT, _MASTER, _SUPPORT = "#f0a46a", "#f7df72", "#8fcab0"
 
@@ -37,7 +35,7 @@ def coarse_mesh(domain: Domain) -> MeshArrays:
     return graded(domain, size(domain) if parts is None else {body: size(part) for body, part in parts.items()})
 
 
-def draw_on_mesh(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: float) -> None:
+def draw(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: float) -> None:
     """Draw a solid problem; see :func:`adaptmg.plot.problem`."""
     posed.check_boundaries(mesh.boundaries)
     scale, unit = scaled(bounds(mesh.points)[2], "m")
@@ -49,7 +47,7 @@ def draw_on_mesh(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: f
     colors = to_rgba_array([fills[k % len(fills)] for k in range(len(mesh.bodies))])[body]
     legend: list[tuple[Artist, str]] = []
     if len(mesh.bodies) > 1:
-        legend += [(Patch(facecolor=fills[k % len(fills)], edgecolor=INK, linewidth=0.6), name)
+        legend += [(Patch(facecolor=fills[k % len(fills)], edgecolor=INK, linewidth=0.6), plain(name))
                    for k, name in enumerate(mesh.bodies)]
     for boundary, color, text in _uses(posed):
         colors[mesh.facet_labels == mesh.boundaries.index(boundary)] = to_rgba(color)
@@ -58,9 +56,25 @@ def draw_on_mesh(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: f
     draw_facets(ax, points[mesh.facets], colors, lines=False, extra=(Lines(points[edges], INK, 0.9),))
     legend += _draw_loads(posed, mesh, points, ax)
     finish_axes(ax, points, unit)
+    if len(mesh.bodies) == 1:
+        free = sorted(set(mesh.boundaries) - {name for name, *_ in _uses(posed)} - {
+            load.boundary for load in posed.loads if isinstance(load, Pressure | Traction)})
+        if free:
+            legend.append((Patch(facecolor=PALE, edgecolor=INK, linewidth=0.6), ", ".join(map(quoted, free))))
+        contact = np.isin(mesh.facet_labels, [mesh.boundaries.index(c.boundary) for c in posed.contact])
+        view_of(ax, points[mesh.facets[contact]])
+        _draw_names(mesh, points, ax)
     handles, labels = zip(*legend, strict=True)
     ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.02, 0.95), title=describe_law(posed.law),
               alignment="left")
+
+
+def _draw_names(mesh: MeshArrays, points: np.ndarray, ax: Axes3D) -> None:
+    """Names of the boundaries that face the viewer."""
+    for k, name in enumerate(mesh.boundaries):
+        corners = points[mesh.facets[mesh.facet_labels == k]]
+        if len(corners) and normals_of(corners).mean(axis=0) @ viewer(ax.elev, ax.azim) > 0.1:
+            ax.text(*corners.mean(axis=(0, 1)), plain(name), color=GREY, ha="center", va="center", fontsize=8, zorder=9)
 
 
 def _apart(mesh: MeshArrays, explode: float) -> np.ndarray:
@@ -75,11 +89,11 @@ def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
     found = []
     for support in posed.supports:
         text = support_text(support, 3).replace("\n", ", ")
-        found.append((support.boundary, _SUPPORT, f"{text} on {support.boundary!r}"))
+        found.append((support.boundary, _SUPPORT, f"{text} on {quoted(support.boundary)}"))
     for contact in posed.contact:
-        found.append((contact.boundary, _CONTACT, f"contact on {contact.boundary!r}"))
+        found.append((contact.boundary, _CONTACT, f"contact on {quoted(contact.boundary)}"))
         if isinstance(contact, ContactPair):
-            found.append((contact.master, _MASTER, f"  its master {contact.master!r}"))
+            found.append((contact.master, _MASTER, f"  its master {quoted(contact.master)}"))
     return found
 
 
@@ -92,22 +106,14 @@ def _draw_loads(posed: ContactProblem, mesh: MeshArrays, points: np.ndarray, ax:
     entries: list[tuple[Artist, str]] = []
     for load, (facets, traction), size in zip(surface, places, sizes, strict=True):
         x = points[facets].mean(axis=1)
-        normals = np.cross(points[facets[:, 1]] - points[facets[:, 0]], points[facets[:, 2]] - points[facets[:, 0]])
-        pushing = np.einsum("nd,nd->n", traction, normals) <= 0
+        pushing = np.einsum("nd,nd->n", traction, normals_of(points[facets])) <= 0
         tails = np.where(pushing[:, None], x - reach * traction, x)
         if size > 0:
             ax.quiver(*tails.T, *(reach * traction).T, color=BLUE, linewidth=1.1, arrow_length_ratio=0.3)
-        factor, unit = scaled(size, "Pa")
-        kind = "pressure" if isinstance(load, Pressure) else "traction"
-        entries.append((Line2D([], [], color=BLUE), f"{kind} {number(size * factor)} {unit} on {load.boundary!r}"))
-    for load in posed.loads:
-        if isinstance(load, BodyForce | InitialStrain):
-            values = ", ".join("f(x)" if callable(c) else number(c) for c in load.components)
-            what = "body force" if isinstance(load, BodyForce) else "initial strain"
-            unit = " N/m³" if isinstance(load, BodyForce) else ""
-            where = "" if load.body is None else f" in {load.body!r}"
-            entries.append((Line2D([], [], color=BLUE, linestyle=":"), f"{what} ({values}){unit}{where}"))
-    return entries
+        text = f"{surface_load_text(load, traction)} on {quoted(load.boundary)}"
+        entries.append((Line2D([], [], color=BLUE), text))
+    return entries + [(Line2D([], [], color=BLUE, linestyle=":"), volume_load_text(load))
+                      for load in posed.loads if isinstance(load, BodyForce | InitialStrain)]
 
 
 def _places(load: Pressure | Traction, mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
@@ -115,9 +121,4 @@ def _places(load: Pressure | Traction, mesh: MeshArrays) -> tuple[np.ndarray, np
     facets = mesh.boundary_facets(load.boundary)
     facets = facets[np.unique(np.linspace(0, len(facets) - 1, 24).astype(int))]
     corners = mesh.points[facets]
-    x = corners.mean(axis=1)
-    if isinstance(load, Traction):
-        return facets, np.stack([values_at(c, x) for c in load.components], axis=1)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    return facets, -values_at(load.value, x)[:, None] * normals
+    return facets, tractions(load, corners.mean(axis=1), normals_of(corners))

@@ -1,4 +1,4 @@
-"""Three-dimensional axes as all pictures of solids have them."""
+"""Three-dimensional axes as all pictures of solids have them, and where they are best seen from."""
 
 from __future__ import annotations
 
@@ -6,9 +6,24 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
+from adaptmg.plot.space.surface import normals_of, viewer
 from adaptmg.plot.style import bounds
 
-__all__ = ["finish_axes"]
+__all__ = ["finish_axes", "view_of"]
+
+
+def view_of(ax: Axes3D, corners: np.ndarray) -> None:
+    """Look from where most of some triangles (n, 3, 3) of a body shows: from the common side if that will do."""
+    if not len(corners):
+        return
+    normals = normals_of(corners)
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    best, found = 0.0, (22, -58)
+    for elevation, azimuth in ((22, -58), (-24, -58), (22, 32), (22, -148), (22, 122), (-24, 122)):
+        shown = float(areas @ np.maximum(normals @ viewer(elevation, azimuth), 0.0)) / float(areas.sum())
+        if shown > 1.5 * best + 0.05:
+            best, found = shown, (elevation, azimuth)
+    ax.view_init(elev=found[0], azim=found[1])
 
 
 def finish_axes(ax: Axes3D, points: np.ndarray, unit: str) -> None:
