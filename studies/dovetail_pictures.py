@@ -45,8 +45,9 @@ def solution(quick: bool) -> list[Figure]:
                    f"Von Mises stress on the deformed joint ({nodes} nodes, constant on each element); it is singular "
                    "at the lower end of the tongue's flank and at the root of the notch, so that the largest values "
                    "grow with refinement."),
-            Figure("dovetail_flank", am.plot.contact(result, boundary="tongue.flank"), "The flank from the chamfer (arc "
-                   "length 0) to the mouth: contact pressure, friction within its bound, gap; colours are the states.")]
+            Figure("dovetail_flank", am.plot.contact(result, boundary="tongue.flank"), "The flank from the chamfer "
+                   "(arc length 0) to the mouth: contact pressure, friction within its bound, gap and slip; colours "
+                   "are the states.")]
 
 
 @styled

@@ -13,7 +13,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot.posed.words import describe_law, support_text, surface_load_text, tractions, volume_load_text
 from adaptmg.plot.space.axes import finish_axes, view_of
 from adaptmg.plot.space.surface import Lines, draw_facets, normals_of, sharp_edges, viewer
-from adaptmg.plot.style import BLUE, BODY_COLORS, GREY, INK, PALE, bounds, plain, quoted, scaled
+from adaptmg.plot.style import BLUE, BODY_COLORS, INK, PALE, bounds, plain, quoted, scaled
 from adaptmg.problem import BodyForce, ContactPair, ContactProblem, Domain, InitialStrain, Pressure, Traction
 
 __all__ = ["coarse_mesh", "draw"]
@@ -53,28 +53,31 @@ def draw(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: float) ->
         colors[mesh.facet_labels == mesh.boundaries.index(boundary)] = to_rgba(color)
         legend.append((Patch(facecolor=color, edgecolor=INK, linewidth=0.6), text))
     edges = np.concatenate([sharp_edges(points, mesh.facets[body == k]) for k in range(len(mesh.bodies))])
-    draw_facets(ax, points[mesh.facets], colors, lines=False, extra=(Lines(points[edges], INK, 0.9),))
-    legend += _draw_loads(posed, mesh, points, ax)
+    arrows, loads = _loads(posed, mesh, points)
+    draw_facets(ax, points[mesh.facets], colors, lines=False,
+                extra=(Lines(points[edges], INK, 0.9), Lines(arrows, BLUE, 1.1)))
     finish_axes(ax, points, unit)
     if len(mesh.bodies) == 1:
-        free = sorted(set(mesh.boundaries) - {name for name, *_ in _uses(posed)} - {
-            load.boundary for load in posed.loads if isinstance(load, Pressure | Traction)})
-        if free:
-            legend.append((Patch(facecolor=PALE, edgecolor=INK, linewidth=0.6), ", ".join(map(quoted, free))))
-        contact = np.isin(mesh.facet_labels, [mesh.boundaries.index(c.boundary) for c in posed.contact])
-        view_of(ax, points[mesh.facets[contact]])
-        _draw_names(mesh, points, ax)
-    handles, labels = zip(*legend, strict=True)
+        used = {name for name, *_ in _uses(posed)} | {getattr(load, "boundary", None) for load in posed.loads}
+        free = [quoted(name) for name in mesh.boundaries if name not in used]
+        loads += [(Patch(facecolor=PALE, edgecolor=INK, linewidth=0.6), ", ".join(free))] if free else []
+        _look(posed, mesh, points, ax)
+    handles, labels = zip(*legend, *loads, strict=True)
     ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.02, 0.95), title=describe_law(posed.law),
               alignment="left")
 
 
-def _draw_names(mesh: MeshArrays, points: np.ndarray, ax: Axes3D) -> None:
-    """Names of the boundaries that face the viewer."""
-    for k, name in enumerate(mesh.boundaries):
-        corners = points[mesh.facets[mesh.facet_labels == k]]
+def _look(posed: ContactProblem, mesh: MeshArrays, points: np.ndarray, ax: Axes3D) -> None:
+    """Choose from where contact shows; name the boundaries on that side."""
+    boundaries = [points[mesh.facets[mesh.facet_labels == k]] for k in range(len(mesh.boundaries))]
+    contact = [mesh.boundaries.index(one.boundary) for one in posed.contact]
+    loaded = [mesh.boundaries.index(load.boundary) for load in posed.loads if isinstance(load, Pressure | Traction)]
+    # contact counts three times
+    view_of(ax, np.concatenate([boundaries[k] for k in (*3 * contact, *loaded)]))
+    for name, corners in zip(mesh.boundaries, boundaries, strict=True):
         if len(corners) and normals_of(corners).mean(axis=0) @ viewer(ax.elev, ax.azim) > 0.1:
-            ax.text(*corners.mean(axis=(0, 1)), plain(name), color=GREY, ha="center", va="center", fontsize=8, zorder=9)
+            ax.text(*corners.mean(axis=(0, 1)), plain(name), ha="center", va="center", fontsize=8, zorder=9,
+                    bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.6, "pad": 1.0})
 
 
 def _apart(mesh: MeshArrays, explode: float) -> np.ndarray:
@@ -97,23 +100,34 @@ def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
     return found
 
 
-def _draw_loads(posed: ContactProblem, mesh: MeshArrays, points: np.ndarray, ax: Axes3D) -> list[tuple[Artist, str]]:
-    """Arrows at some facets of loaded boundaries, the largest a sixth of the size; legend entries of all loads."""
+def _loads(posed: ContactProblem, mesh: MeshArrays, points: np.ndarray
+           ) -> tuple[np.ndarray, list[tuple[Artist, str]]]:
+    """Arrows (n, 2, 3) at some facets of loaded boundaries, the largest a sixth of the size; legend of all loads."""
     surface = [load for load in posed.loads if isinstance(load, Pressure | Traction)]
     places = [_places(load, mesh) for load in surface]
-    sizes = [float(np.linalg.norm(traction, axis=1).max()) for _, traction in places]
-    reach = float(np.max(np.ptp(points, axis=0))) / 6 / max(max(sizes, default=0.0), np.finfo(float).tiny)
-    entries: list[tuple[Artist, str]] = []
-    for load, (facets, traction), size in zip(surface, places, sizes, strict=True):
-        x = points[facets].mean(axis=1)
+    largest = max((float(np.linalg.norm(traction, axis=1).max()) for _, traction in places), default=0.0)
+    reach = float(np.max(np.ptp(points, axis=0))) / 6 / largest if largest > 0 else 0.0
+    strokes, entries = [np.empty((0, 2, 3))], []
+    for load, (facets, traction) in zip(surface, places, strict=True):
+        x, arrows = points[facets].mean(axis=1), reach * traction
         pushing = np.einsum("nd,nd->n", traction, normals_of(points[facets])) <= 0
-        tails = np.where(pushing[:, None], x - reach * traction, x)
-        if size > 0:
-            ax.quiver(*tails.T, *(reach * traction).T, color=BLUE, linewidth=1.1, arrow_length_ratio=0.3)
-        text = f"{surface_load_text(load, traction)} on {quoted(load.boundary)}"
-        entries.append((Line2D([], [], color=BLUE), text))
-    return entries + [(Line2D([], [], color=BLUE, linestyle=":"), volume_load_text(load))
-                      for load in posed.loads if isinstance(load, BodyForce | InitialStrain)]
+        strokes += _arrows(np.where(pushing[:, None], x - arrows, x), arrows)
+        entries.append((Line2D([], [], color=BLUE), f"{surface_load_text(load, traction)} on {quoted(load.boundary)}"))
+    entries += [(Line2D([], [], color=BLUE, linestyle=":"), volume_load_text(load)) for load in posed.loads
+                if isinstance(load, BodyForce | InitialStrain)]
+    return np.concatenate(strokes), entries
+
+
+def _arrows(tails: np.ndarray, arrows: np.ndarray) -> list[np.ndarray]:
+    """Shafts and the four strokes of each head as segments (n, 2, 3)."""
+    tips, first = tails + arrows, np.zeros_like(arrows)
+    first[np.arange(len(arrows)), np.argmin(np.abs(arrows), axis=1)] = 1.0
+    second = np.cross(arrows, first)
+    size = np.linalg.norm(arrows, axis=1)[:, None]
+    across = size * second / np.maximum(np.linalg.norm(second, axis=1)[:, None], np.finfo(float).tiny)
+    other = np.cross(arrows, across) / np.maximum(size, np.finfo(float).tiny)
+    sides = (across, -across, other, -other)
+    return [np.stack([tails, tips], 1), *(np.stack([tips - 0.3 * arrows + 0.12 * side, tips], 1) for side in sides)]
 
 
 def _places(load: Pressure | Traction, mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,9 @@ from adaptmg.plot.style import bounds
 
 __all__ = ["finish_axes", "view_of"]
 
+#: elevations and azimuths in degrees, the common one first
+_VIEWS = ((22, -58), (22, -148), (-24, -58), (-24, -148), (22, 32), (22, 122), (-24, 32), (-24, 122))
+
 
 def view_of(ax: Axes3D, corners: np.ndarray) -> None:
     """Look from where most of some triangles (n, 3, 3) of a body shows: from the common side if that will do."""
@@ -18,10 +21,10 @@ def view_of(ax: Axes3D, corners: np.ndarray) -> None:
         return
     normals = normals_of(corners)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    best, found = 0.0, (22, -58)
-    for elevation, azimuth in ((22, -58), (-24, -58), (22, 32), (22, -148), (22, 122), (-24, 122)):
+    best, found = 0.0, _VIEWS[0]
+    for elevation, azimuth in _VIEWS:
         shown = float(areas @ np.maximum(normals @ viewer(elevation, azimuth), 0.0)) / float(areas.sum())
-        if shown > 1.5 * best + 0.05:
+        if shown > 1.2 * best + 0.05:
             best, found = shown, (elevation, azimuth)
     ax.view_init(elev=found[0], azim=found[1])
 
