@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 from common import Figure
 from matplotlib.axes import Axes
+from matplotlib.patches import Patch
 from paper_runs import RTOL, TARGET, draw_error
 
 import adaptmg as am
-from adaptmg.plot.states import STATE_COLORS, state_patches
+from adaptmg.plot.states import STATE_COLORS, STATE_NAMES
 from adaptmg.plot.style import BLUE, GREEN, GREY, INK, ORANGE, styled
 
 #: of the paper's Fig. 3
@@ -103,8 +104,8 @@ def draw_zones(ax: Axes, mu: np.ndarray, opened: np.ndarray, first: np.ndarray, 
     for values in (opened, first, last):
         ax.plot(mu, values, color=INK, marker="o", markersize=3, linewidth=0.8)
     ax.set(ylabel="depth below the mouth [mm]", ylim=(FLANK_MM, 0), xlim=(0, mu.max()))
-    ax.legend(handles=state_patches((am.OPEN, am.SLIP, am.STICK)), loc="lower center", bbox_to_anchor=(0.5, 1.0),
-              ncols=3)
+    handles = [Patch(facecolor=STATE_COLORS[state], edgecolor=GREY, label=name) for state, name in STATE_NAMES.items()]
+    ax.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
 
 
 def history_figure(results: Sequence[am.Result], pulls: np.ndarray, steps: int) -> Figure:

@@ -16,6 +16,7 @@ import adaptmg as am
 from adaptmg import plot
 from adaptmg.plot.contact_surfaces.line import lines_of
 from adaptmg.plot.posed.plan import curves_of
+from adaptmg.plot.space.surface import Surface
 from adaptmg.plot.states import STATE_COLORS
 from adaptmg.plot.style import number, scaled
 from adaptmg.smoother.state import OPEN, SLIP, STICK
@@ -141,6 +142,24 @@ def test_problem_draws_solids_on_a_mesh():
         plot.problem(posed)
     with pytest.raises(ValueError, match="does not exist"):
         plot.problem(posed, mesh=cube(1))
+
+
+def test_the_picture_of_a_solid_shows_its_contact_and_where_loads_act():
+    posed = am.cases.greco_block()
+    (ax,) = plot.problem(posed).axes
+    elevation, azimuth = np.radians([ax.elev, ax.azim])
+    towards = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    # contact is below, the larger load on the left
+    assert towards[2] < 0 and towards[0] < 0
+    (surface,) = ax.findobj(Surface)
+    # 24 arrows a load: shafts, then the four strokes of the heads
+    shafts = surface.lines[1].ends.reshape(2, 5, 24, 2, 3)[:, 0].reshape(-1, 2, 3)
+    pressure_of = {"left": (0, 0.0, 1.5e8), "top": (2, 1e3 * posed.domain.upper[2], 5e7)}
+    for axis, place, pressure in pressure_of.values():
+        mine = np.abs(np.diff(shafts, axis=1)[:, 0, axis]) > 0
+        np.testing.assert_allclose(shafts[mine][:, 1, axis], place, atol=1e-9)
+        np.testing.assert_allclose(np.abs(np.diff(shafts[mine], axis=1)[:, 0, axis]), 40 / 6 * pressure / 1.5e8)
+    assert "'back'" in words(ax.figure) and "left" in words(ax.figure).split("\n")
 
 
 def test_contact_shades_the_zones_half_way_between_nodes():

@@ -76,13 +76,11 @@ def draw_states(ax: Axes, scene: Scene) -> list[int]:
 
     Each edge changes colour half way between its nodes; edges with a node that is no contact node are left out.
     """
-    contact, mesh = scene.result.contact, scene.result.mesh
+    mesh = scene.result.mesh
     shown = np.unique(np.concatenate([shape.facets.ravel() for shape in scene.shapes]))
     present: set[int] = set()
-    for number, name in enumerate(contact.names):
-        state = np.full(mesh.n_nodes, -1)
-        mine = contact.boundary == number
-        state[contact.node[mine]] = contact.state[mine]
+    for number, name in enumerate(scene.result.contact.names):
+        state = scene.states(number)
         facets = mesh.boundary_facets(name)
         facets = facets[(state[facets] >= 0).all(axis=1) & np.isin(facets, shown).all(axis=1)]
         for ring in walks(facets):

@@ -89,6 +89,13 @@ class Scene:
         """Elements shown."""
         return sum(len(shape.elements) for shape in self.shapes)
 
+    def states(self, boundary: int) -> np.ndarray:
+        """States (n_nodes,) of the contact nodes of a boundary, given by its number; -1 elsewhere."""
+        contact, states = self.result.contact, np.full(len(self.after), -1)
+        mine = contact.boundary == boundary
+        states[contact.node[mine]] = contact.state[mine]
+        return states
+
 
 def automatic_factor(result: Result) -> float:
     """A round factor that makes the largest displacement about 5 % of the size; 1 if nothing moves."""

@@ -63,12 +63,9 @@ def _colors(scene: Scene, shape: Shape) -> np.ndarray:
 
 def _facet_states(scene: Scene, facets: np.ndarray) -> np.ndarray:
     """State of most corners (n,) of facets whose corners are all nodes of one contact boundary; -1 elsewhere."""
-    contact, found = scene.result.contact, np.full(len(facets), -1)
-    for number in range(len(contact.names)):
-        state = np.full(len(scene.after), -1)
-        mine = contact.boundary == number
-        state[contact.node[mine]] = contact.state[mine]
-        corners = np.sort(state[facets], axis=1)
+    found = np.full(len(facets), -1)
+    for number in range(len(scene.result.contact.names)):
+        corners = np.sort(scene.states(number)[facets], axis=1)
         # the middle one of three is that of the majority
         found = np.where(corners[:, 0] >= 0, corners[:, 1], found)
     return found

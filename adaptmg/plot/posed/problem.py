@@ -49,7 +49,8 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
         raise ValueError("the problem has no domain to draw: draw a mesh of it with am.plot.mesh")
     if posed.dim == 3:
         ax = canvas(ax, (7.6, 6.0), dim=3)
-        solid.draw(posed, solid.coarse_mesh(posed.domain) if mesh is None else mesh, ax, explode)
+        solid.draw(posed, solid.coarse_mesh(posed.domain) if mesh is None else mesh, ax,
+                   checks.number("explode", explode))
     else:
         polygons = polygons_of(posed.domain)
         lower, upper, _ = bounds(np.vstack(list(polygons.values())))

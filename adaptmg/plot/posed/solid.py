@@ -84,7 +84,7 @@ def _apart(mesh: MeshArrays, explode: float) -> np.ndarray:
     """How far each body is moved (n_bodies, 3), m."""
     centres = np.array([np.mean(bounds(mesh.points[np.unique(mesh.elements[mesh.element_body == k])])[:2], axis=0)
                         for k in range(len(mesh.bodies))])
-    return float(explode) * (centres - centres.mean(axis=0))
+    return explode * (centres - centres.mean(axis=0))
 
 
 def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
