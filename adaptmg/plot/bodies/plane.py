@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import PathPatch
 from matplotlib.tri import Triangulation
 
-from adaptmg.plot.bodies.scene import Scene, Shape
+from adaptmg.plot.bodies.scene import Scene, DrawnBody
 from adaptmg.plot.states import halves
 from adaptmg.plot.style import GREY, INK
 from adaptmg.plot.walks import filled_path, walks
@@ -50,7 +50,7 @@ def _zoomed(scene: Scene) -> bool:
     return bool((points < scene.lower - slack).any() or (points > scene.upper + slack).any())
 
 
-def _fill(ax: Axes, scene: Scene, shape: Shape, rings: list[np.ndarray], width: float, zorder: float) -> None:
+def _fill(ax: Axes, scene: Scene, shape: DrawnBody, rings: list[np.ndarray], width: float, zorder: float) -> None:
     elements, coloring = scene.result.mesh.elements[shape.elements], scene.coloring
     if coloring is None and width:
         ax.add_collection(PolyCollection(scene.after[elements], facecolor=shape.color, edgecolor=INK, linewidth=width,

@@ -7,7 +7,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import to_rgba_array
 from mpl_toolkits.mplot3d import Axes3D
 
-from adaptmg.plot.bodies.scene import Scene, Shape
+from adaptmg.plot.bodies.scene import Scene, DrawnBody
 from adaptmg.plot.space.axes import finish_axes
 from adaptmg.plot.space.surface import Lines, draw_facets, sharp_edges
 from adaptmg.plot.states import STATE_INKS
@@ -50,7 +50,7 @@ def draw(ax: Axes3D, scene: Scene, lines: bool | None, states: bool, view: tuple
     return present
 
 
-def _colors(scene: Scene, shape: Shape) -> np.ndarray:
+def _colors(scene: Scene, shape: DrawnBody) -> np.ndarray:
     """Colours (n, 3, 4) of the corners of the facets."""
     coloring = scene.coloring
     if coloring is None:
