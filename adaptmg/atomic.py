@@ -13,14 +13,16 @@ import errno
 import os
 import re
 import secrets
+import shutil
 import socket
 import stat
 import sys
 import threading
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["make_folder", "write_bytes"]
+__all__ = ["make_folder", "waiting_folder", "write_bytes"]
 
 _HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
 _PART = re.compile(rf"\.adaptmg-{_HOST}-(\d+)-[0-9a-f]+\.part")
@@ -76,6 +78,23 @@ def make_folder(name: str, path: Path) -> None:
                                  str(path)) from error
 
 
+@contextlib.contextmanager
+def waiting_folder(folder: Path) -> Iterator[Path]:
+    """A folder inside another in which files wait to be put in place together; it is removed in the end."""
+    _clean(folder)
+    waiting = _part(folder)
+    waiting.mkdir()
+    try:
+        yield waiting
+    finally:
+        shutil.rmtree(waiting, ignore_errors=True)
+
+
+def _part(folder: Path) -> Path:
+    """A new name that tells this process."""
+    return folder / f".adaptmg-{_HOST}-{os.getpid()}-{secrets.token_hex(4)}.part"
+
+
 def _stream(path: Path) -> int | None:
     """Number of the open file that a name such as /dev/stdout stands for.
 
@@ -126,7 +145,10 @@ def _clean(folder: Path) -> None:
                 match = _PART.fullmatch(entry.name)
                 if match and not _lives(int(match[1])):
                     with contextlib.suppress(OSError):
-                        os.unlink(entry.path)
+                        if entry.is_dir(follow_symlinks=False):
+                            shutil.rmtree(entry.path, ignore_errors=True)
+                        else:
+                            os.unlink(entry.path)
         _cleaned.add(folder)
 
 
@@ -148,7 +170,7 @@ def _replace(target: Path, content: bytes, mode: int | None) -> None:
     if mode is None and _write_nameless(target, content, None):
         _sync_folder(target.parent)
         return
-    part = target.parent / f".adaptmg-{_HOST}-{os.getpid()}-{secrets.token_hex(4)}.part"
+    part = _part(target.parent)
     try:
         if not _write_nameless(part, content, mode):
             flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)

@@ -17,8 +17,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from adaptmg.atomic import write_bytes
+from adaptmg.problem import checks
 from adaptmg.study.fingerprint import environment
 from adaptmg.study.tables import as_html
+from adaptmg.text import printable
 
 __all__ = ["Report"]
 
@@ -85,7 +87,7 @@ class Report:
         """Begin a section; it is listed in the table of contents."""
         self._sections.append(_text("title", title))
         number = len(self._sections)
-        self._parts.append(f'<h2 id="section-{number}">{number}. {html.escape(title)}</h2>')
+        self._parts.append(f'<h2 id="section-{number}">{number}. {_escaped(title)}</h2>')
         self.text(text)
 
     def text(self, text: str) -> None:
@@ -115,7 +117,7 @@ class Report:
         """Add a picture as it is now, as PNG inside the page; pyplot then forgets it (an open figure costs memory)."""
         if not isinstance(figure, Figure):
             raise TypeError(f"figure must be a matplotlib Figure, got {type(figure).__name__}")
-        caption = html.escape(_text("caption", caption))
+        caption = _escaped(_text("caption", caption))
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=160, bbox_inches="tight", facecolor="white")
         plt.close(figure)
@@ -132,22 +134,22 @@ class Report:
         pathlib.Path
             Where it is.
         """
-        target = Path(path)
+        target = checks.file_path("path", path)
         write_bytes(target, self.page().encode())
         return target
 
     def page(self) -> str:
         """The whole page as text."""
-        entries = "\n".join(f'<li><a href="#section-{k}">{html.escape(name)}</a></li>'
+        entries = "\n".join(f'<li><a href="#section-{k}">{_escaped(name)}</a></li>'
                             for k, name in enumerate(self._sections, 1))
         contents = f"<nav>\n<ol>\n{entries}\n</ol>\n</nav>\n" if entries else ""
         summary = "\n".join(_paragraphs(self.summary))
         body = "\n".join(self._parts)
         return (f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
                 f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-                f"<title>{html.escape(self.title)}</title>\n<style>\n{_STYLE}</style>\n</head>\n<body>\n<main>\n"
-                f"<h1>{html.escape(self.title)}</h1>\n{summary}\n{contents}{body}\n"
-                f"<footer>{html.escape(self._provenance())}</footer>\n</main>\n</body>\n</html>\n")
+                f"<title>{_escaped(self.title)}</title>\n<style>\n{_STYLE}</style>\n</head>\n<body>\n<main>\n"
+                f"<h1>{_escaped(self.title)}</h1>\n{summary}\n{contents}{body}\n"
+                f"<footer>{_escaped(self._provenance())}</footer>\n</main>\n</body>\n</html>\n")
 
     def _provenance(self) -> str:
         versions = ", ".join(f"{name} {version}" for name, version in environment().items())
@@ -157,13 +159,18 @@ class Report:
                 f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores.")
 
 
+def _escaped(text: str) -> str:
+    """A text as HTML takes it, control characters as codes."""
+    return html.escape(printable(text))
+
+
 def _text(name: str, value: str, empty: bool = False) -> str:
     if not isinstance(value, str):
-        raise TypeError(f"{name} must be a string, got {value!r}")
+        raise TypeError(f"{name} must be a string, got {checks.shown(value)}")
     if not value and not empty:
         raise ValueError(f"{name} must not be empty")
     return value
 
 
 def _paragraphs(text: str) -> list[str]:
-    return [f"<p>{html.escape(' '.join(part.split()))}</p>" for part in text.split("\n\n") if part.strip()]
+    return [f"<p>{_escaped(' '.join(part.split()))}</p>" for part in text.split("\n\n") if part.strip()]

@@ -12,7 +12,8 @@ Cell data: ``body``, the index of the body; and where the result knows its mater
 yy, zz, xy, yz, xz; axisymmetric: x = r, y axial, zz the hoop stress) and ``von_mises``, Pa, constant in each cell.
 
 Field data: ``body:NAME`` and ``contact:NAME`` (of a pair ``contact:SLAVE|MASTER``) hold the index of each body and
-contact boundary. Numbers, because not all readers know the strings of VTK.
+contact boundary. Numbers, because not all readers know the strings of VTK. Control characters in names, which XML does
+not allow, are written as codes such as \\x01.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from adaptmg.atomic import write_bytes
+from adaptmg.problem import checks
 from adaptmg.solver.result import Result
+from adaptmg.text import printable
 
 __all__ = ["document", "vtk"]
 
@@ -48,9 +51,10 @@ def vtk(result: Result, path: str | os.PathLike[str]) -> None:
     ValueError
         Without a mesh or for another suffix (ParaView goes by it).
     """
-    if not os.fspath(path).endswith(".vtu"):
+    target = checks.file_path("path", path)
+    if target.suffix != ".vtu":
         raise ValueError(f"path must end in .vtu, got {os.fspath(path)!r}")
-    write_bytes(path, document(result))
+    write_bytes(target, document(result))
 
 
 def document(result: Result) -> bytes:
@@ -91,7 +95,8 @@ def _assemble(fields: dict[str, np.ndarray], piece: dict[str, dict[str, np.ndarr
         for name, array in arrays.items():
             counts = f' NumberOfTuples="{len(array)}"' if field else ""
             counts += f' NumberOfComponents="{array.shape[1]}"' if array.ndim == 2 else ""
-            head.append(f'<DataArray type="{_TYPES[array.dtype.name]}" Name={quoteattr(name)}{counts} '
+            called = quoteattr(printable(name))
+            head.append(f'<DataArray type="{_TYPES[array.dtype.name]}" Name={called}{counts} '
                         f'format="appended" offset="{sum(map(len, blocks))}"/>')
             data = np.ascontiguousarray(array).tobytes()
             blocks.append(struct.pack("=Q", len(data)) + data)

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.mathtext import MathTextParser
 
 from adaptmg.solver.result import Result
+from adaptmg.text import printable
 
 __all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "axes_of", "axis_names",
            "bounds", "canvas", "label_text", "number", "plain", "quoted", "scaled", "styled"]
@@ -78,7 +79,7 @@ def scaled(largest: float, unit: str) -> tuple[float, str]:
 def plain(name: str) -> str:
     """A name as text that matplotlib shows as it is: no math between dollars, and in legends too (it leaves out
     labels that begin with an underscore)."""
-    return (" " if name.startswith("_") else "") + name.replace("$", r"\$")
+    return (" " if name.startswith("_") else "") + printable(name).replace("$", r"\$")
 
 
 def quoted(name: str) -> str:

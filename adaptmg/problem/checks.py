@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import operator
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -18,13 +17,9 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-__all__ = ["array", "boundary_name", "choice", "described", "field", "file_path", "instance", "integer", "items",
-           "nonnegative", "number", "offers", "positive", "printable", "shown", "sparse_matrix", "strings",
-           "suggestion", "vector"]
-
-#: what XML 1.0 or HTML do not allow in a text, or UTF-8 cannot encode
-_UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff"
-                          + "".join(f"{chr(0x10000 * k - 2)}{chr(0x10000 * k - 1)}" for k in range(2, 18)) + "]")
+__all__ = ["array", "boundary_name", "choice", "described", "field", "file_path", "fits", "instance", "integer",
+           "items", "nonnegative", "number", "offers", "positive", "shown", "sparse_matrix", "strings", "suggestion",
+           "vector"]
 
 
 def number(name: str, value: Any) -> float:
@@ -241,6 +236,16 @@ def file_path(name: str, value: Any) -> Path:
         raise ValueError(f"{name}: {text!r} has no home directory: {error}") from None
 
 
+def fits(name: str, size: float, words: str) -> None:
+    """ValueError if ``size`` bytes are more than the main memory of the machine; ``words`` say of what."""
+    try:
+        memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return  # the system does not say
+    if size > memory:
+        raise ValueError(f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory / 1e9:.3g} GB")
+
+
 def shown(value: Any) -> str:
     """A short representation of a value for a message, safe to print: at most 80 characters, no lone surrogates."""
     try:
@@ -249,15 +254,6 @@ def shown(value: Any) -> str:
         text = f"<{type(value).__name__} whose repr fails: {type(error).__name__}>"
     text = text.encode("utf-8", "backslashreplace").decode()
     return text if len(text) <= 80 else f"{text[:77]}..."
-
-
-def printable(text: str) -> str:
-    """A text that every file format and terminal takes: control characters, lone surrogates and noncharacters as codes.
-
-    Line breaks and tabs stay. Of XML 1.0 and HTML both, nothing else than this is refused (but for markup).
-    """
-    return _UNPRINTABLE.sub(lambda match: match[0].encode("ascii", "backslashreplace").decode()
-                            if ord(match[0]) > 127 else f"\\x{ord(match[0]):02x}", text)
 
 
 def described(value: Any) -> str:

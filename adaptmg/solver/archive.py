@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptmg.problem import checks
+from adaptmg.text import printable
 
 __all__ = ["DAMAGES", "read_arrays"]
 
@@ -28,7 +29,7 @@ DAMAGES = (ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError,
 _MOST_ARRAYS = 10_000
 #: displacements do not shrink, so that a whole result shrinks some ten times at most
 _MOST_SHRINKING, _SMALL = 200, 64 * 2**20
-_MAGIC, _HEADER_LIMIT = b"\x93NUMPY", 10_000
+_MAGIC, _HEADER_LIMIT = b"\x93NUMPY", 1000
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     OSError
         If it cannot be opened.
     """
-    where = checks.printable(os.fspath(path))
+    where = printable(os.fspath(path))
     if path.is_dir():
         raise ValueError(f"{where} is a folder, a file is wanted")
     if path.exists() and not path.is_file():
@@ -72,7 +73,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
                 entries = _entries(archive, os.fstat(file.fileno()).st_size)
                 headers = {name: _header(archive, entry) for name, entry in entries.items()}
                 return {name: _array(archive, entries[name], header) for name, header in headers.items()}
-        except DAMAGES as error:
+        except (*DAMAGES, OSError) as error:  # zipfile seeks where a cut archive tells it to
             raise ValueError(f"{where} is damaged, or no .npz file ({error or type(error).__name__})") from error
 
 
@@ -94,17 +95,8 @@ def _entries(archive: zipfile.ZipFile, size: int) -> dict[str, zipfile.ZipInfo]:
         raise ValueError(f"it lists {packed} bytes, but has {size}")
     if unpacked > _SMALL and unpacked > _MOST_SHRINKING * size:
         raise ValueError(f"{size} bytes would unpack to {unpacked}: that is no result")
-    if unpacked > _memory():
-        raise ValueError(f"it would unpack to {unpacked / 1e9:.3g} GB, more than this machine has")
+    checks.fits("its arrays", unpacked, "unpacked they")
     return entries
-
-
-def _memory() -> float:
-    """Bytes of main memory; infinite where the system does not say."""
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return float("inf")
 
 
 def _header(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> _Header:

@@ -19,6 +19,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.solver.archive import DAMAGES, read_arrays
 from adaptmg.solver.status import Status
+from adaptmg.text import printable
 
 if TYPE_CHECKING:
     from adaptmg.solver.result import Result
@@ -88,7 +89,7 @@ def read_result(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str,
     """
     file = checks.file_path("path", path)
     arrays = read_arrays(file)
-    where = checks.printable(os.fspath(file))
+    where = printable(os.fspath(file))
     if "meta" not in arrays:
         raise ValueError(f"{where} is not a result saved by adaptmg")
     try:
@@ -217,7 +218,7 @@ def _sized(name: str, arrays: dict[str, np.ndarray], shape: tuple[int | None, ..
         raise ValueError(f"{name} must have shape ({', '.join('n' if w is None else str(w) for w in shape)}), "
                          f"got {array.shape}")
     if finite and not np.isfinite(array).all():
-        raise ValueError(f"{name} is not finite, where the status is CONVERGED")
+        raise ValueError(f"{name} is not finite")
     return array
 
 

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import PathPatch
 from matplotlib.tri import Triangulation
 
-from adaptmg.plot.bodies.scene import Scene, DrawnBody
+from adaptmg.plot.bodies.scene import DrawnBody, Scene
 from adaptmg.plot.states import halves
 from adaptmg.plot.style import GREY, INK
 from adaptmg.plot.walks import filled_path, walks

@@ -14,7 +14,7 @@ from adaptmg.plot.style import BODY_COLORS, bounds, scaled
 from adaptmg.problem import checks
 from adaptmg.solver.result import Result
 
-__all__ = ["Coloring", "Scene", "DrawnBody", "automatic_factor", "make_scene"]
+__all__ = ["Coloring", "DrawnBody", "Scene", "automatic_factor", "make_scene"]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import to_rgba_array
 from mpl_toolkits.mplot3d import Axes3D
 
-from adaptmg.plot.bodies.scene import Scene, DrawnBody
+from adaptmg.plot.bodies.scene import DrawnBody, Scene
 from adaptmg.plot.space.axes import finish_axes
 from adaptmg.plot.space.surface import Lines, draw_facets, sharp_edges
 from adaptmg.plot.states import STATE_INKS
