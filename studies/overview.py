@@ -29,8 +29,8 @@ def bar() -> Figure:
                                              reference=exact),
             "monotone, nested start": am.solve(grids, full, reference=exact),
             "truncated (default)": am.solve(grids, am.FullMultigrid(), reference=exact)}
-    figure = plt.figure(figsize=(13, 7.2), layout="constrained")
-    above, below = figure.subfigures(2, 1)
+    figure = plt.figure(figsize=(13, 8.2), layout="constrained")
+    above, below = figure.subfigures(2, 1, height_ratios=(3.6, 4.6))
     left, right = above.subfigures(1, 2, width_ratios=(1.2, 2.2))
     am.plot.problem(problem, left.subplots())
     axes = right.subplots(1, 3)

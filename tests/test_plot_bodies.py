@@ -232,11 +232,11 @@ def test_contact_draws_pressure_friction_gap_and_slip():
     bound = 1e-6 * (c.limit / c.weights).max()
     assert band.get_paths()[0].get_extents().y0 == pytest.approx(-bound)
     shown = words(figure)
-    for text in ("'upper.bottom' on 'lower.top'", "pressure p [MPa]", "friction t [MPa]", "gap, slip [µm]",
+    for text in ("'upper.bottom' on 'lower.top'", "pressure p\n[MPa]", "friction t\n[MPa]", "gap, slip\n[µm]",
                  "two blocks", "x [mm]", "slip"):
         assert text in shown
     wide = dataclasses.replace(PLANE, contact=dataclasses.replace(c, gap=c.gap + 2e-4))
-    assert "gap, slip [mm]" in words(plot.contact(wide))
+    assert "gap, slip\n[mm]" in words(plot.contact(wide))
     assert "frictionless" in words(plot.contact(dataclasses.replace(
         PLANE, contact=dataclasses.replace(c, limit=0 * c.limit, force_t=0 * c.force_t))))
 

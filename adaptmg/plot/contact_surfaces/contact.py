@@ -92,7 +92,7 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
         for ax, values in zip(axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], scale * c.gap), strict=True):
             stated_curve(ax, s, values[at], c.state[at])
     _finish_lines(result, lines, nodes, axes)
-    for ax, label in zip(axes, ("pressure p [MPa]", "friction t [MPa]", f"gap, slip [{unit}]"), strict=True):
+    for ax, label in zip(axes, ("pressure p\n[MPa]", "friction t\n[MPa]", f"gap, slip\n[{unit}]"), strict=True):
         ax.set_ylabel(label)
 
 
