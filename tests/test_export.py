@@ -20,6 +20,7 @@ import adaptmg as am
 from adaptmg.discretisation.measures import StressData
 from adaptmg.export import Report, series, vtk, vtk_series
 from adaptmg.export import report as report_module
+from adaptmg.text import printable
 
 meshio = pytest.importorskip("meshio")
 
@@ -131,6 +132,53 @@ def test_vtk_refuses_what_it_cannot_write(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+#: names that end an attribute, open a tag, or are not allowed in XML or UTF-8 at all
+NASTY = ("a<b>&\"'", "]]>", "<!--", "&#0;", "line\nbreak\ttab", "\x00\x01\x1b[31m\x7f\x9f", "\udcff\ud800",
+         "\ufffe\uffff", "\U0001fffe", "\u00b5 \u4e2d \U0001f600", " ")
+
+
+@pytest.mark.parametrize("name", NASTY, ids=ascii)
+def test_any_name_gives_a_well_formed_vtu_file(tmp_path, name):
+    made = two_bodies(2, 3, 2)
+    mesh = dataclasses.replace(made.mesh, bodies=(name, f"{name}2"))
+    contact = dataclasses.replace(made.contact, names=(name,), masters=(f"{name}2",))
+    vtk(dataclasses.replace(made, mesh=mesh, contact=contact, problem_name=name), tmp_path / "r.vtu")
+    head, tail = re.fullmatch(rb"(.*<AppendedData encoding=.raw.>).*(</AppendedData>.*)",
+                              (tmp_path / "r.vtu").read_bytes(), re.DOTALL).groups()
+    fields = ElementTree.fromstring(head + tail).find(".//FieldData")
+    shown = printable(name)
+    assert [array.get("Name") for array in fields] == [f"body:{shown}", f"body:{shown}2", f"contact:{shown}|{shown}2"]
+    read = meshio.read(tmp_path / "r.vtu")
+    np.testing.assert_array_equal(read.point_data["displacement"][:, :2], made.displacement)
+
+
+@pytest.mark.parametrize("name", NASTY, ids=ascii)
+def test_any_text_gives_a_well_formed_report(tmp_path, name):
+    page = Report(f"t{name}", name)
+    page.section(f"s{name}", name)
+    page.table(pd.DataFrame({f"c{name}": [name]}), f"t{name}", name, units={f"c{name}": f"u{name}"})
+    figure = plt.figure(figsize=(0.5, 0.5))
+    page.figure(figure, f"f{name}")
+    text = page.write(tmp_path / "r.html").read_text(encoding="utf-8")
+    tags = _Tags()
+    tags.feed(text)
+    assert not tags.open and not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\ufffe\uffff]", text)
+    # but for its void elements the page is XML, too
+    page = ElementTree.fromstring(re.sub(r"<(meta|img)([^>]*)>", r"<\1\2/>", text).replace("<!DOCTYPE html>", ""))
+    assert page.findtext("head/title") == "t" + printable(name)
+    assert page.findtext(".//td") == printable(" ".join(name.split()))
+    assert page.find(".//img").get("alt").split() == ("f" + printable(name)).split()
+
+
+def test_texts_stay_what_they_are_where_they_can():
+    every = "".join(map(chr, [*range(0x110000)]))
+    shown = printable(every)
+    assert shown.encode() and printable(shown) == shown
+    kept = set(shown)
+    assert {c for c in every if c.isprintable()} | set("\t\n\r") <= kept
+    assert printable("a\x00\x1b\udcff\ufffe\U0010ffff") == "a\\x00\\x1b\\udcff\\ufffe\\U0010ffff"
+
+
 def _steps(count: int) -> list:
     result = two_bodies(2, 3, 2)
     return [dataclasses.replace(result, displacement=k * result.displacement) for k in range(count)]
@@ -186,6 +234,18 @@ def test_a_series_whose_steps_cannot_all_be_put_in_place_has_no_list(tmp_path, m
     with pytest.raises(OSError, match="disk full"):
         vtk_series(_steps(2), tmp_path / "run.pvd")
     assert not (tmp_path / "run.pvd").exists()
+
+
+def test_a_series_is_written_through_a_link_and_a_long_name_fits(tmp_path):
+    (tmp_path / "there").mkdir()
+    for target in ("there/old.pvd", "there/new.pvd"):
+        (tmp_path / "run.pvd").unlink(missing_ok=True)
+        (tmp_path / "run.pvd").symlink_to(tmp_path / target)
+        for _ in range(2):
+            vtk_series(_steps(1), tmp_path / "run.pvd")
+            assert (tmp_path / "run.pvd").is_symlink() and len(_listed(tmp_path / target)) == 1
+    name = "n" * 246
+    assert _listed(vtk_series(_steps(1), tmp_path / f"{name}.pvd")) == [(0.0, f"{name}_0000.vtu")]
 
 
 def test_a_series_checks_what_it_is_given(tmp_path):

@@ -113,7 +113,7 @@ class Store:
                 raise ValueError(f"{self._called} is damaged ({text}): give another file, or mend it") from error
             fix = next((words for sign, words in _FIXES.items() if sign in text), "give another file")
             raise OSError(f"{self._called}: {text}: {fix}") from error
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter where names of tables are damaged
             raise ValueError(f"{self._called} is not a store of a study, or damaged ({error}): give another "
                              "file") from error
 
