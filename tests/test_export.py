@@ -17,6 +17,7 @@ from made import cube, result_on, square
 from test_plot_bodies import two_bodies
 
 import adaptmg as am
+from adaptmg.discretisation.measures import StressData
 from adaptmg.export import Report, series, vtk, vtk_series
 from adaptmg.export import report as report_module
 from adaptmg.text import printable
@@ -90,7 +91,8 @@ def test_vtk_stress_is_that_of_each_body(tmp_path, dim):
     for k, body in enumerate(result.mesh.bodies):
         across[result.mesh.elements[result.mesh.element_body == k]] = -poisson[body]
     u = strain * np.column_stack([x[:, 0], *(across * x[:, d] for d in range(1, dim))])
-    vtk(dataclasses.replace(result, displacement=u), tmp_path / "r.vtu", materials)
+    data = StressData.of(result.mesh, materials)
+    vtk(dataclasses.replace(result, displacement=u, stress_data=data), tmp_path / "r.vtu")
     kind = "triangle" if dim == 2 else "tetra"
     cells = {name: values[kind] for name, values in meshio.read(tmp_path / "r.vtu").cell_data_dict.items()}
     wanted = strain * np.array([2e11, 7e10])[result.mesh.element_body]
@@ -105,13 +107,17 @@ def test_vtk_leaves_initial_strains_out_of_the_stress(tmp_path):
     u = np.zeros(moved.points.shape)
     inside = np.unique(moved.elements[moved.element_body == 0])
     u[inside] = 1e-3 * moved.points[inside]
-    posed = am.ContactProblem(material=material, law=am.Frictionless(), loads=(am.InitialStrain("upper", (1e-3,) * 3),),
-                              contact=am.ContactPair("upper.bottom", "lower.top"))
-    free = dataclasses.replace(result, mesh=moved, displacement=u)
-    vtk(free, tmp_path / "r.vtu", posed)
-    assert np.abs(meshio.read(tmp_path / "r.vtu").cell_data_dict["stress"]["triangle"]).max() < 1.0
-    vtk(free, tmp_path / "r.vtu", material)
-    assert meshio.read(tmp_path / "r.vtu").cell_data_dict["stress"]["triangle"].max() > 1e8
+    for loads, largest in (((am.InitialStrain("upper", (1e-3,) * 3),), 1.0), ((), np.inf)):
+        data = StressData.of(moved, material, loads)
+        vtk(dataclasses.replace(result, mesh=moved, displacement=u, stress_data=data), tmp_path / "r.vtu")
+        found = np.abs(meshio.read(tmp_path / "r.vtu").cell_data_dict["stress"]["triangle"]).max()
+        assert found < largest
+    assert found > 1e8
+
+
+def test_vtk_has_no_stress_without_materials(tmp_path):
+    vtk(dataclasses.replace(two_bodies(), stress_data=None), tmp_path / "r.vtu")
+    assert list(meshio.read(tmp_path / "r.vtu").cell_data_dict) == ["body"]
 
 
 def test_vtk_refuses_what_it_cannot_write(tmp_path):
@@ -121,8 +127,6 @@ def test_vtk_refuses_what_it_cannot_write(tmp_path):
         vtk(result_on(square(2)), tmp_path / "r.vtk")
     with pytest.raises(TypeError, match="Result"):
         vtk("result", tmp_path / "r.vtu")
-    with pytest.raises(ValueError, match="no material for body 'lower'"):
-        vtk(two_bodies(), tmp_path / "r.vtu", {"upper": am.PlaneStrain(young=1e9, poisson=0.3)})
     with pytest.raises(FileNotFoundError):
         vtk(result_on(square(2)), tmp_path / "nowhere" / "r.vtu")
     assert not list(tmp_path.iterdir())

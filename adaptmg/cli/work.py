@@ -144,10 +144,11 @@ def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, resu
     make_folder("--out", directory)
     files = [directory / "result.npz", directory / "result.vtu"]
     result.save(files[0])
-    am.export.vtk(result, files[1], problem)
+    am.export.vtk(result, files[1])
     pictures = {"problem": lambda: am.plot.problem(problem), "grids": lambda: am.plot.grids(grids),
-                "deformed": lambda: am.plot.deformed(result), "contact": lambda: am.plot.contact(result),
-                "stress": lambda: am.plot.deformation(result, stress=True, problem=problem, states=True)}
+                "deformed": lambda: am.plot.deformation(result, displacement=True),
+                "contact": lambda: am.plot.contact(result),
+                "stress": lambda: am.plot.deformation(result, stress=True, states=True)}
     if len(result.history.get("cycle", ())) > 1:
         pictures["history"] = lambda: am.plot.history(result)
     if result.path:

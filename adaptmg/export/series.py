@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from adaptmg.atomic import waiting_folder, write_bytes
-from adaptmg.export.vtu import Materials, document
+from adaptmg.export.vtu import document
 from adaptmg.problem import checks
 from adaptmg.solver.result import Result
 from adaptmg.text import printable
@@ -20,8 +20,8 @@ from adaptmg.text import printable
 __all__ = ["vtk_series"]
 
 
-def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None,
-               problem: Materials | None = None) -> Path:
+def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None
+               ) -> Path:
     """Write a sequence of results for ParaView; see :mod:`adaptmg.export.vtu` for the fields.
 
     Parameters
@@ -35,8 +35,6 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         there, all it lists is there. An older one of the same name is removed before its steps are replaced.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ... (load factors that fall are no times: give pseudo-times).
-    problem : ContactProblem, or a material, or mapping of body name to material, optional
-        For the stress.
 
     Returns
     -------
@@ -68,7 +66,7 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     try:
         with waiting_folder(target.parent) as waiting:
             for name, result in zip(names, results, strict=True):
-                write_bytes(waiting / name, document(result, problem))
+                write_bytes(waiting / name, document(result))
             # of a link what it leads to: the new one is written through it
             if target.exists():
                 Path(os.path.realpath(target)).unlink()

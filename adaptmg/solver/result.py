@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptmg.discretisation.measures import StressData, von_mises
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.solver.result_file import read_result, write_result
@@ -161,6 +162,8 @@ class Result:
         Finest mesh (without its NGSolve source after loading).
     start_work_units : float
         The part of ``work_units`` spent before the first cycle on the finest level (nested start).
+    stress_data : StressData or None
+        Material constants and initial strains, for :meth:`stresses`; None for a bare DiscreteProblem.
     """
 
     displacement: np.ndarray
@@ -182,6 +185,7 @@ class Result:
     mesh: MeshArrays | None = None
     start_work_units: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
+    stress_data: StressData | None = None
 
     @property
     def dim(self) -> int:
@@ -236,6 +240,33 @@ class Result:
             raise ValueError(f"point {i} {points[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
         corners = self.displacement[self.mesh.elements[found.element]]
         return np.einsum("nk,nkd->nd", found.weights, corners)
+
+    def stresses(self) -> np.ndarray:
+        """Cauchy stress, constant on each element (but for the mean hoop stress of axisymmetric bodies).
+
+        Returns
+        -------
+        (n_elements, 6) array
+            Pa, tension positive: xx, yy, zz, xy, yz, xz. In 2D zz is the stress through the thickness (0 in plane
+            stress), yz and xz are 0; in axisymmetry x is r, y the axis and zz the hoop stress.
+
+        Raises
+        ------
+        ValueError
+            Without a mesh or materials, as of a bare DiscreteProblem.
+        """
+        return self._stress_tensors()[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+
+    def von_mises(self) -> np.ndarray:
+        """Von Mises stress of each element (n_elements,), Pa; errors as of :meth:`stresses`."""
+        return von_mises(self._stress_tensors())
+
+    def _stress_tensors(self) -> np.ndarray:
+        if self.mesh is None or self.stress_data is None:
+            raise ValueError("this result knows no materials to compute stresses from (it comes from a bare "
+                             "DiscreteProblem): solve on a Hierarchy of a ContactProblem, or give it mesh and "
+                             "stress_data=StressData.of(mesh, material) with dataclasses.replace")
+        return self.stress_data.tensors(self.mesh, self.displacement)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
         """Force and moment exerted on the body through a boundary.
@@ -301,7 +332,9 @@ class Result:
 def loaded(path: str | os.PathLike[str]) -> tuple[Result, dict[str, Any]]:
     """The result in a file, and of which load path it is a part (empty if of none)."""
     fields, part_of = read_result(path)
-    return Result(**{**fields, "contact": ContactResult(**fields["contact"])}), part_of
+    stress = fields["stress_data"]
+    return Result(**{**fields, "contact": ContactResult(**fields["contact"]),
+                     "stress_data": None if stress is None else StressData(**stress)}), part_of
 
 
 @dataclass(frozen=True, eq=False)

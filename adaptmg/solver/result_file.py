@@ -35,6 +35,7 @@ _CONTACT = {"node": "n", "x": "nd", "frames": "ndd", "gap": "n", "u_n": "n", "u_
             "force_t": "nt", "weights": "n", "limit": "n", "state": "n", "boundary": "n", "master_node": "m",
             "master_force": "md", "master_boundary": "m"}
 _WHOLE = ("node", "state", "boundary", "master_node", "master_boundary")
+_STRESS = ("lame", "shear", "kind", "initial_strain")
 _MESH = ("points", "elements", "facets", "facet_labels", "element_body")
 
 
@@ -59,6 +60,8 @@ def write_result(path: str | os.PathLike[str], result: Result, part_of: Mapping[
     arrays |= {f"history.{name}": values for name, values in result.history.items()}
     if result.mesh is not None:
         arrays |= {f"mesh.{name}": getattr(result.mesh, name) for name in _MESH}
+    if result.stress_data is not None:
+        arrays |= {f"stress.{name}": getattr(result.stress_data, name) for name in _STRESS}
     meta = {"format": _FORMAT, **_said(result), **({} if part_of is None else {"part_of": dict(part_of)})}
     text = json.dumps(_plain("result", meta)).encode()
     numbers = {name: _numbers(name, values) for name, values in arrays.items()}
@@ -142,7 +145,8 @@ def _fields(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, An
     fields = {"displacement": displacement, "reaction": _sized("reaction", arrays, (n, dim), finite),
               "status": Status[status], "cycles": checks.integer("cycles", meta["cycles"]),
               "contact": _contact(meta, arrays, n, dim, finite), "history": _history(arrays),
-              "mesh": _mesh(meta, arrays, n, dim), "timings": _mapping("timings", meta["timings"], float),
+              "mesh": _mesh(meta, arrays, n, dim), "stress_data": _stress(arrays),
+              "timings": _mapping("timings", meta["timings"], float),
               "path": [_visit(k, step) for k, step in enumerate(_list("path", meta["path"]))],
               "levels": [_mapping(f"levels[{k}]", row, float) for k, row in enumerate(_list("levels", meta["levels"]))],
               "versions": _mapping("versions", meta["versions"], str)}
@@ -191,6 +195,17 @@ def _mesh(meta: dict[str, Any], arrays: dict[str, np.ndarray], n_nodes: int, dim
         _inside(f"mesh.{name}", numbers, end)
     return MeshArrays(_sized("mesh.points", arrays, (n_nodes, dim), True), **{k: v for k, (v, _) in whole.items()},
                       **labels)
+
+
+def _stress(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray] | None:
+    """Fields of a StressData."""
+    if not any(name.startswith("stress.") for name in arrays):
+        return None
+    kind = _sized("stress.kind", arrays, (None,), whole=True)
+    _inside("stress.kind", kind, 3)
+    return {"kind": kind, "lame": _sized("stress.lame", arrays, kind.shape, True),
+            "shear": _sized("stress.shear", arrays, kind.shape, True),
+            "initial_strain": _sized("stress.initial_strain", arrays, (None, 3), True)}
 
 
 def _sized(name: str, arrays: dict[str, np.ndarray], shape: tuple[int | None, ...], finite: bool = False,

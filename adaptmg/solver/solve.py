@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.arguments import default_solver, displacement_argument, warn_of_large_friction
@@ -71,7 +72,9 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     known = displacement_argument("reference", reference, discrete)
     run = Run(unit=discrete.matrix.nnz, callback=callback, reference=known)
     outcome = solver.run(grids, run, displacement_argument("start", start, discrete))
-    result = result_of(grids, local, run, outcome, solver)
+    posed, mesh = grids.problem, grids.finest.mesh
+    stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
+    result = result_of(grids, local, run, outcome, solver, stress_data)
     if throw and not result.status.ok:
         raise NotConverged(result)
     return result

@@ -11,12 +11,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
 
-from adaptmg.plot.contact_surface import draw_map
-from adaptmg.plot.flattened import flattened
-from adaptmg.plot.line import arcs_of
-from adaptmg.plot.panels import cells, chosen_boundaries, described, keep_open
+from adaptmg.plot.contact_surfaces.flattened import flattened
+from adaptmg.plot.contact_surfaces.line import lines_of
+from adaptmg.plot.contact_surfaces.maps import draw_map
+from adaptmg.plot.contact_surfaces.panels import cells, chosen_boundaries, described, keep_open
 from adaptmg.plot.states import state_lines, stated_curve
-from adaptmg.plot.style import BLUE, number, styled
+from adaptmg.plot.style import BLUE, label_text, number, plain, styled
 from adaptmg.problem import checks
 from adaptmg.solver.result import Result
 
@@ -45,7 +45,7 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
         The slave boundary of the pair whose pressure is drawn; by default a row of pictures for each pair.
     steps : int
         Steps drawn at most a pair, spread evenly, first and last among them; 0 for none. In 2D the pressure is drawn
-        against arc length along the slave surface, coloured by state; in 3D as maps on the slave surface.
+        against the same as by :func:`contact`, coloured by state; in 3D as maps on the slave surface.
 
     Returns
     -------
@@ -57,6 +57,7 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     ...                                         "slip [µm]": lambda r: 1e6 * abs(r.contact.slip).max()})
     """
     results, factors = _checked(results, factors)
+    against = label_text(checks.instance("against", against, str))
     rows = _evaluate(results, quantities)
     names = chosen_boundaries(results[-1], pair, "pair") if checks.integer("steps", steps) else ()
     if not rows and not names:
@@ -76,7 +77,7 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
         part = next(parts)
         part.suptitle(described(results[0].contact, name), fontsize=10)
         (_draw_lines if results[0].dim == 2 else _draw_maps)(part, chosen, name, columns)
-    figure.suptitle(results[-1].problem_name, fontsize=11)
+    figure.suptitle(plain(results[-1].problem_name), fontsize=11)
     return figure
 
 
@@ -95,7 +96,7 @@ def _checked(results: Sequence[Result], factors: Sequence[float]) -> tuple[list[
 def _evaluate(results: list[Result], quantities: Mapping[str, Callable[[Result], float]]) -> dict[str, np.ndarray]:
     if not isinstance(quantities, Mapping) or not all(map(callable, quantities.values())):
         raise TypeError(f"quantities must map labels to functions of a Result, got {quantities!r}")
-    return {label: np.array([checks.number(f"quantities[{label!r}] of step {k}", function(result))
+    return {label_text(str(label)): np.array([checks.number(f"quantities[{label!r}] of step {k}", function(result))
                              for k, result in enumerate(results)]) for label, function in quantities.items()}
 
 
@@ -117,7 +118,7 @@ def _draw_curve(ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, a
 
 def _draw_lines(part: SubFigure, steps: list[tuple[Result, str]], name: str, columns: int) -> None:
     axes = cells(part, len(steps), columns, share=True)
-    lines = arcs_of(steps[0][0], name)
+    lines = lines_of(steps[0][0], name)
     for k, (ax, (result, title)) in enumerate(zip(axes, steps, strict=True)):
         c = result.contact
         for line in lines:
@@ -125,8 +126,7 @@ def _draw_lines(part: SubFigure, steps: list[tuple[Result, str]], name: str, col
         ax.set_title(title, fontsize=9)
         if k % columns == 0:
             ax.set_ylabel("pressure [MPa]")
-        if k + columns >= len(steps):
-            ax.set_xlabel("arc length [mm]" if lines[0].label.startswith("arc") else lines[0].label)
+    part.supxlabel(lines[0].label, fontsize=9.5)
     axes[0].margins(x=0.02)
     axes[0].set_ylim(bottom=0.0)
     nodes = np.concatenate([line.index for line in lines])

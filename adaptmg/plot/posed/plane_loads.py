@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon as Patch
 
-from adaptmg.plot.curves import Curve
-from adaptmg.plot.plan import Plan, values_at
-from adaptmg.plot.style import BLUE, bounds, number, scaled
+from adaptmg.plot.posed.plan import Curve, Plan
+from adaptmg.plot.posed.words import surface_load_text, tractions, volume_load_text
+from adaptmg.plot.style import BLUE, bounds
 from adaptmg.problem import BodyForce, ContactProblem, InitialStrain, Pressure, Traction
 
 __all__ = ["draw_loads"]
@@ -17,7 +17,7 @@ __all__ = ["draw_loads"]
 def draw_loads(plan: Plan, posed: ContactProblem) -> None:
     """Draw all loads; the arrows of tractions are proportional to them, the largest in sight of the body."""
     surface = [load for load in posed.loads if isinstance(load, Pressure | Traction)]
-    sizes = [np.linalg.norm(_traction(plan, load, *curve.spread(9)), axis=1).max()
+    sizes = [np.linalg.norm(_at_nine(plan, load, curve), axis=1).max()
              for load in surface for curve in plan.curves[load.boundary]]
     largest = max(sizes, default=0.0)
     for load in posed.loads:
@@ -29,33 +29,25 @@ def draw_loads(plan: Plan, posed: ContactProblem) -> None:
             _draw_surface_load(plan, load, largest)
 
 
-def _traction(plan: Plan, load: Pressure | Traction, x: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Traction (n, 2) in Pa at points given in plot units, with outward normals (n, 2)."""
-    if isinstance(load, Pressure):
-        return -values_at(load.value, x / plan.scale)[:, None] * normals
-    return np.stack([values_at(c, x / plan.scale) for c in load.components], axis=1)
-
-
 def _draw_surface_load(plan: Plan, load: Pressure | Traction, largest: float) -> None:
     reach = 0.17 * plan.size / largest
     for curve in plan.curves[load.boundary]:
         _draw_arrows(plan, load, curve, reach)
     curve = plan.longest(load.boundary)
-    traction = _traction(plan, load, *curve.spread(9))
-    size = float(np.linalg.norm(traction, axis=1).max())
-    factor, unit = scaled(size, "Pa")
-    shown = size * factor
-    if isinstance(load, Pressure) and not callable(load.value):
-        shown = load.value * factor
-    relation = "up to" if np.ptp(np.linalg.norm(traction, axis=1)) > 1e-9 * size else "="
-    symbol = "p" if isinstance(load, Pressure) else "|t|"
-    outward = curve.normal * (size * reach + 0.02 * plan.size)
-    plan.text(curve.middle + outward, f"{symbol} {relation} {number(shown)} {unit}", curve.normal, BLUE)
+    traction = _at_nine(plan, load, curve)
+    outward = curve.normal * (float(np.linalg.norm(traction, axis=1).max()) * reach + 0.02 * plan.size)
+    plan.text(curve.middle + outward, surface_load_text(load, traction), curve.normal, BLUE)
+
+
+def _at_nine(plan: Plan, load: Pressure | Traction, curve: Curve) -> np.ndarray:
+    """Tractions (9, 2) spread over a curve, Pa."""
+    points, normals = curve.spread(9)
+    return tractions(load, points / plan.scale, normals)
 
 
 def _draw_arrows(plan: Plan, load: Pressure | Traction, curve: Curve, reach: float) -> None:
     x, normals = curve.spread(max(3, round(12 * curve.length / plan.size)))
-    arrows = _traction(plan, load, x, normals) * reach
+    arrows = tractions(load, x / plan.scale, normals) * reach
     # pushing loads end on the edge, pulling ones start there
     pushing = (np.einsum("nd,nd->n", arrows, normals) <= 0)[:, None]
     tails = np.where(pushing, x - arrows, x)
@@ -67,28 +59,22 @@ def _draw_arrows(plan: Plan, load: Pressure | Traction, curve: Curve, reach: flo
 def _draw_body_force(plan: Plan, load: BodyForce) -> None:
     lower, upper = (plan.lower, plan.upper) if load.body is None else bounds(plan.polygons[load.body])[:2]
     centre = 0.5 * (lower + upper)
-    force = np.array([values_at(c, centre[None] / plan.scale)[0] for c in load.components])
+    force = np.array([c(centre[None] / plan.scale)[0] if callable(c) else c for c in load.components], dtype=float)
     size = float(np.linalg.norm(force))
     if not size > 0:
         return
     arrow = 0.15 * plan.size * force / size
     plan.ax.annotate("", centre + arrow / 2, centre - arrow / 2,
                      arrowprops={"arrowstyle": "-|>", "color": BLUE, "linewidth": 2}, zorder=6)
-    factor, unit = scaled(size, "N/m³")
-    text = f"{number(size * factor)} {unit}"
     if plan.several:
-        where = "" if load.body is None else f" in {load.body!r}"
-        plan.legend.append((Line2D([], [], color=BLUE, linewidth=2), f"body force {text}{where}"))
+        plan.legend.append((Line2D([], [], color=BLUE, linewidth=2), volume_load_text(load)))
     else:
         side = np.array([abs(arrow[1]), -abs(arrow[0])]) / np.linalg.norm(arrow)
-        plan.text(centre + 0.03 * plan.size * side, f"f = {text}", side, BLUE)
+        plan.text(centre + 0.03 * plan.size * side, volume_load_text(load).replace("body force", "f ="), side, BLUE)
 
 
 def _draw_initial_strain(plan: Plan, load: InitialStrain) -> None:
     """Hatching in the body; the legend says how much."""
     band = Patch(plan.polygons[load.body], facecolor="none", edgecolor=BLUE, hatch="....", linewidth=0, zorder=2.5)
     plan.ax.add_patch(band)
-    axes = (*plan.names, "θ" if plan.axisymmetric else "z")
-    parts = [f"$\\varepsilon_{axis}$ = {'f(x)' if callable(value) else number(value)}"
-             for axis, value in zip(axes, load.components, strict=False) if callable(value) or value != 0]
-    plan.legend.append((band, f"initial strain of {load.body!r}\n{', '.join(parts) or '0'}"))
+    plan.legend.append((band, volume_load_text(load, (*plan.names, "θ" if plan.axisymmetric else "z"))))

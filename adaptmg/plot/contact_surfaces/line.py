@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.plot.style import scaled
+from adaptmg.plot.style import axis_names, scaled
 from adaptmg.plot.walks import walks
 from adaptmg.solver.result import Result
 
-__all__ = ["Line", "arcs_of", "lines_of"]
+__all__ = ["Line", "lines_of"]
 
 
 @dataclass(frozen=True)
@@ -43,45 +43,33 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
     boundary : str
         Contact boundary.
     """
-    index = _nodes_of(result, boundary)
+    index = np.flatnonzero(result.contact.boundary == result.contact.names.index(boundary))
     x = result.contact.x[index]
-    if not np.isfinite(x).all():
-        return arcs_of(result, boundary)
-    extent = np.ptp(x, axis=0)
-    scale, unit = scaled(float(extent.max()), "m")
-    for axis, name in enumerate("xy"):
-        if extent[1 - axis] <= 1e-9 * extent[axis]:
-            order = np.argsort(x[:, axis])
-            return [Line(index[order], scale * x[order, axis], f"{name} [{unit}]")]
-    return arcs_of(result, boundary, (scale, unit), start=False)
-
-
-def arcs_of(result: Result, boundary: str, scale: tuple[float, str] = (1e3, "mm"), start: bool = True) -> list[Line]:
-    """The connected stretches of a contact boundary against arc length along the whole boundary.
-
-    The length runs with the body on the left; parts of the boundary without contact nodes count and separate stretches.
-
-    Parameters
-    ----------
-    result : Result
-        Two-dimensional; see :func:`lines_of` for results without a mesh or without coordinates.
-    boundary : str
-        Contact boundary.
-    scale : pair of float and str
-        Unit of the lengths and its name.
-    start : bool
-        Whether the label says where the length begins.
-    """
-    index = _nodes_of(result, boundary)
-    x = result.contact.x[index]
-    factor, unit = scale
     if not np.isfinite(x).all():
         return [Line(index, np.arange(len(index), dtype=float), "contact node")]
+    extent = np.ptp(x, axis=0)
+    factor, unit = scaled(float(extent.max()), "m")
+    stretches, label = _stretches(result, boundary, index, factor)
+    for axis, name in enumerate(axis_names(result)):
+        if extent[1 - axis] <= 1e-9 * extent[axis]:
+            along = ((nodes, factor * result.contact.x[nodes, axis]) for nodes, _ in stretches)
+            ordered = ((nodes, s, np.argsort(s)) for nodes, s in along)
+            return [Line(nodes[order], s[order], f"{name} [{unit}]") for nodes, s, order in ordered]
+    return [Line(nodes, position, f"{label} [{unit}]") for nodes, position in stretches]
+
+
+def _stretches(result: Result, boundary: str, index: np.ndarray, factor: float
+               ) -> tuple[list[tuple[np.ndarray, np.ndarray]], str]:
+    """Stretches with arc lengths along the whole boundary, the body on the left, and the name of that coordinate.
+
+    Parts of the boundary without contact nodes count and separate stretches.
+    """
+    x = result.contact.x[index]
     if result.mesh is None:
         centred = x - x.mean(axis=0)
         order = np.argsort(centred @ np.linalg.svd(centred, full_matrices=False)[2][0])
         steps = np.linalg.norm(np.diff(x[order], axis=0), axis=1)
-        return [Line(index[order], factor * np.concatenate([[0.0], np.cumsum(steps)]), f"arc length [{unit}]")]
+        return [(index[order], factor * np.concatenate([[0.0], np.cumsum(steps)]))], "arc length"
     points, place = result.mesh.points, np.full(result.mesh.n_nodes, -1)
     place[result.contact.node[index]] = index
     stretches, begin = [], 0.0
@@ -95,10 +83,4 @@ def arcs_of(result: Result, boundary: str, scale: tuple[float, str] = (1e3, "mm"
             if len(run):
                 stretches.append((place[walk[run]], factor * position[run]))
     x0, y0 = factor * points[found[0][0]]
-    label = f"arc length from ({x0:.4g}, {y0:.4g}) [{unit}]" if start else f"arc length [{unit}]"
-    return [Line(nodes, position, label) for nodes, position in stretches]
-
-
-def _nodes_of(result: Result, boundary: str) -> np.ndarray:
-    """Contact nodes of a boundary as indices into the contact arrays."""
-    return np.flatnonzero(result.contact.boundary == result.contact.names.index(boundary))
+    return stretches, f"arc length from ({x0:.4g}, {y0:.4g})"

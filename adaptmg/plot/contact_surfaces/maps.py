@@ -8,32 +8,12 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
-from adaptmg.plot.flattened import Flat, flattened
+from adaptmg.plot.contact_surfaces.flattened import Flat
 from adaptmg.plot.states import STATE_INKS, STATE_NAMES, state_colormap
 from adaptmg.plot.style import INK
 from adaptmg.smoother.state import OPEN, SLIP, STICK
-from adaptmg.solver.result import Result
 
-__all__ = ["draw_map", "draw_states", "draw_surface"]
-
-
-def draw_surface(result: Result, boundary: str, axes: list[Axes]) -> None:
-    """Draw pressure into the first axes and states into the second.
-
-    Parameters
-    ----------
-    result : Result
-        Three-dimensional; with a mesh its triangles are drawn, else a point a node.
-    boundary : str
-        Contact boundary.
-    axes : list of two matplotlib Axes
-    """
-    flat = flattened(result, boundary)
-    pressure = 1e-6 * result.contact.pressure
-    draw_map(axes[0], flat, pressure[flat.index], "contact pressure [MPa]", largest=float(pressure.max()))
-    draw_states(axes[1], flat, result.contact.state[flat.index])
-    for ax, what in zip(axes, ("pressure", "state"), strict=True):
-        ax.set_title(f"{what} on {boundary!r}", pad=22 if what == "state" else None)
+__all__ = ["draw_map", "draw_states"]
 
 
 def draw_map(ax: Axes, flat: Flat, values: np.ndarray, label: str, norm: Normalize | None = None,

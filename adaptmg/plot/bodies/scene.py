@@ -14,7 +14,7 @@ from adaptmg.plot.style import BODY_COLORS, bounds, scaled
 from adaptmg.problem import checks
 from adaptmg.solver.result import Result
 
-__all__ = ["Coloring", "Scene", "Shape", "automatic_factor", "make_scene"]
+__all__ = ["Coloring", "DrawnBody", "Scene", "automatic_factor", "make_scene"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Coloring:
 
 
 @dataclass(frozen=True)
-class Shape:
+class DrawnBody:
     """One body, or the part of it within a window.
 
     Attributes
@@ -67,7 +67,7 @@ class Scene:
     before, after : (n_nodes, dim) arrays
         Positions, the displacement amplified, in ``unit``.
     unit : str
-    shapes : tuple of Shape
+    shapes : tuple of DrawnBody
         Large bodies first.
     lower, upper : (dim,) arrays
         Corners of what is to be seen.
@@ -79,7 +79,7 @@ class Scene:
     before: np.ndarray
     after: np.ndarray
     unit: str
-    shapes: tuple[Shape, ...]
+    shapes: tuple[DrawnBody, ...]
     lower: np.ndarray
     upper: np.ndarray
     coloring: Coloring | None = None
@@ -88,6 +88,13 @@ class Scene:
     def n_elements(self) -> int:
         """Elements shown."""
         return sum(len(shape.elements) for shape in self.shapes)
+
+    def states(self, boundary: int) -> np.ndarray:
+        """States (n_nodes,) of the contact nodes of a boundary, given by its number; -1 elsewhere."""
+        contact, states = self.result.contact, np.full(len(self.after), -1)
+        mine = contact.boundary == boundary
+        states[contact.node[mine]] = contact.state[mine]
+        return states
 
 
 def automatic_factor(result: Result) -> float:
@@ -162,10 +169,10 @@ def _touches(mesh: MeshArrays, points: np.ndarray, lower: np.ndarray, upper: np.
     return ((corners.min(axis=1) <= upper + margin) & (corners.max(axis=1) >= lower - margin)).all(axis=1)
 
 
-def _shape(mesh: MeshArrays, body: int, elements: np.ndarray) -> Shape:
+def _shape(mesh: MeshArrays, body: int, elements: np.ndarray) -> DrawnBody:
     color = BODY_COLORS[body % len(BODY_COLORS)]
     if not len(elements):
-        return Shape(mesh.bodies[body], color, elements, np.empty((0, mesh.dim), int), np.empty(0, int))
+        return DrawnBody(mesh.bodies[body], color, elements, np.empty((0, mesh.dim), int), np.empty(0, int))
     table = facet_table(mesh.elements[elements], mesh.n_nodes)
     outer = table.counts == 1
-    return Shape(mesh.bodies[body], color, elements, table.facets[outer], elements[table.first[outer]])
+    return DrawnBody(mesh.bodies[body], color, elements, table.facets[outer], elements[table.first[outer]])

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.backend_bases import RendererBase
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_rgb, to_rgba_array
 from mpl_toolkits.mplot3d import Axes3D
 
-from adaptmg.plot.depth_kernels import raster_segments, raster_triangles
+from adaptmg.plot.space.depth_kernels import raster_segments, raster_triangles
 from adaptmg.plot.style import INK
 
-__all__ = ["Lines", "Surface", "draw_facets"]
+__all__ = ["Lines", "Surface", "draw_facets", "normals_of", "sharp_edges", "viewer"]
 
 #: triangles above which their edges would only blacken the picture
 _EDGES_UP_TO = 6000
@@ -133,15 +133,11 @@ class Surface(Artist):
 
     def _shaded(self) -> np.ndarray:
         """Colours (n, 3, 3) darkened where the triangle turns from the light."""
-        normals = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-        elevation, azimuth = np.radians([self.axes.elev, self.axes.azim])
-        viewer = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-                           np.sin(elevation)])
-        up = np.array([-np.sin(elevation) * np.cos(azimuth), -np.sin(elevation) * np.sin(azimuth), np.cos(elevation)])
-        light = viewer + 0.7 * up - 0.5 * np.cross(up, viewer)
+        normals = normals_of(self.corners)
+        towards, up = (viewer(self.axes.elev + more, self.axes.azim) for more in (0.0, 90.0))
+        light = towards + 0.7 * up - 0.5 * np.cross(up, towards)
         # a triangle seen from behind (the inside of an open surface) is lit as from its front
-        front = np.where(normals @ viewer < 0, -1.0, 1.0)
+        front = np.where(normals @ towards < 0, -1.0, 1.0)
         shade = 1.0 - self.shading * (1.0 - np.clip(front * (normals @ (light / np.linalg.norm(light))), 0.0, 1.0))
         return self.colors * shade[:, None, None]
 
@@ -153,8 +149,6 @@ def draw_facets(ax: Axes3D, corners: np.ndarray, colors: np.ndarray | str, lines
     Their edges are drawn too if ``lines`` says so, by default up to 6000 triangles; and the lines ``extra``. For
     ``shading`` see :class:`Surface`.
     """
-    from matplotlib.colors import to_rgba_array
-
     colors = to_rgba_array(colors) if isinstance(colors, str) else np.asarray(colors)
     if len(colors) == 1:
         colors = np.repeat(colors, len(corners), axis=0)
@@ -163,3 +157,27 @@ def draw_facets(ax: Axes3D, corners: np.ndarray, colors: np.ndarray | str, lines
     surface = Surface(corners, colors, width, extra, shading)
     ax.add_artist(surface)
     return surface
+
+
+def viewer(elevation: float, azimuth: float) -> np.ndarray:
+    """Unit vector (3,) towards a viewer, from degrees."""
+    e, a = np.radians([elevation, azimuth])
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def normals_of(corners: np.ndarray) -> np.ndarray:
+    """Unit normals (n, 3) of triangles (n, 3, 3)."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
+
+
+def sharp_edges(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Edges of the surface (n, 2) where it bends by more than 30 degrees."""
+    normals = normals_of(points[facets])
+    edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
+    owner = np.tile(np.arange(len(facets)), 3)
+    order = np.lexsort(edges.T)
+    edges, owner = edges[order], owner[order]
+    same = np.flatnonzero((edges[1:] == edges[:-1]).all(axis=1))
+    bend = np.einsum("ni,ni->n", normals[owner[same]], normals[owner[same + 1]])
+    return edges[same[bend < np.cos(np.pi / 6)]]

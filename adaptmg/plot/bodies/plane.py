@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import PathPatch
 from matplotlib.tri import Triangulation
 
-from adaptmg.plot.scene import Scene, Shape
+from adaptmg.plot.bodies.scene import DrawnBody, Scene
 from adaptmg.plot.states import halves
 from adaptmg.plot.style import GREY, INK
 from adaptmg.plot.walks import filled_path, walks
@@ -50,7 +50,7 @@ def _zoomed(scene: Scene) -> bool:
     return bool((points < scene.lower - slack).any() or (points > scene.upper + slack).any())
 
 
-def _fill(ax: Axes, scene: Scene, shape: Shape, rings: list[np.ndarray], width: float, zorder: float) -> None:
+def _fill(ax: Axes, scene: Scene, shape: DrawnBody, rings: list[np.ndarray], width: float, zorder: float) -> None:
     elements, coloring = scene.result.mesh.elements[shape.elements], scene.coloring
     if coloring is None and width:
         ax.add_collection(PolyCollection(scene.after[elements], facecolor=shape.color, edgecolor=INK, linewidth=width,
@@ -76,13 +76,11 @@ def draw_states(ax: Axes, scene: Scene) -> list[int]:
 
     Each edge changes colour half way between its nodes; edges with a node that is no contact node are left out.
     """
-    contact, mesh = scene.result.contact, scene.result.mesh
+    mesh = scene.result.mesh
     shown = np.unique(np.concatenate([shape.facets.ravel() for shape in scene.shapes]))
     present: set[int] = set()
-    for number, name in enumerate(contact.names):
-        state = np.full(mesh.n_nodes, -1)
-        mine = contact.boundary == number
-        state[contact.node[mine]] = contact.state[mine]
+    for number, name in enumerate(scene.result.contact.names):
+        state = scene.states(number)
         facets = mesh.boundary_facets(name)
         facets = facets[(state[facets] >= 0).all(axis=1) & np.isin(facets, shown).all(axis=1)]
         for ring in walks(facets):

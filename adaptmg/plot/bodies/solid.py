@@ -7,13 +7,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import to_rgba_array
 from mpl_toolkits.mplot3d import Axes3D
 
-from adaptmg.plot.scene import Scene, Shape
-from adaptmg.plot.solid import finish_axes
+from adaptmg.plot.bodies.scene import DrawnBody, Scene
+from adaptmg.plot.space.axes import finish_axes
+from adaptmg.plot.space.surface import Lines, draw_facets, sharp_edges
 from adaptmg.plot.states import STATE_INKS
 from adaptmg.plot.style import GREY, INK
-from adaptmg.plot.surface import Lines, draw_facets
 
-__all__ = ["draw", "sharp_edges"]
+__all__ = ["draw"]
 
 
 def draw(ax: Axes3D, scene: Scene, lines: bool | None, states: bool, view: tuple[float, float] | None) -> list[int]:
@@ -50,7 +50,7 @@ def draw(ax: Axes3D, scene: Scene, lines: bool | None, states: bool, view: tuple
     return present
 
 
-def _colors(scene: Scene, shape: Shape) -> np.ndarray:
+def _colors(scene: Scene, shape: DrawnBody) -> np.ndarray:
     """Colours (n, 3, 4) of the corners of the facets."""
     coloring = scene.coloring
     if coloring is None:
@@ -63,25 +63,9 @@ def _colors(scene: Scene, shape: Shape) -> np.ndarray:
 
 def _facet_states(scene: Scene, facets: np.ndarray) -> np.ndarray:
     """State of most corners (n,) of facets whose corners are all nodes of one contact boundary; -1 elsewhere."""
-    contact, found = scene.result.contact, np.full(len(facets), -1)
-    for number in range(len(contact.names)):
-        state = np.full(len(scene.after), -1)
-        mine = contact.boundary == number
-        state[contact.node[mine]] = contact.state[mine]
-        corners = np.sort(state[facets], axis=1)
+    found = np.full(len(facets), -1)
+    for number in range(len(scene.result.contact.names)):
+        corners = np.sort(scene.states(number)[facets], axis=1)
         # the middle one of three is that of the majority
         found = np.where(corners[:, 0] >= 0, corners[:, 1], found)
     return found
-
-
-def sharp_edges(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Edges of the surface (n, 2) where it bends by more than 30 degrees."""
-    normals = np.cross(points[facets[:, 1]] - points[facets[:, 0]], points[facets[:, 2]] - points[facets[:, 0]])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-    edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
-    owner = np.tile(np.arange(len(facets)), 3)
-    order = np.lexsort(edges.T)
-    edges, owner = edges[order], owner[order]
-    same = np.flatnonzero((edges[1:] == edges[:-1]).all(axis=1))
-    bend = np.einsum("ni,ni->n", normals[owner[same]], normals[owner[same + 1]])
-    return edges[same[bend < np.cos(np.pi / 6)]]

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 
+from adaptmg.plot.style import quoted
 from adaptmg.problem import checks
 from adaptmg.solver.result import ContactResult, Result
 
@@ -28,7 +29,7 @@ def described(contact: ContactResult, boundary: str) -> str:
     """'slave on master', or the boundary alone in front of a rigid obstacle."""
     masters = contact.masters or ("",) * len(contact.names)
     master = masters[contact.names.index(boundary)]
-    return f"{boundary!r} on {master!r}" if master else repr(boundary)
+    return f"{quoted(boundary)} on {quoted(master)}" if master else quoted(boundary)
 
 
 def blocks(count: int, size: tuple[float, float], columns: int) -> list[SubFigure]:

@@ -8,11 +8,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon as Patch
 
-from adaptmg.plot.curves import Curve
-from adaptmg.plot.labels import describe_law, support_text
-from adaptmg.plot.plan import Plan
-from adaptmg.plot.posed_loads import draw_loads
-from adaptmg.plot.style import BODY_COLORS, GREEN, GREY, INK, ORANGE, PALE
+from adaptmg.plot.posed.plan import Curve, Plan
+from adaptmg.plot.posed.plane_loads import draw_loads
+from adaptmg.plot.posed.words import describe_law, support_text
+from adaptmg.plot.style import BODY_COLORS, GREEN, GREY, INK, ORANGE, PALE, plain, quoted
 from adaptmg.problem import Contact, ContactPair, ContactProblem, Plane, Support
 
 __all__ = ["draw"]
@@ -61,14 +60,14 @@ def _draw_bodies(plan: Plan) -> None:
         patches[body].set_zorder(2 + 0.01 * k)
         plan.ax.add_patch(patches[body])
     if plan.several:
-        plan.legend += [(patches[body], body) for body in plan.polygons]
+        plan.legend += [(patches[body], plain(body)) for body in plan.polygons]
 
 
 def _draw_names(plan: Plan) -> None:
     """Names of the boundaries inside the body."""
     for name in plan.curves:
         curve = plan.longest(name)
-        plan.text(curve.middle - 0.03 * plan.size * curve.normal, name, -curve.normal, GREY)
+        plan.text(curve.middle - 0.03 * plan.size * curve.normal, plain(name), -curve.normal, GREY)
 
 
 def _draw_dimensions(plan: Plan) -> None:
@@ -98,7 +97,7 @@ def _draw_pair(plan: Plan, pair: ContactPair) -> None:
         plan.ax.add_collection(LineCollection(lines, color=color, linewidth=width, capstyle="butt", zorder=zorder))
     if not any(isinstance(artist, Line2D) for artist, _ in plan.legend):
         plan.legend.append((Line2D([], [], color=GREEN, linewidth=1.8), "master"))
-    plan.legend.append((slave, f"{pair.slave!r} on {pair.master!r}"))
+    plan.legend.append((slave, f"{quoted(pair.slave)} on {quoted(pair.master)}"))
 
 
 def _draw_contact(plan: Plan, contact: Contact, law: str) -> None:
