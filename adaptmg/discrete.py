@@ -13,29 +13,39 @@ meant in relative coordinates: :meth:`DiscreteProblem.coupled` makes them.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg.coupling import Coupling
+from adaptmg.problem import checks
+from adaptmg.problem.contact_problem import CONTACT, check_law
 from adaptmg.problem.laws import Law
 
 __all__ = ["ContactNodes", "DiscreteProblem"]
 
 
-def _array(name: str, value: object, shape: tuple[int | None, ...], dtype: type = np.float64) -> np.ndarray:
-    """A read-only copy of the wanted shape (None: any) and type, finite."""
-    result = np.array(value, dtype=dtype, order="C")
-    if len(result.shape) != len(shape) or any(w is not None and w != g
-                                              for w, g in zip(shape, result.shape, strict=True)):
-        wanted = "(" + ", ".join("n" if w is None else str(w) for w in shape) + ")"
-        raise ValueError(f"{name} must have shape {wanted}, got {result.shape}")
-    if dtype is np.float64 and not np.isfinite(result).all():
-        raise ValueError(f"{name} must be finite; {np.count_nonzero(~np.isfinite(result))} entries are not")
-    result.flags.writeable = False
+# entries of matrices and nodal forces beyond these come from no physical problem: energies leave the range of float64
+_LARGEST, _SMALLEST = 1e140, 1e-140
+_ASYMMETRY = 1e-8
+
+
+def _array(name: str, value: object, shape: tuple[int | None, ...], largest: float = _LARGEST) -> np.ndarray:
+    """A read-only copy as float64, of a size that energies bear."""
+    result = checks.array(name, value, shape)
+    size = np.abs(result).max(initial=0.0)
+    if not size <= largest:
+        raise ValueError(f"{name} must be at most {largest:g} in SI units, got {size:.3g}")
     return result
+
+
+def _check_size(name: str, size: float) -> None:
+    """ValueError if the largest entry of a matrix or load is none that a physical problem can have."""
+    if size and not _SMALLEST <= size <= _LARGEST:
+        raise ValueError(f"{name}: its largest entry {size:.3g} is out of range, {_SMALLEST:g} to {_LARGEST:g}: choose "
+                         "units in which numbers are nearer to 1")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,16 +85,14 @@ class ContactNodes:
     masters: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        nodes = np.asarray(self.nodes)
-        if nodes.dtype.kind not in "iu":
-            raise TypeError(f"nodes must be integers, got {nodes.dtype}")
-        nodes = _array("nodes", nodes, (None,), np.int64)
+        nodes = checks.array("nodes", self.nodes, (None,), integer=True)
         n = len(nodes)
         if n == 0:
             raise ValueError("nodes is empty: a contact problem needs at least one contact node")
         if len(np.unique(nodes)) < n or nodes.min() < 0:
             raise ValueError("nodes must be distinct and >= 0")
-        normals = _array("normals", self.normals, (n, None))
+        checks.flag("allow_interference", self.allow_interference)
+        normals = _array("normals", self.normals, (n, None), 2.0)
         if normals.shape[1] not in (2, 3):
             raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
         lengths = np.linalg.norm(normals, axis=1)
@@ -93,28 +101,44 @@ class ContactNodes:
             raise ValueError(f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}")
         normals = normals / lengths[:, None]
         normals.flags.writeable = False
-        gaps = _array("gaps", self.gaps, (n,))
+        gaps = _array("gaps", self.gaps, (n,), checks.VAST)
         if not self.allow_interference and gaps.min() < 0:
             i = int(np.argmin(gaps))
             raise ValueError(f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
                              "for an interference fit say allow_interference=True")
         weights = _array("weights", np.ones(n) if self.weights is None else self.weights, (n,))
-        if not weights.min() > 0:
-            raise ValueError(f"weights must be > 0, got {weights.min():.6g}")
+        if not weights.min() > 0 or weights.min() < _SMALLEST:
+            raise ValueError(f"weights must be > 0, and at least {_SMALLEST:g}, got {weights.min():.6g}")
         reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
-        reference = _array("slip_reference", reference, normals.shape)
+        reference = _array("slip_reference", reference, normals.shape, checks.VAST)
+        names, masters = self._names()
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
-        boundary = _array("boundary", boundary, (n,), np.int64)
-        if boundary.min() < 0 or boundary.max() >= len(self.names):
-            raise ValueError(f"boundary must index names ({len(self.names)} given), got {boundary.max()}")
-        names = tuple(self.names)
-        masters = ("",) * len(names) if self.masters is None else tuple(self.masters)
-        if len(masters) != len(names):
-            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
+        boundary = checks.array("boundary", boundary, (n,), integer=True)
+        if boundary.min() < 0 or boundary.max() >= len(names):
+            wrong = boundary.min() if boundary.min() < 0 else boundary.max()
+            raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")
         for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
                             ("slip_reference", reference), ("boundary", boundary), ("names", names),
                             ("masters", masters)):
             object.__setattr__(self, name, value)
+
+    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of the contact boundaries and of what they may touch, checked."""
+        names = checks.strings("names", self.names)
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"names must be distinct, and at least one, got {checks.shown(names)}")
+        masters = ("",) * len(names)
+        if self.masters is not None:
+            if isinstance(self.masters, (str, bytes)) or not isinstance(self.masters, Iterable):
+                raise TypeError(f"masters must be a sequence of names, got {checks.shown(self.masters)}")
+            masters = tuple("" if isinstance(item, str) and not item else checks.boundary_name(f"masters[{i}]", item)
+                            for i, item in enumerate(self.masters))
+        if len(masters) != len(names):
+            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
+        if CONTACT in masters or (CONTACT in names and len(names) > 1):
+            raise ValueError(f"names, masters: the name {CONTACT!r} stands for all contact boundaries together; of "
+                             "several boundaries none may have it")
+        return names, masters
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -190,12 +214,18 @@ class DiscreteProblem:
         DiscreteProblem
             In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
         """
-        coupling = Coupling(weights, np.asarray(fixed))
-        if near_nullspace is None and coordinates is not None:
-            near_nullspace = rigid_body_modes(np.asarray(coordinates, dtype=np.float64))
-        blocks = sparse.bsr_array(matrix, blocksize=(coupling.dim, coupling.dim))
+        checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
+        dim, n = contact.dim, _mask("fixed", fixed).size
+        blocks = _checked_matrix(matrix, dim)
+        if blocks.shape[0] != n:
+            raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
+        coupling = Coupling(checks.sparse_matrix("weights", weights, (n // dim, n // dim)), np.asarray(fixed))
+        if near_nullspace is not None:
+            near_nullspace = _array("near_nullspace", near_nullspace, (n, None))
+        elif coordinates is not None:
+            near_nullspace = rigid_body_modes(_array("coordinates", coordinates, (n // dim, dim), checks.VAST))
         return cls(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
-                   load=coupling.relative_forces(np.asarray(load, dtype=np.float64)), fixed_values=fixed_values,
+                   load=coupling.relative_forces(_array("load", load, (n,))), fixed_values=fixed_values,
                    coordinates=coordinates, name=name, coupling=coupling, bodies=bodies,
                    near_nullspace=None if near_nullspace is None else coupling.relative(near_nullspace))
 
@@ -230,63 +260,52 @@ class DiscreteProblem:
         return result
 
     def __post_init__(self) -> None:
-        if not isinstance(self.contact, ContactNodes):
-            raise TypeError(f"contact must be ContactNodes, got {type(self.contact).__name__}")
-        if not isinstance(self.law, Law) or isinstance(self.law, type):
-            raise TypeError(f"law must be Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds, "
-                            f"got {self.law!r}")
+        checks.instance("contact", self.contact, ContactNodes, "ContactNodes(...)")
+        check_law(self.law)
+        checks.boundary_name("name", self.name)
         dim = self.contact.dim
-        matrix = self._checked_matrix(dim)
+        matrix = _checked_matrix(self.matrix, dim)
         n = matrix.shape[0]
         if self.contact.nodes.max() >= n // dim:
             raise ValueError(f"contact.nodes: node {self.contact.nodes.max()} does not exist; "
                              f"there are {n // dim} nodes")
-        fixed = np.asarray(self.fixed)
-        if fixed.dtype != bool:
-            raise TypeError(f"fixed must be a boolean mask over the {n} dofs, got {fixed.dtype}")
+        fixed = _mask("fixed", self.fixed, n)
+        load = _array("load", self.load, (n,))
+        _check_size("load", np.abs(load).max())
         values = np.zeros(n) if self.fixed_values is None else self.fixed_values
-        values = np.where(fixed, values, 0.0) if np.shape(values) == fixed.shape else values
-        arrays = {"matrix": matrix, "load": _array("load", self.load, (n,)),
-                  "fixed": _array("fixed", fixed, (n,), bool), "fixed_values": _array("fixed_values", values, (n,))}
+        if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
+            values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
+        values = np.where(fixed, _array("fixed_values", values, (n,), checks.VAST), 0.0)
+        values.flags.writeable = False
+        arrays = {"matrix": matrix, "load": load, "fixed": fixed, "fixed_values": values}
         if self.coordinates is not None:
-            arrays["coordinates"] = _array("coordinates", self.coordinates, (n // dim, dim))
+            arrays["coordinates"] = _array("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
         if self.near_nullspace is not None:
             arrays["near_nullspace"] = _array("near_nullspace", self.near_nullspace, (n, None))
+            if not arrays["near_nullspace"].any():
+                raise ValueError("near_nullspace holds no mode: give the rigid-body motions, a column each, or None")
         elif self.coordinates is not None:
             arrays["near_nullspace"] = rigid_body_modes(arrays["coordinates"])
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
+        if self.bodies is not None:
+            object.__setattr__(self, "bodies", _bodies(self.bodies, n // dim))
+        if self.coupling is not None:
+            checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
         if self.coupling is not None and not np.array_equal(self.coupling.fixed, arrays["fixed"]):
             raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
         self._check_fixed_at_contact()
-        for name, bound in zip(("limit", "friction"), self.law.bounds(len(self.contact)), strict=True):
-            if not (np.isfinite(bound).all() and (bound >= 0).all()):
-                raise ValueError(f"law: the nodal {name} must be finite and >= 0")
+        self._check_bounds()
 
-    def _checked_matrix(self, dim: int) -> sparse.bsr_array:
-        if not sparse.issparse(self.matrix):
-            raise TypeError(f"matrix must be a scipy sparse matrix, got {type(self.matrix).__name__}")
-        rows, columns = self.matrix.shape
-        if rows != columns or rows % dim:
-            raise ValueError(f"matrix must be square with a multiple of {dim} rows, got {self.matrix.shape}")
-        matrix = sparse.bsr_array(self.matrix, blocksize=(dim, dim))
-        if matrix.dtype != np.float64:
-            matrix = matrix.astype(np.float64)
-        if not matrix.has_sorted_indices:
-            matrix = matrix.sorted_indices()
-        if not np.isfinite(matrix.data).all():
-            raise ValueError("matrix must be finite")
-        scale = np.abs(matrix.data).max(initial=0.0)
-        if not scale > 0:
-            raise ValueError("matrix is zero")
-        asymmetry = abs(matrix - matrix.T).max()
-        if asymmetry > 1e-8 * scale:
-            raise ValueError(f"matrix must be symmetric; |A - A'| reaches {asymmetry / scale:.2g} of its largest entry")
-        diagonal = matrix.diagonal()
-        if not (diagonal > 0).all():
-            i = int(np.argmin(diagonal))
-            raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
-        return matrix
+    def _check_bounds(self) -> None:
+        bounds, n = self.law.bounds(len(self.contact)), len(self.contact)
+        if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
+            raise TypeError(f"law: bounds(n_contact) must return the nodal limit and friction, got "
+                            f"{checks.shown(bounds)}")
+        for name, bound in zip(("limit", "friction"), bounds, strict=True):
+            if not (checks.array(f"law: the nodal {name}", bound, (n,)) >= 0).all():
+                raise ValueError(f"law: the nodal {name} must be finite and >= 0")
+            _array(f"law: the nodal {name}", bound, (n,))
 
     def _check_fixed_at_contact(self) -> None:
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
@@ -312,6 +331,69 @@ class DiscreteProblem:
     def n_nodes(self) -> int:
         """Number of nodes."""
         return self.n_dofs // self.dim
+
+
+def _mask(name: str, value: object, n: int | None = None) -> np.ndarray:
+    """A read-only copy of a boolean mask over dofs."""
+    try:
+        given = np.asarray(value)
+    except ValueError:
+        given = np.asarray(None)
+    if given.dtype != bool:
+        raise TypeError(f"{name} must be a boolean mask over the{'' if n is None else f' {n}'} dofs, "
+                        f"got {checks.shown(value) if given.dtype == object else given.dtype}")
+    if given.ndim != 1 or (n is not None and len(given) != n):
+        raise ValueError(f"{name} must have shape ({'n' if n is None else n},), got {given.shape}")
+    result = given.copy()
+    result.flags.writeable = False
+    return result
+
+
+def _bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
+    """Nodes by body, checked."""
+    checks.instance("bodies", bodies, Mapping, "a mapping of names to arrays of nodes")
+    result = {checks.boundary_name("the names in bodies", name): checks.array(f"bodies[{name!r}]", nodes, (None,),
+                                                                              integer=True)
+              for name, nodes in bodies.items()}
+    for name, nodes in result.items():
+        if len(nodes) and not (nodes.min() >= 0 and nodes.max() < n_nodes):
+            raise ValueError(f"bodies[{name!r}] must be node numbers from 0 to {n_nodes - 1}, got {nodes.min()} to "
+                             f"{nodes.max()}")
+    return result
+
+
+def _checked_matrix(value: object, dim: int) -> sparse.bsr_array:
+    """A stiffness matrix in blocks, symmetric with a positive diagonal."""
+    matrix = checks.square_blocks("matrix", value, dim)
+    scale = np.abs(matrix.data).max(initial=0.0)
+    if not scale > 0:
+        raise ValueError("matrix is zero")
+    _check_size("matrix", scale)
+    diagonal = matrix.diagonal()
+    if not (diagonal > 0).all():
+        i = int(np.argmin(diagonal))
+        raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
+    _check_symmetry(matrix, diagonal)
+    return matrix
+
+
+def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
+    """ValueError unless each block is the transpose of its counterpart, relative to the diagonals of its two nodes.
+
+    sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part is judged by its own stiffness.
+    """
+    difference = matrix - matrix.T
+    if not difference.nnz:
+        return
+    dim = matrix.blocksize[0]
+    difference = sparse.bsr_array(difference, blocksize=(dim, dim))
+    scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))
+    rows = np.repeat(np.arange(len(scale)), np.diff(difference.indptr))
+    asymmetry = np.abs(difference.data).max(axis=(1, 2), initial=0.0) / (scale[rows] * scale[difference.indices])
+    worst = int(np.argmax(asymmetry))
+    if asymmetry[worst] > _ASYMMETRY:
+        raise ValueError(f"matrix must be symmetric; |A - A'| reaches {asymmetry[worst]:.2g} of the diagonal, between "
+                         f"nodes {rows[worst]} and {difference.indices[worst]}")
 
 
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:

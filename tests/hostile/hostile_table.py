@@ -10,6 +10,10 @@ __all__ = ["TABLES", "Hostile"]
 #: the tables: modules beside this one with a tuple INPUTS of Hostile rows
 TABLES = (
     "numbers_and_names",
+    "problems",
+    "discrete_problems",
+    "user_parts",
+    "hierarchies_and_solvers",
 )
 
 
