@@ -20,32 +20,21 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.coupling import Coupling
+from adaptmg.discrete_input import (
+    SMALLEST,
+    bounded,
+    check_bounds,
+    check_size,
+    checked_bodies,
+    checked_mask,
+    checked_matrix,
+)
+from adaptmg.exchange import Exchange, ScaledLaw, find_carriers, rows_of_carriers
 from adaptmg.problem import checks
 from adaptmg.problem.contact_problem import CONTACT, check_law
 from adaptmg.problem.laws import Law
 
 __all__ = ["ContactNodes", "DiscreteProblem"]
-
-
-# entries of matrices and nodal forces beyond these come from no physical problem: energies leave the range of float64
-_LARGEST, _SMALLEST = 1e140, 1e-140
-_ASYMMETRY = 1e-8
-
-
-def _array(name: str, value: object, shape: tuple[int | None, ...], largest: float = _LARGEST) -> np.ndarray:
-    """A read-only copy as float64, of a size that energies bear."""
-    result = checks.array(name, value, shape)
-    size = np.abs(result).max(initial=0.0)
-    if not size <= largest:
-        raise ValueError(f"{name} must be at most {largest:g} in SI units, got {size:.3g}")
-    return result
-
-
-def _check_size(name: str, size: float) -> None:
-    """ValueError if the largest entry of a matrix or load is none that a physical problem can have."""
-    if size and not _SMALLEST <= size <= _LARGEST:
-        raise ValueError(f"{name}: its largest entry {size:.3g} is out of range, {_SMALLEST:g} to {_LARGEST:g}: choose "
-                         "units in which numbers are nearer to 1")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +81,7 @@ class ContactNodes:
         if len(np.unique(nodes)) < n or nodes.min() < 0:
             raise ValueError("nodes must be distinct and >= 0")
         checks.flag("allow_interference", self.allow_interference)
-        normals = _array("normals", self.normals, (n, None), 2.0)
+        normals = bounded("normals", self.normals, (n, None), 2.0)
         if normals.shape[1] not in (2, 3):
             raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
         lengths = np.linalg.norm(normals, axis=1)
@@ -101,16 +90,16 @@ class ContactNodes:
             raise ValueError(f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}")
         normals = normals / lengths[:, None]
         normals.flags.writeable = False
-        gaps = _array("gaps", self.gaps, (n,), checks.VAST)
+        gaps = bounded("gaps", self.gaps, (n,), checks.VAST)
         if not self.allow_interference and gaps.min() < 0:
             i = int(np.argmin(gaps))
             raise ValueError(f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
                              "for an interference fit say allow_interference=True")
-        weights = _array("weights", np.ones(n) if self.weights is None else self.weights, (n,))
-        if not weights.min() > 0 or weights.min() < _SMALLEST:
-            raise ValueError(f"weights must be > 0, and at least {_SMALLEST:g}, got {weights.min():.6g}")
+        weights = bounded("weights", np.ones(n) if self.weights is None else self.weights, (n,))
+        if not weights.min() > 0 or weights.min() < SMALLEST:
+            raise ValueError(f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}")
         reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
-        reference = _array("slip_reference", reference, normals.shape, checks.VAST)
+        reference = bounded("slip_reference", reference, normals.shape, checks.VAST)
         names, masters = self._names()
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
         boundary = checks.array("boundary", boundary, (n,), integer=True)
@@ -125,8 +114,8 @@ class ContactNodes:
     def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Names of the contact boundaries and of what they may touch, checked."""
         names = checks.strings("names", self.names)
-        if not names or len(set(names)) < len(names):
-            raise ValueError(f"names must be distinct, and at least one, got {checks.shown(names)}")
+        if not names:
+            raise ValueError("names is empty: give one name at least")
         masters = ("",) * len(names)
         if self.masters is not None:
             if isinstance(self.masters, (str, bytes)) or not isinstance(self.masters, Iterable):
@@ -135,10 +124,18 @@ class ContactNodes:
                             for i, item in enumerate(self.masters))
         if len(masters) != len(names):
             raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
-        if CONTACT in masters or (CONTACT in names and len(names) > 1):
-            raise ValueError(f"names, masters: the name {CONTACT!r} stands for all contact boundaries together; of "
-                             "several boundaries none may have it")
         return names, masters
+
+    def check_name_contact(self) -> None:
+        """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""
+        if CONTACT in self.masters or (CONTACT in self.names and len(self.names) > 1):
+            raise ValueError(f"contact: the name {CONTACT!r} stands for all contact boundaries together; of several "
+                             f"names and masters none may be it, got {self.names} and {self.masters}")
+
+    def check_nodes(self, n_nodes: int) -> None:
+        """ValueError unless there are so many nodes that each of these is one."""
+        if self.nodes.max() >= n_nodes:
+            raise ValueError(f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes")
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -178,6 +175,8 @@ class DiscreteProblem:
         Says that all of the above is in relative coordinates; see :meth:`coupled`.
     bodies : mapping of str to (n,) int arrays, optional
         Nodes of each body by name, for messages.
+    exchange : Exchange, optional
+        Contact as it was posed where slave and master were exchanged at single nodes (:mod:`adaptmg.exchange`).
     """
 
     matrix: sparse.bsr_array
@@ -191,6 +190,7 @@ class DiscreteProblem:
     name: str = "discrete problem"
     coupling: Coupling | None = None
     bodies: Mapping[str, np.ndarray] | None = None
+    exchange: Exchange | None = None
 
     @classmethod
     def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law,
@@ -215,18 +215,24 @@ class DiscreteProblem:
             In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
         """
         checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
-        dim, n = contact.dim, _mask("fixed", fixed).size
-        blocks = _checked_matrix(matrix, dim)
+        check_law(law)
+        contact.check_name_contact()
+        dim, fixed = contact.dim, checked_mask("fixed", fixed)
+        blocks, n = checked_matrix(matrix, dim), len(fixed)
         if blocks.shape[0] != n:
             raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
-        coupling = Coupling(checks.sparse_matrix("weights", weights, (n // dim, n // dim)), np.asarray(fixed))
+        weights = checks.sparse_matrix("weights", weights, (n // dim, n // dim))
+        contact.check_nodes(n // dim)
+        check_bounds(law, len(contact))
+        contact, weights, law, exchange = _exchanged(contact, weights, fixed, law)
+        coupling = Coupling(weights, fixed)
         if near_nullspace is not None:
-            near_nullspace = _array("near_nullspace", near_nullspace, (n, None))
+            near_nullspace = bounded("near_nullspace", near_nullspace, (n, None))
         elif coordinates is not None:
-            near_nullspace = rigid_body_modes(_array("coordinates", coordinates, (n // dim, dim), checks.VAST))
+            near_nullspace = rigid_body_modes(bounded("coordinates", coordinates, (n // dim, dim), checks.VAST))
         return cls(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
-                   load=coupling.relative_forces(_array("load", load, (n,))), fixed_values=fixed_values,
-                   coordinates=coordinates, name=name, coupling=coupling, bodies=bodies,
+                   load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
+                   coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
                    near_nullspace=None if near_nullspace is None else coupling.relative(near_nullspace))
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:
@@ -239,6 +245,36 @@ class DiscreteProblem:
         flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
         return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(-1, self.dim)
 
+    def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
+        """Displacement (n_contact, dim) of the contact nodes relative to what they face, m.
+
+        Of the unknowns; between bodies that both are held, relative to what holds the other one.
+        """
+        nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
+        result = nodal[self.contact.nodes]
+        if self.coupling is not None:
+            fixed = self.fixed.reshape(-1, self.dim)
+            for at, weights, c in self.held_together():
+                result[at, c] -= weights @ np.where(fixed[:, c], nodal[:, c], 0.0)
+        return result
+
+    def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
+        """For each component the contact nodes at which it is fixed and faces fixed ones, and the weights of these.
+
+        Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component.
+        """
+        if self.coupling is None:
+            return []
+        rows, fixed, result = self.coupling.weights[self.contact.nodes], self.fixed.reshape(-1, self.dim), []
+        for c in range(self.dim):
+            held = np.flatnonzero(fixed[self.contact.nodes, c])
+            weights = sparse.csr_array(rows[held] @ sparse.diags_array(fixed[:, c].astype(float)))
+            total = np.asarray(weights.sum(axis=1)).ravel()
+            kept = np.abs(total) > 0.1
+            scale = sparse.diags_array(1 / total[kept], format="csr")
+            result.append((held[kept], sparse.csr_array(scale @ weights[kept]), c))
+        return result
+
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.
 
@@ -247,14 +283,14 @@ class DiscreteProblem:
         load, fixed_values : (n_dofs,) arrays
             N and m, in the coordinates of this problem (with a coupling relative ones).
         slip_reference : (n_contact, dim) array
-            Displacement against which slip is measured, m; between bodies relative to the other body.
+            Displacement of the contact nodes against which slip is measured, as :meth:`at_contact` has it, m.
         """
         contact, result = copy.copy(self.contact), copy.copy(self)
-        reference = _array("slip_reference", slip_reference, contact.normals.shape)
+        reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
-        values = _array("fixed_values", fixed_values, (self.n_dofs,))
-        values = _array("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
-        for name, value in (("load", _array("load", load, (self.n_dofs,))), ("fixed_values", values),
+        values = bounded("fixed_values", fixed_values, (self.n_dofs,))
+        values = bounded("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
+        for name, value in (("load", bounded("load", load, (self.n_dofs,))), ("fixed_values", values),
                             ("contact", contact)):
             object.__setattr__(result, name, value)
         return result
@@ -264,24 +300,24 @@ class DiscreteProblem:
         check_law(self.law)
         checks.boundary_name("name", self.name)
         dim = self.contact.dim
-        matrix = _checked_matrix(self.matrix, dim)
+        matrix = checked_matrix(self.matrix, dim)
         n = matrix.shape[0]
-        if self.contact.nodes.max() >= n // dim:
-            raise ValueError(f"contact.nodes: node {self.contact.nodes.max()} does not exist; "
-                             f"there are {n // dim} nodes")
-        fixed = _mask("fixed", self.fixed, n)
-        load = _array("load", self.load, (n,))
-        _check_size("load", np.abs(load).max())
+        self.contact.check_nodes(n // dim)
+        if self.exchange is None:
+            self.contact.check_name_contact()
+        fixed = checked_mask("fixed", self.fixed, n)
+        load = bounded("load", self.load, (n,))
+        check_size("load", np.abs(load).max())
         values = np.zeros(n) if self.fixed_values is None else self.fixed_values
         if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
             values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
-        values = np.where(fixed, _array("fixed_values", values, (n,), checks.VAST), 0.0)
+        values = np.where(fixed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
         values.flags.writeable = False
         arrays = {"matrix": matrix, "load": load, "fixed": fixed, "fixed_values": values}
         if self.coordinates is not None:
-            arrays["coordinates"] = _array("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
+            arrays["coordinates"] = bounded("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
         if self.near_nullspace is not None:
-            arrays["near_nullspace"] = _array("near_nullspace", self.near_nullspace, (n, None))
+            arrays["near_nullspace"] = bounded("near_nullspace", self.near_nullspace, (n, None))
             if not arrays["near_nullspace"].any():
                 raise ValueError("near_nullspace holds no mode: give the rigid-body motions, a column each, or None")
         elif self.coordinates is not None:
@@ -289,23 +325,13 @@ class DiscreteProblem:
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
         if self.bodies is not None:
-            object.__setattr__(self, "bodies", _bodies(self.bodies, n // dim))
+            object.__setattr__(self, "bodies", checked_bodies(self.bodies, n // dim))
         if self.coupling is not None:
             checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
         if self.coupling is not None and not np.array_equal(self.coupling.fixed, arrays["fixed"]):
             raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
         self._check_fixed_at_contact()
-        self._check_bounds()
-
-    def _check_bounds(self) -> None:
-        bounds, n = self.law.bounds(len(self.contact)), len(self.contact)
-        if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
-            raise TypeError(f"law: bounds(n_contact) must return the nodal limit and friction, got "
-                            f"{checks.shown(bounds)}")
-        for name, bound in zip(("limit", "friction"), bounds, strict=True):
-            if not (checks.array(f"law: the nodal {name}", bound, (n,)) >= 0).all():
-                raise ValueError(f"law: the nodal {name} must be finite and >= 0")
-            _array(f"law: the nodal {name}", bound, (n,))
+        check_bounds(self.law, len(self.contact))
 
     def _check_fixed_at_contact(self) -> None:
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
@@ -333,67 +359,31 @@ class DiscreteProblem:
         return self.n_dofs // self.dim
 
 
-def _mask(name: str, value: object, n: int | None = None) -> np.ndarray:
-    """A read-only copy of a boolean mask over dofs."""
-    try:
-        given = np.asarray(value)
-    except ValueError:
-        given = np.asarray(None)
-    if given.dtype != bool:
-        raise TypeError(f"{name} must be a boolean mask over the{'' if n is None else f' {n}'} dofs, "
-                        f"got {checks.shown(value) if given.dtype == object else given.dtype}")
-    if given.ndim != 1 or (n is not None and len(given) != n):
-        raise ValueError(f"{name} must have shape ({'n' if n is None else n},), got {given.shape}")
-    result = given.copy()
-    result.flags.writeable = False
-    return result
-
-
-def _bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
-    """Nodes by body, checked."""
-    checks.instance("bodies", bodies, Mapping, "a mapping of names to arrays of nodes")
-    result = {checks.boundary_name("the names in bodies", name): checks.array(f"bodies[{name!r}]", nodes, (None,),
-                                                                              integer=True)
-              for name, nodes in bodies.items()}
-    for name, nodes in result.items():
-        if len(nodes) and not (nodes.min() >= 0 and nodes.max() < n_nodes):
-            raise ValueError(f"bodies[{name!r}] must be node numbers from 0 to {n_nodes - 1}, got {nodes.min()} to "
-                             f"{nodes.max()}")
-    return result
-
-
-def _checked_matrix(value: object, dim: int) -> sparse.bsr_array:
-    """A stiffness matrix in blocks, symmetric with a positive diagonal."""
-    matrix = checks.square_blocks("matrix", value, dim)
-    scale = np.abs(matrix.data).max(initial=0.0)
-    if not scale > 0:
-        raise ValueError("matrix is zero")
-    _check_size("matrix", scale)
-    diagonal = matrix.diagonal()
-    if not (diagonal > 0).all():
-        i = int(np.argmin(diagonal))
-        raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
-    _check_symmetry(matrix, diagonal)
-    return matrix
-
-
-def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
-    """ValueError unless each block is the transpose of its counterpart, relative to the diagonals of its two nodes.
-
-    sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part is judged by its own stiffness.
-    """
-    difference = matrix - matrix.T
-    if not difference.nnz:
-        return
-    dim = matrix.blocksize[0]
-    difference = sparse.bsr_array(difference, blocksize=(dim, dim))
-    scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))
-    rows = np.repeat(np.arange(len(scale)), np.diff(difference.indptr))
-    asymmetry = np.abs(difference.data).max(axis=(1, 2), initial=0.0) / (scale[rows] * scale[difference.indices])
-    worst = int(np.argmax(asymmetry))
-    if asymmetry[worst] > _ASYMMETRY:
-        raise ValueError(f"matrix must be symmetric; |A - A'| reaches {asymmetry[worst]:.2g} of the diagonal, between "
-                         f"nodes {rows[worst]} and {difference.indices[worst]}")
+def _exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
+               ) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
+    """Contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
+    weights = sparse.csr_array(weights, dtype=np.float64)
+    places, carriers, unmatched = find_carriers(contact, weights, fixed, law)
+    if len(unmatched):
+        raise ValueError(f"contact: slave node {contact.nodes[unmatched[0]]} has a supported tangential component, and "
+                         "no node that it faces can take its place (each belongs to another one, too): exchange slave "
+                         "and master, or leave the node out and let its neighbours take its part")
+    if not len(places):
+        return contact, weights, law, None
+    slaves = contact.nodes[places]
+    sigma = np.ones(len(contact))
+    sigma[places] = -weights[slaves, carriers]
+    posed = Exchange(contact, sparse.csr_array(weights[contact.nodes]), sigma)
+    nodes, boundary, pairs = contact.nodes.copy(), contact.boundary.copy(), len(contact.names)
+    nodes[places] = carriers
+    boundary[places] += pairs
+    masters = tuple(master or name for name, master in zip(contact.names, contact.masters, strict=True))
+    size = np.abs(sigma)
+    turned = ContactNodes(nodes=nodes, normals=contact.normals * np.sign(sigma)[:, None], gaps=contact.gaps / size,
+                          weights=contact.weights * size, slip_reference=contact.slip_reference / sigma[:, None],
+                          allow_interference=contact.allow_interference, boundary=boundary,
+                          names=(*contact.names, *masters), masters=(*contact.masters, *contact.names))
+    return turned, rows_of_carriers(weights, slaves, carriers), ScaledLaw(law, size), posed
 
 
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:

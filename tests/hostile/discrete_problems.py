@@ -213,8 +213,11 @@ INPUTS = (
     Hostile("names None", lambda: _contact(names=None), "names"),
     Hostile("names numbers", lambda: _contact(names=(1,)), "names"),
     Hostile("names empty", lambda: _contact(names=()), "names"),
-    Hostile("names twice", lambda: _contact(names=("a", "a"), boundary=[0, 1]), "names"),
-    Hostile("names contact of several", lambda: _contact(names=("a", "contact"), boundary=[0, 1]), "'contact'"),
+    Hostile("names contact of several", lambda: _discrete(
+        contact=_contact(names=("a", "contact"), boundary=[0, 1])), "'contact'"),
+    Hostile("masters contact", lambda: _coupled(_weights(), contact=_contact(names=("a",), masters=("contact",))),
+            "'contact'"),
+    Hostile("coupled bounds None", lambda: _coupled(_weights(), law=_Law(lambda n: None)), "law"),
     Hostile("names surrogate", lambda: _contact(names=("\ud800",)), "names"),
     Hostile("masters letters", lambda: _contact(masters="m"), "masters"),
     Hostile("masters numbers", lambda: _contact(masters=(1,)), "masters"),
