@@ -13,7 +13,7 @@ meant in relative coordinates: :meth:`DiscreteProblem.coupled` makes them.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,10 +118,8 @@ class ContactNodes:
             raise ValueError("names is empty: give one name at least")
         masters = ("",) * len(names)
         if self.masters is not None:
-            if isinstance(self.masters, (str, bytes)) or not isinstance(self.masters, Iterable):
-                raise TypeError(f"masters must be a sequence of names, got {checks.shown(self.masters)}")
             masters = tuple("" if isinstance(item, str) and not item else checks.boundary_name(f"masters[{i}]", item)
-                            for i, item in enumerate(self.masters))
+                            for i, item in enumerate(checks.listed("masters", self.masters, "names")))
         if len(masters) != len(names):
             raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
         return names, masters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -369,9 +369,7 @@ def _each(name: str, value: Any, one: tuple[type, ...]) -> tuple[Any, ...]:
     """A sequence with a value a level; an instance of ``one`` stands for one level."""
     if isinstance(value, one) and not isinstance(value, bool):
         return (value,)
-    if isinstance(value, (str, bytes, Mapping)) or not isinstance(value, Iterable) or isinstance(value, type):
-        raise TypeError(f"{name} must be a sequence, a value a level, coarse to fine, got {checks.described(value)}")
-    values = tuple(value)
+    values = checks.listed(name, value, "values, one a level, coarse to fine")
     if not values:
         raise ValueError(f"{name} is empty: no meshes; give at least one, coarse to fine")
     return values

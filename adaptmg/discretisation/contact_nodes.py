@@ -206,4 +206,4 @@ def _at_contact(slip_reference: np.ndarray | None, mesh: MeshArrays, nodes: np.n
     if np.shape(slip_reference) != mesh.points.shape:
         raise ValueError(f"slip_reference must be a displacement of all nodes, shape {mesh.points.shape}, got "
                          f"{np.shape(slip_reference)}")
-    return np.asarray(slip_reference, dtype=np.float64)[nodes]
+    return checks.array("slip_reference", slip_reference, mesh.points.shape)[nodes]

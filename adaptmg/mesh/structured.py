@@ -8,7 +8,6 @@ permutation :math:`\pi` of the axes, :math:`x_0, x_0 + e_{\pi(1)}, x_0 + e_{\pi(
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from itertools import permutations
 
@@ -25,9 +24,6 @@ from adaptmg.problem.domains import Box, Rectangle
 __all__ = ["structured"]
 
 Divisions = int | Sequence[int]
-
-#: what making the mesh takes at its peak, measured
-_BYTES_PER_NODE = {2: 600, 3: 2000}
 
 
 def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mapping[str, Divisions],
@@ -97,13 +93,10 @@ def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> Me
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     """One number of cells for each axis."""
     if np.ndim(divisions) == 0:
-        divisions = (divisions,) * dim
+        return (checks.integer("divisions", divisions, 1),) * dim
     if len(divisions) != dim:
-        raise ValueError(f"divisions must be one integer or {dim} of them, got {checks.shown(divisions)}")
-    counts = tuple(checks.integer("divisions", n, 1, 2**31) for n in divisions)
-    nodes = math.prod(n + 1 for n in counts)
-    checks.fits("divisions", _BYTES_PER_NODE[dim] * nodes, f"{counts} make {nodes:.3g} nodes, whose mesh alone")
-    return counts
+        raise ValueError(f"divisions must be one integer or {dim} of them, got {divisions!r}")
+    return tuple(checks.integer("divisions", n, 1) for n in divisions)
 
 
 def _triangles(cells: np.ndarray, lattice: np.ndarray, stride: np.ndarray, diagonal: str) -> np.ndarray:

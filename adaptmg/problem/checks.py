@@ -18,7 +18,7 @@ import numpy as np
 from scipy import sparse
 
 __all__ = ["TINIEST", "VAST", "array", "boundary_name", "choice", "described", "field", "file_path", "fits", "flag",
-           "instance", "integer", "items", "nonnegative", "number", "offers", "optional_callable", "positive",
+           "instance", "integer", "items", "listed", "nonnegative", "number", "offers", "optional_callable", "positive",
            "quantity", "shown", "sparse_matrix", "square_blocks", "strings", "suggestion", "tolerance", "vector"]
 
 VAST, TINIEST = 1e40, 1e-40
@@ -28,7 +28,8 @@ them, are then in the range of double precision."""
 
 def number(name: str, value: Any) -> float:
     """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several numbers are refused."""
-    if isinstance(value, (bool, np.bool_, str, bytes)) or np.iscomplexobj(value) or not hasattr(value, "__float__"):
+    plain = hasattr(value, "__float__") and not isinstance(value, (bool, np.bool_, str, bytes, np.ma.MaskedArray))
+    if not plain or np.iscomplexobj(value):
         raise TypeError(f"{name} must be a number, got {shown(value)}")
     try:
         result = float(value)
@@ -89,17 +90,17 @@ def optional_callable(name: str, value: Any, words: str) -> Any:
     return value
 
 
-def integer(name: str, value: Any, minimum: int = 0, maximum: int | None = None) -> int:
+def integer(name: str, value: Any, minimum: int = 0, maximum: int = 2**63 - 1) -> int:
     """Return ``value`` as an int >= ``minimum`` (floats and bools are refused, numpy integers are fine)."""
-    if isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{name} must be an integer, got {value!r}")
+    if isinstance(value, (bool, np.bool_, np.ma.MaskedArray)):
+        raise TypeError(f"{name} must be an integer, got {shown(value)}")
     try:
         result = operator.index(value)
     except TypeError:
         raise TypeError(f"{name} must be an integer, got {shown(value)}") from None
     if result < minimum:
         raise ValueError(f"{name} must be >= {minimum}, got {shown(value)}")
-    if maximum is not None and result > maximum:
+    if result > maximum:
         raise ValueError(f"{name} must be <= {maximum}, got {shown(value)}")
     return result
 
@@ -141,6 +142,8 @@ def array(name: str, value: Any, shape: tuple[int | None, ...], *, integer: bool
         Whole numbers, as int64; otherwise float64.
     """
     wanted = "integers" if integer else "real numbers"
+    if isinstance(value, np.ma.MaskedArray):
+        raise TypeError(f"{name} must be an array of {wanted}, got a masked one: fill it first")
     try:
         given = np.asarray(value)
     except (TypeError, ValueError):
@@ -269,18 +272,25 @@ def items(name: str, value: Any, wanted: type | tuple[type, ...], words: str = "
     """Return a sequence of instances of ``wanted`` as a tuple; one instance alone stands for a sequence of one."""
     if isinstance(value, wanted):
         return (value,)
-    if isinstance(value, (str, bytes, Mapping)) or not isinstance(value, Iterable):
-        kinds = wanted if isinstance(wanted, tuple) else (wanted,)
-        raise TypeError(f"{name} must be a sequence of {words or ' or '.join(k.__name__ for k in kinds)}, "
-                        f"got {described(value)}")
-    return tuple(instance(f"{name}[{i}]", item, wanted, words) for i, item in enumerate(value))
+    kinds = wanted if isinstance(wanted, tuple) else (wanted,)
+    found = listed(name, value, words or " or ".join(kind.__name__ for kind in kinds))
+    return tuple(instance(f"{name}[{i}]", item, wanted, words) for i, item in enumerate(found))
+
+
+def listed(name: str, value: Any, words: str) -> tuple[Any, ...]:
+    """Return a sequence as a tuple; ``words`` say of what. Text, mappings, single numbers and matrices are none."""
+    try:
+        if not isinstance(value, (str, bytes, Mapping, type)) and not sparse.issparse(value):
+            return tuple(value)
+    except TypeError:
+        pass
+    raise TypeError(f"{name} must be a sequence of {words}, got {described(value)}")
 
 
 def strings(name: str, value: Any) -> tuple[str, ...]:
     """Return a sequence of names as a tuple; a string is no sequence of names (it would be split into letters)."""
-    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-        raise TypeError(f"{name} must be a sequence of names such as ({value!r},), got {shown(value)}")
-    return tuple(boundary_name(f"{name}[{i}]", item) for i, item in enumerate(value))
+    words = f"names such as ({value!r},)" if isinstance(value, str) and value.isprintable() else "names"
+    return tuple(boundary_name(f"{name}[{i}]", item) for i, item in enumerate(listed(name, value, words)))
 
 
 def file_path(name: str, value: Any) -> Path:

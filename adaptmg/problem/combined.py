@@ -49,7 +49,7 @@ class Moved(SolidDomain):
     def __post_init__(self) -> None:
         _solid("solid", self.solid)
         object.__setattr__(self, "offset", triple("offset", self.offset))
-        object.__setattr__(self, "angle", checks.number("angle", self.angle))
+        object.__setattr__(self, "angle", checks.quantity("angle", self.angle))
         object.__setattr__(self, "axis", direction("axis", self.axis))
 
     @property

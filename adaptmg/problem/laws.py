@@ -44,7 +44,7 @@ def _check_parameter(name: str, value: FieldLike | np.ndarray) -> None:
     if callable(value) and not isinstance(value, type):
         return
     try:
-        array = np.asarray(value)
+        array = np.asarray(None if isinstance(value, np.ma.MaskedArray) else value)
     except (TypeError, ValueError):
         array = np.asarray(None)
     if array.dtype.kind not in "fiu":

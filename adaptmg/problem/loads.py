@@ -5,7 +5,7 @@ Values are numbers, or vectorised functions of position (n, dim) -> (n,).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,10 +23,8 @@ def _field(name: str, value: FieldLike) -> FieldLike:
 
 
 def _check_components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]:
-    if callable(values) or isinstance(values, (str, bytes, Mapping)) or not isinstance(values, Iterable):
-        raise TypeError(f"{name} must be a sequence of numbers or functions, one a component, "
-                        f"got {checks.described(values)}")
-    result = tuple(_field(name, value) for value in values)
+    listed = checks.listed(name, values, "numbers or functions, one a component")
+    result = tuple(_field(name, value) for value in listed)
     if len(result) not in (2, 3):
         raise ValueError(f"{name} must have 2 or 3 components, got {len(result)}")
     return result

@@ -35,6 +35,8 @@ class Plane:
 
     def __post_init__(self) -> None:
         point = checks.vector("point", self.point)
+        if point.size not in (2, 3):
+            raise ValueError(f"point must have 2 or 3 components, got {point.size}")
         normal = checks.vector("normal", self.normal, point.size)
         length = np.linalg.norm(normal)
         if not length > 0:

@@ -210,7 +210,7 @@ class Extrusion(SolidDomain):
     def __post_init__(self) -> None:
         _profile("polygon", self.polygon)
         object.__setattr__(self, "height", checks.quantity("height", self.height, positive=True))
-        object.__setattr__(self, "base", checks.number("base", self.base))
+        object.__setattr__(self, "base", checks.quantity("base", self.base))
         if {"bottom", "top"} & set(self.polygon.boundaries):
             raise ValueError("the edges of polygon must not be called 'bottom' or 'top': these are the end planes")
 

@@ -6,7 +6,7 @@ same, and :func:`is_galerkin` finds that out with one product.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -216,10 +216,8 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
         Coarsest first, without the finest; blocks of size 1 where the prolongations are of dofs. A coarse dof that
         nothing free reaches has a diagonal entry only.
     """
-    if sparse.issparse(prolongations) or isinstance(prolongations, str) or not isinstance(prolongations, Iterable):
-        raise TypeError("prolongations must be a sequence of scipy sparse matrices, coarse to fine, got "
-                        f"{checks.described(prolongations)}")
-    given = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(prolongations)]
+    listed = checks.listed("prolongations", prolongations, "scipy sparse matrices, coarse to fine")
+    given = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(listed)]
     if not given:
         raise ValueError("prolongations is empty: give at least one, or use Hierarchy.single")
     dim, n = matrix.blocksize[0], matrix.shape[0]

@@ -189,6 +189,7 @@ INPUTS = (
     Hostile("nodes None", lambda: _contact(nodes=None), "nodes"),
     Hostile("nodes one number", lambda: _contact(nodes=5), "nodes"),
     Hostile("nodes ragged", lambda: _contact(nodes=[[0], [1, 2]]), "nodes"),
+    Hostile("nodes masked", lambda: _contact(nodes=np.ma.masked_array([0, 5], mask=[0, 1])), "nodes"),
     Hostile("nodes huge", lambda: _contact(nodes=[0, 10**30]), "nodes"),
     Hostile("nodes mask", lambda: _contact(nodes=np.arange(_N) < 2), "nodes"),
     Hostile("normals text", lambda: _contact(normals=[["0", "-1"], ["0", "-1"]]), "normals"),

@@ -110,7 +110,7 @@ def _corrections():
         yield Hostile(f"correction {label}", lambda c=change: _by(correction=_Correction(c)), "correction")
     yield Hostile("correction class", lambda: am.Multigrid(correction=am.Truncated), "correction")
     yield Hostile("correction class of Monotone", lambda: am.Multigrid(correction=am.Monotone), "correction")
-    yield Hostile("correction text", lambda: am.Multigrid(correction="monotone"), "correction")
+    yield Hostile("correction as text", lambda: am.Multigrid(correction="monotone"), "correction")
     yield Hostile("correction without needs_initial", lambda: am.Multigrid(correction=_Transfer(None)), "correction")
 
 
@@ -189,7 +189,7 @@ def _linear_solvers():
     yield Hostile("linear prepares text", lambda: _active_set(_Linear(prepared="ready")), "linear")
     yield Hostile("linear class", lambda: am.ActiveSet(linear=am.Direct), "linear")
     yield Hostile("linear class AMG", lambda: am.ActiveSet(linear=am.AMG), "linear")
-    yield Hostile("linear text", lambda: am.ActiveSet(linear="direct"), "linear")
+    yield Hostile("linear as text", lambda: am.ActiveSet(linear="direct"), "linear")
 
 
 class _Law:
