@@ -20,23 +20,21 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.coupling import Coupling
+from adaptmg.discrete_input import (
+    SMALLEST,
+    bounded,
+    check_bounds,
+    check_size,
+    checked_bodies,
+    checked_mask,
+    checked_matrix,
+)
 from adaptmg.exchange import NEGLIGIBLE, Exchange, ScaledLaw, facing_part, find_carriers, rows_of_carriers
+from adaptmg.problem import checks
+from adaptmg.problem.contact_problem import CONTACT, check_law
 from adaptmg.problem.laws import Law
 
 __all__ = ["ContactNodes", "DiscreteProblem"]
-
-
-def _array(name: str, value: object, shape: tuple[int | None, ...], dtype: type = np.float64) -> np.ndarray:
-    """A read-only copy of the wanted shape (None: any) and type, finite."""
-    result = np.array(value, dtype=dtype, order="C")
-    if len(result.shape) != len(shape) or any(w is not None and w != g
-                                              for w, g in zip(shape, result.shape, strict=True)):
-        wanted = "(" + ", ".join("n" if w is None else str(w) for w in shape) + ")"
-        raise ValueError(f"{name} must have shape {wanted}, got {result.shape}")
-    if dtype is np.float64 and not np.isfinite(result).all():
-        raise ValueError(f"{name} must be finite; {np.count_nonzero(~np.isfinite(result))} entries are not")
-    result.flags.writeable = False
-    return result
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,16 +74,14 @@ class ContactNodes:
     masters: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        nodes = np.asarray(self.nodes)
-        if nodes.dtype.kind not in "iu":
-            raise TypeError(f"nodes must be integers, got {nodes.dtype}")
-        nodes = _array("nodes", nodes, (None,), np.int64)
+        nodes = checks.array("nodes", self.nodes, (None,), integer=True)
         n = len(nodes)
         if n == 0:
             raise ValueError("nodes is empty: a contact problem needs at least one contact node")
         if len(np.unique(nodes)) < n or nodes.min() < 0:
             raise ValueError("nodes must be distinct and >= 0")
-        normals = _array("normals", self.normals, (n, None))
+        checks.flag("allow_interference", self.allow_interference)
+        normals = bounded("normals", self.normals, (n, None), 2.0)
         if normals.shape[1] not in (2, 3):
             raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
         lengths = np.linalg.norm(normals, axis=1)
@@ -94,28 +90,50 @@ class ContactNodes:
             raise ValueError(f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}")
         normals = normals / lengths[:, None]
         normals.flags.writeable = False
-        gaps = _array("gaps", self.gaps, (n,))
+        gaps = bounded("gaps", self.gaps, (n,), checks.VAST)
         if not self.allow_interference and gaps.min() < 0:
             i = int(np.argmin(gaps))
             raise ValueError(f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
                              "for an interference fit say allow_interference=True")
-        weights = _array("weights", np.ones(n) if self.weights is None else self.weights, (n,))
-        if not weights.min() > 0:
-            raise ValueError(f"weights must be > 0, got {weights.min():.6g}")
+        weights = bounded("weights", np.ones(n) if self.weights is None else self.weights, (n,))
+        if not weights.min() > 0 or weights.min() < SMALLEST:
+            raise ValueError(f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}")
         reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
-        reference = _array("slip_reference", reference, normals.shape)
+        reference = bounded("slip_reference", reference, normals.shape, checks.VAST)
+        names, masters = self._names()
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
-        boundary = _array("boundary", boundary, (n,), np.int64)
-        if boundary.min() < 0 or boundary.max() >= len(self.names):
-            raise ValueError(f"boundary must index names ({len(self.names)} given), got {boundary.max()}")
-        names = tuple(self.names)
-        masters = ("",) * len(names) if self.masters is None else tuple(self.masters)
-        if len(masters) != len(names):
-            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
+        boundary = checks.array("boundary", boundary, (n,), integer=True)
+        if boundary.min() < 0 or boundary.max() >= len(names):
+            wrong = boundary.min() if boundary.min() < 0 else boundary.max()
+            raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")
         for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
                             ("slip_reference", reference), ("boundary", boundary), ("names", names),
                             ("masters", masters)):
             object.__setattr__(self, name, value)
+
+    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of the contact boundaries and of what they may touch, checked."""
+        names = checks.strings("names", self.names)
+        if not names:
+            raise ValueError("names is empty: give one name at least")
+        masters = ("",) * len(names)
+        if self.masters is not None:
+            masters = tuple("" if isinstance(item, str) and not item else checks.boundary_name(f"masters[{i}]", item)
+                            for i, item in enumerate(checks.listed("masters", self.masters, "names")))
+        if len(masters) != len(names):
+            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
+        return names, masters
+
+    def check_name_contact(self) -> None:
+        """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""
+        if CONTACT in self.masters or (CONTACT in self.names and len(self.names) > 1):
+            raise ValueError(f"contact: the name {CONTACT!r} stands for all contact boundaries together; of several "
+                             f"names and masters none may be it, got {self.names} and {self.masters}")
+
+    def check_nodes(self, n_nodes: int) -> None:
+        """ValueError unless there are so many nodes that each of these is one."""
+        if self.nodes.max() >= n_nodes:
+            raise ValueError(f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes")
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -194,13 +212,24 @@ class DiscreteProblem:
         DiscreteProblem
             In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
         """
-        contact, weights, law, exchange = _exchanged(contact, weights, np.asarray(fixed), law)
-        coupling = Coupling(weights, np.asarray(fixed))
-        if near_nullspace is None and coordinates is not None:
-            near_nullspace = rigid_body_modes(np.asarray(coordinates, dtype=np.float64))
-        blocks = sparse.bsr_array(matrix, blocksize=(coupling.dim, coupling.dim))
+        checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
+        check_law(law)
+        contact.check_name_contact()
+        dim, fixed = contact.dim, checked_mask("fixed", fixed)
+        blocks, n = checked_matrix(matrix, dim), len(fixed)
+        if blocks.shape[0] != n:
+            raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
+        weights = checks.sparse_matrix("weights", weights, (n // dim, n // dim))
+        contact.check_nodes(n // dim)
+        check_bounds(law, len(contact))
+        contact, weights, law, exchange = _exchanged(contact, weights, fixed, law)
+        coupling = Coupling(weights, fixed)
+        if near_nullspace is not None:
+            near_nullspace = bounded("near_nullspace", near_nullspace, (n, None))
+        elif coordinates is not None:
+            near_nullspace = rigid_body_modes(bounded("coordinates", coordinates, (n // dim, dim), checks.VAST))
         return cls(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
-                   load=coupling.relative_forces(np.asarray(load, dtype=np.float64)), fixed_values=fixed_values,
+                   load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
                    coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
                    near_nullspace=None if near_nullspace is None else coupling.relative(near_nullspace))
 
@@ -258,73 +287,52 @@ class DiscreteProblem:
             Displacement of the contact nodes against which slip is measured, as :meth:`at_contact` has it, m.
         """
         contact, result = copy.copy(self.contact), copy.copy(self)
-        reference = _array("slip_reference", slip_reference, contact.normals.shape)
+        reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
-        values = _array("fixed_values", fixed_values, (self.n_dofs,))
-        values = _array("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
-        for name, value in (("load", _array("load", load, (self.n_dofs,))), ("fixed_values", values),
+        values = bounded("fixed_values", fixed_values, (self.n_dofs,))
+        values = bounded("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
+        for name, value in (("load", bounded("load", load, (self.n_dofs,))), ("fixed_values", values),
                             ("contact", contact)):
             object.__setattr__(result, name, value)
         return result
 
     def __post_init__(self) -> None:
-        if not isinstance(self.contact, ContactNodes):
-            raise TypeError(f"contact must be ContactNodes, got {type(self.contact).__name__}")
-        if not isinstance(self.law, Law) or isinstance(self.law, type):
-            raise TypeError(f"law must be Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds, "
-                            f"got {self.law!r}")
+        checks.instance("contact", self.contact, ContactNodes, "ContactNodes(...)")
+        check_law(self.law)
+        checks.boundary_name("name", self.name)
         dim = self.contact.dim
-        matrix = self._checked_matrix(dim)
+        matrix = checked_matrix(self.matrix, dim)
         n = matrix.shape[0]
-        if self.contact.nodes.max() >= n // dim:
-            raise ValueError(f"contact.nodes: node {self.contact.nodes.max()} does not exist; "
-                             f"there are {n // dim} nodes")
-        fixed = np.asarray(self.fixed)
-        if fixed.dtype != bool:
-            raise TypeError(f"fixed must be a boolean mask over the {n} dofs, got {fixed.dtype}")
+        self.contact.check_nodes(n // dim)
+        if self.exchange is None:
+            self.contact.check_name_contact()
+        fixed = checked_mask("fixed", self.fixed, n)
+        load = bounded("load", self.load, (n,))
+        check_size("load", np.abs(load).max())
         values = np.zeros(n) if self.fixed_values is None else self.fixed_values
-        values = np.where(fixed, values, 0.0) if np.shape(values) == fixed.shape else values
-        arrays = {"matrix": matrix, "load": _array("load", self.load, (n,)),
-                  "fixed": _array("fixed", fixed, (n,), bool), "fixed_values": _array("fixed_values", values, (n,))}
+        if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
+            values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
+        values = np.where(fixed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
+        values.flags.writeable = False
+        arrays = {"matrix": matrix, "load": load, "fixed": fixed, "fixed_values": values}
         if self.coordinates is not None:
-            arrays["coordinates"] = _array("coordinates", self.coordinates, (n // dim, dim))
+            arrays["coordinates"] = bounded("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
         if self.near_nullspace is not None:
-            arrays["near_nullspace"] = _array("near_nullspace", self.near_nullspace, (n, None))
+            arrays["near_nullspace"] = bounded("near_nullspace", self.near_nullspace, (n, None))
+            if not arrays["near_nullspace"].any():
+                raise ValueError("near_nullspace holds no mode: give the rigid-body motions, a column each, or None")
         elif self.coordinates is not None:
             arrays["near_nullspace"] = rigid_body_modes(arrays["coordinates"])
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
+        if self.bodies is not None:
+            object.__setattr__(self, "bodies", checked_bodies(self.bodies, n // dim))
+        if self.coupling is not None:
+            checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
         if self.coupling is not None and not np.array_equal(self.coupling.fixed, arrays["fixed"]):
             raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
         self._check_fixed_at_contact()
-        for name, bound in zip(("limit", "friction"), self.law.bounds(len(self.contact)), strict=True):
-            if not (np.isfinite(bound).all() and (bound >= 0).all()):
-                raise ValueError(f"law: the nodal {name} must be finite and >= 0")
-
-    def _checked_matrix(self, dim: int) -> sparse.bsr_array:
-        if not sparse.issparse(self.matrix):
-            raise TypeError(f"matrix must be a scipy sparse matrix, got {type(self.matrix).__name__}")
-        rows, columns = self.matrix.shape
-        if rows != columns or rows % dim:
-            raise ValueError(f"matrix must be square with a multiple of {dim} rows, got {self.matrix.shape}")
-        matrix = sparse.bsr_array(self.matrix, blocksize=(dim, dim))
-        if matrix.dtype != np.float64:
-            matrix = matrix.astype(np.float64)
-        if not matrix.has_sorted_indices:
-            matrix = matrix.sorted_indices()
-        if not np.isfinite(matrix.data).all():
-            raise ValueError("matrix must be finite")
-        scale = np.abs(matrix.data).max(initial=0.0)
-        if not scale > 0:
-            raise ValueError("matrix is zero")
-        asymmetry = abs(matrix - matrix.T).max()
-        if asymmetry > 1e-8 * scale:
-            raise ValueError(f"matrix must be symmetric; |A - A'| reaches {asymmetry / scale:.2g} of its largest entry")
-        diagonal = matrix.diagonal()
-        if not (diagonal > 0).all():
-            i = int(np.argmin(diagonal))
-            raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
-        return matrix
+        check_bounds(self.law, len(self.contact))
 
     def _check_fixed_at_contact(self) -> None:
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
@@ -355,9 +363,6 @@ class DiscreteProblem:
 def _exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
                ) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
     """Contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
-    if not (isinstance(contact, ContactNodes) and sparse.issparse(weights) and isinstance(law, Law)
-            and fixed.dtype == bool and fixed.shape == (contact.dim * weights.shape[0],)):
-        return contact, weights, law, None  # to be refused where it is checked
     weights = sparse.csr_array(weights, dtype=np.float64)
     places, carriers, unmatched = find_carriers(contact.nodes, weights, fixed, law)
     if len(unmatched):

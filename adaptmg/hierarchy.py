@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -49,6 +50,25 @@ class Level:
     galerkin: sparse.bsr_array | None = None
     surface_prolongation: sparse.csr_array | None = None
 
+    def __post_init__(self) -> None:
+        if self.discrete is not None:
+            checks.instance("discrete", self.discrete, DiscreteProblem, "a DiscreteProblem or None")
+        elif not (sparse.issparse(self.galerkin) and self.galerkin.format == "bsr"):
+            raise TypeError("galerkin must be a bsr_array where there is no discrete problem, got "
+                            f"{checks.described(self.galerkin)}")
+        if self.galerkin is not None:
+            rows, columns = checks.sparse_matrix("galerkin", self.galerkin).shape
+            if rows != columns:
+                raise ValueError(f"galerkin must be square, got {(rows, columns)}")
+        if self.mesh is not None:
+            checks.instance("mesh", self.mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts")
+        for name in ("prolongation", "surface_prolongation"):
+            value = getattr(self, name)
+            if value is not None:
+                value = checks.sparse_matrix(name, value)
+                as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
+                object.__setattr__(self, name, value if as_csr else sparse.csr_array(value, dtype=np.float64))
+
     @property
     def contact_prolongation(self) -> sparse.csr_array | None:
         """The form of the prolongation for corrections that carry constraints to the coarse contact nodes."""
@@ -79,9 +99,11 @@ class Hierarchy:
     timings: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        levels = tuple(self.levels)
+        levels = checks.items("levels", self.levels, Level, "Level(...)")
         if not levels:
             raise ValueError("levels is empty: a hierarchy needs at least one level")
+        if self.problem is not None:
+            _need_problem(self.problem)
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
             wanted = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete is None and coarse.matrix.blocksize[0] == 1:
@@ -89,6 +111,9 @@ class Hierarchy:
             if fine.prolongation is None or fine.prolongation.shape != wanted:
                 got = None if fine.prolongation is None else fine.prolongation.shape
                 raise ValueError(f"levels[{k}].prolongation must have shape {wanted} (fine, coarse), got {got}")
+            if fine.surface_prolongation is not None and fine.surface_prolongation.shape != wanted:
+                raise ValueError(f"levels[{k}].surface_prolongation must have shape {wanted} (fine, coarse), got "
+                                 f"{fine.surface_prolongation.shape}")
         if levels[-1].discrete is None:
             raise ValueError("the finest level has no DiscreteProblem")
         object.__setattr__(self, "levels", levels)
@@ -129,6 +154,7 @@ class Hierarchy:
     @classmethod
     def single(cls, discrete: DiscreteProblem) -> Hierarchy:
         """One level, for methods that need no coarse grid."""
+        checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         return cls((Level(discrete),), origin="one level")
 
     @classmethod
@@ -149,6 +175,7 @@ class Hierarchy:
         from adaptmg.mesh import structured
 
         _need_domain(problem)
+        divisions = _each("divisions", divisions, (int, np.integer, Mapping))
         begin = time.perf_counter()
         meshes = [structured(problem.domain, n, diagonal=diagonal) for n in divisions]
         seconds = time.perf_counter() - begin
@@ -176,6 +203,7 @@ class Hierarchy:
         from adaptmg.mesh import graded
 
         _need_domain(problem)
+        sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
         begin = time.perf_counter()
         meshes = [graded(problem.domain, size, problem.pair_boundaries, contact_ratio) for size in sizes]
         seconds = time.perf_counter() - begin
@@ -195,6 +223,7 @@ class Hierarchy:
         """
         from adaptmg.mesh import as_mesh, refine_near
 
+        _need_problem(problem)
         begin = time.perf_counter()
         first = as_mesh(coarsest)
         problem.check_boundaries(first.boundaries)
@@ -220,8 +249,10 @@ class Hierarchy:
         """
         from adaptmg.mesh import as_mesh
 
+        _need_problem(problem)
         begin = time.perf_counter()
-        arrays = [as_mesh(mesh) for mesh in meshes]
+        alone = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
+        arrays = [as_mesh(mesh) for mesh in _each("meshes", (meshes,) if alone else meshes, ())]
         return cls._build(problem, arrays, transfer, "given meshes", time.perf_counter() - begin, contact_rows)
 
     @classmethod
@@ -238,6 +269,7 @@ class Hierarchy:
         """
         from adaptmg.transfer.galerkin import coarse_spaces
 
+        checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = time.perf_counter()
         given, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
         levels = [Level(None, galerkin=matrices[0])]
@@ -260,8 +292,7 @@ class Hierarchy:
         """
         from adaptmg.transfer.aggregation import aggregated_prolongations
 
-        if not isinstance(discrete, DiscreteProblem):
-            raise TypeError(f"discrete must be a DiscreteProblem, got {type(discrete).__name__}")
+        checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = time.perf_counter()
         strength = checks.nonnegative("strength", strength)
         if not strength < 1:
@@ -281,11 +312,9 @@ class Hierarchy:
         from adaptmg.transfer import Interpolation, mesh_ratio
         from adaptmg.transfer.between_levels import between_levels
 
-        if not meshes:
-            raise ValueError("no meshes: give at least one, coarse to fine")
         transfer = Interpolation() if transfer is None else transfer
-        if not callable(getattr(transfer, "build", None)):
-            raise TypeError(f"transfer must offer build(coarse, fine) -> sparse matrix, got {transfer!r}")
+        checks.offers("transfer", transfer, "build", "a transfer, which offers build(coarse, fine) -> sparse matrix")
+        checks.flag("contact_rows", contact_rows)
         _check_coarse_to_fine(meshes)
         begin = time.perf_counter()
         discretes = [discretise(problem, mesh) for mesh in meshes]
@@ -332,7 +361,22 @@ class Hierarchy:
         return "\n".join(lines)
 
 
+def _need_problem(problem: ContactProblem) -> None:
+    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+
+
+def _each(name: str, value: Any, one: tuple[type, ...]) -> tuple[Any, ...]:
+    """A sequence with a value a level; an instance of ``one`` stands for one level."""
+    if isinstance(value, one) and not isinstance(value, bool):
+        return (value,)
+    values = checks.listed(name, value, "values, one a level, coarse to fine")
+    if not values:
+        raise ValueError(f"{name} is empty: no meshes; give at least one, coarse to fine")
+    return values
+
+
 def _need_domain(problem: ContactProblem) -> None:
+    _need_problem(problem)
     if problem.domain is None:
         raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
 

@@ -86,8 +86,9 @@ def _lowered(problem: am.ContactProblem, rng: np.random.Generator, boundaries: t
     else:
         contact = replace(contact, obstacle=am.GapFunction(lambda points: np.full(len(points), gap)))
     # a support that meets the moved boundary must want the same there
-    supports = tuple(s for s in problem.supports if s.boundary.rpartition(".")[2] not in ("right", "left", "back", "front")
-                     or s.boundary.startswith("lower"))
+    sides = ("right", "left", "back", "front")
+    supports = tuple(support for support in problem.supports
+                     if support.boundary.rpartition(".")[2] not in sides or support.boundary.startswith("lower"))
     return replace(problem, loads=loads, contact=(contact,), reference={},
                    supports=(*supports, *(am.Support(name, **values) for name in boundaries)))
 

@@ -89,7 +89,7 @@ def test_refusals(problem):
                              divisions=(2, 4))
     with pytest.raises(ValueError, match=r"contact_ratio"):
         am.Hierarchy.graded(problem, sizes=(20e-3, 10e-3), contact_ratio=np.nan)
-    with pytest.raises(TypeError, match="transfer must offer build"):
+    with pytest.raises(TypeError, match="transfer must be a transfer, which offers build"):
         am.Hierarchy.graded(problem, sizes=(20e-3, 10e-3), transfer="interpolation")
     with pytest.raises(ValueError, match="levels is empty"):
         am.Hierarchy(())

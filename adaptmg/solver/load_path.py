@@ -15,8 +15,14 @@ import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem import checks
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.solver.arguments import default_solver, displacement_argument, warn_of_large_friction
+from adaptmg.solver.arguments import (
+    displacement_argument,
+    grids_argument,
+    solver_argument,
+    warn_of_large_friction,
+)
 from adaptmg.solver.path_result import PathResult
 from adaptmg.solver.path_store import PathStore
 from adaptmg.solver.path_walk import PathWalk
@@ -89,16 +95,12 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         Bad input, or a rigid motion that neither supports nor contact hold in a step.
     StepNotConverged
     """
-    if isinstance(grids, DiscreteProblem):
-        grids = Hierarchy.single(grids)
-    elif not isinstance(grids, Hierarchy):
-        raise TypeError(f"grids must be a Hierarchy or a DiscreteProblem, got {type(grids).__name__}")
-    if not isinstance(path, LoadPath):
-        raise TypeError(f"path must be a LoadPath, got {type(path).__name__}")
-    solver = default_solver(grids) if solver is None else solver
-    if not callable(getattr(solver, "run", None)):
-        raise TypeError("solver must be SingleGrid, Multigrid, FullMultigrid, ActiveSet or offer run(), "
-                        f"got {solver!r}")
+    grids = grids_argument(grids)
+    checks.instance("path", path, LoadPath, "a LoadPath")
+    solver = solver_argument(solver, grids)
+    checks.flag("throw", throw)
+    checks.optional_callable("callback", callback, "the number and Result of a step")
+    checks.optional_callable("progress", progress, "the number of a step and a row of its history")
     walk = PathWalk(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
     mark = {} if store is None else walk.fingerprint()
     kept = None if store is None else PathStore(store, walk.factors, len(path), mark)

@@ -17,6 +17,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.smoother.system import LocalProblem, local_contact, local_system, rotate
+from adaptmg.solver.arguments import checked_outcome
 from adaptmg.solver.path_machine import coarse_displacements, lifted_load
 from adaptmg.solver.path_store import fingerprint
 from adaptmg.solver.result import Result
@@ -97,6 +98,7 @@ class PathWalk:
             result, coarse = self._undeformed(k, grids, run), None
         else:
             outcome, coarse = self.method.run(grids, self.local, run, past)
+            outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
             with run.phase("result"):
                 result = result_of(grids, self.local, run, outcome, self.solver, self._stress_data(k))
         with run.phase("result"):

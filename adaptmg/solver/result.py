@@ -228,11 +228,9 @@ class Result:
 
         if self.mesh is None:
             raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .displacement")
-        points = np.atleast_2d(np.asarray(points, dtype=np.float64))
-        if points.ndim != 2 or points.shape[1] != self.dim:
-            raise ValueError(f"points must have shape (n, {self.dim}), got {points.shape}")
-        if not np.isfinite(points).all():
-            raise ValueError("points must be finite")
+        if getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points))):
+            points = [points]  # one point
+        points = checks.array("points", points, (None, self.dim))
         found = PointLocator(self.mesh).locate(points)
         outside = found.distance > 1e-6 * self.mesh.element_sizes[found.element]
         if outside.any():
@@ -294,6 +292,7 @@ class Result:
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
         """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node has both)."""
+        checks.instance("boundary", boundary, str, "the name of a boundary")
         c = self.contact
         slave = np.array([boundary in ("contact", name) for name in c.names])
         master = np.array([boundary == name != "" for name in c.masters or ("",) * len(c.names)])

@@ -55,6 +55,8 @@ def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome,
 
 def _confirmed(outcome: Outcome, residual: float) -> Status:
     """The status of a solver, unless the residual of what it returned, computed here anew, contradicts it."""
+    if not np.isfinite(residual):
+        return Status.DIVERGED
     wanted = max(Convergence.RESIDUAL_FACTOR * outcome.rtol, Convergence.ROUNDING_LIMIT)
     # twice: solvers sum the same numbers in another order
     if outcome.status.ok and not residual <= 2 * wanted:

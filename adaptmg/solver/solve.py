@@ -9,8 +9,15 @@ import numpy as np
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem import checks
 from adaptmg.smoother.system import local_system
-from adaptmg.solver.arguments import default_solver, displacement_argument, warn_of_large_friction
+from adaptmg.solver.arguments import (
+    checked_outcome,
+    displacement_argument,
+    grids_argument,
+    solver_argument,
+    warn_of_large_friction,
+)
 from adaptmg.solver.critical_friction import warn_of_several_solutions
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_of import result_of
@@ -56,14 +63,10 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         Bad input, or a rigid motion that neither supports nor contact hold.
     NotConverged
     """
-    if isinstance(grids, DiscreteProblem):
-        grids = Hierarchy.single(grids)
-    elif not isinstance(grids, Hierarchy):
-        raise TypeError(f"grids must be a Hierarchy or a DiscreteProblem, got {type(grids).__name__}")
-    solver = default_solver(grids) if solver is None else solver
-    if not callable(getattr(solver, "run", None)):
-        raise TypeError("solver must be SingleGrid, Multigrid, FullMultigrid, ActiveSet or offer run(), "
-                        f"got {solver!r}")
+    grids = grids_argument(grids)
+    solver = solver_argument(solver, grids)
+    checks.flag("throw", throw)
+    checks.optional_callable("callback", callback, "a row of the history")
     discrete = grids.finest.discrete
     check_statics(discrete)
     local = local_system(discrete)
@@ -72,6 +75,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     known = displacement_argument("reference", reference, discrete)
     run = Run(unit=discrete.matrix.nnz, callback=callback, reference=known)
     outcome = solver.run(grids, run, displacement_argument("start", start, discrete))
+    outcome = checked_outcome(outcome, solver, discrete)
     posed, mesh = grids.problem, grids.finest.mesh
     stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
     result = result_of(grids, local, run, outcome, solver, stress_data)

@@ -14,6 +14,10 @@ TABLES = (
     "stores",
     "outputs",
     "command_line",
+    "problems",
+    "discrete_problems",
+    "user_parts",
+    "hierarchies_and_solvers",
 )
 
 
