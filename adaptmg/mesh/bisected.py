@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import from_ngsolve, to_ngsolve
+from adaptmg.mesh.build import own_mesh, to_ngsolve
 from adaptmg.mesh.check import check_mesh
 from adaptmg.problem import checks
 
@@ -59,7 +59,7 @@ def bisect(mesh: MeshArrays, marked: np.ndarray) -> tuple[MeshArrays, np.ndarray
     parents = np.repeat(np.arange(copy.nv), 2).reshape(-1, 2)
     # NGSolve tells parents node by node only: 0.2 us each, small beside the refinement itself
     parents[mesh.n_nodes:] = [copy.GetParentVertices(i) for i in range(mesh.n_nodes, copy.nv)]
-    return from_ngsolve(copy), parents
+    return own_mesh(copy), parents
 
 
 def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int = 1) -> list[MeshArrays]:

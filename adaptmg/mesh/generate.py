@@ -20,7 +20,7 @@ from netgen.occ import Box as OccBox
 from netgen.occ import OCCGeometry, Pnt, X, Y, Z
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import from_ngsolve, with_source
+from adaptmg.mesh.build import own_mesh, with_source
 from adaptmg.mesh.geometry import BOX_SIDES
 from adaptmg.mesh.outline import onto_outline, plane_measures, spline_geometry, straight_area
 from adaptmg.problem.domains import Box, Domain
@@ -130,7 +130,7 @@ def _generate(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, 
     """One call of Netgen on the scaled domain; the mesh in m, without source."""
     geometry = (_box if isinstance(domain, Box) else spline_geometry)(domain, lower, scale, sides)
     try:
-        unit = from_ngsolve(ngsolve.Mesh(geometry.GenerateMesh(mp=options)))
+        unit = own_mesh(ngsolve.Mesh(geometry.GenerateMesh(mp=options)))
     except (netgen.meshing.NgException, ValueError) as error:
         raise ValueError(f"Netgen could not mesh {domain!r} ({error}); change the sizes a little or take a smaller "
                          "grading") from error

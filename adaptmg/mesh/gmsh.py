@@ -15,6 +15,7 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import with_source
 from adaptmg.mesh.normalise import normalised
+from adaptmg.mesh.overlap import check_overlap
 from adaptmg.mesh.topology import facet_keys, facet_table
 
 __all__ = ["from_gmsh"]
@@ -89,8 +90,9 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
                          'or here by unnamed="free"')
     # the first name, of each body if these are split, is the one of unnamed facets
     label = tables.body[owner] * (len(tables.boundaries) // len(tables.bodies)) * split_bodies
-    return with_source(normalised(tables.points, tables.elements, np.concatenate([tables.facets, rest]),
-                                  np.concatenate([tables.label, label]), tables.boundaries, tables.body, tables.bodies))
+    return check_overlap(with_source(normalised(tables.points, tables.elements, np.concatenate([tables.facets, rest]),
+                                                np.concatenate([tables.label, label]), tables.boundaries, tables.body,
+                                                tables.bodies)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from netgen.occ import OCCGeometry, Solid
 from scipy.spatial import cKDTree
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import from_ngsolve, with_source
+from adaptmg.mesh.build import own_mesh, with_source
 from adaptmg.mesh.generate import expected_nodes, refuse_too_many
 from adaptmg.mesh.occ_shapes import occ_shape
 from adaptmg.mesh.topology import facet_keys, facet_table
@@ -230,7 +230,7 @@ def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, 
 def _read(mesh: ngsolve.Mesh) -> MeshArrays:
     """The checked arrays of a scaled mesh."""
     try:
-        return from_ngsolve(mesh)
+        return own_mesh(mesh)
     except ValueError as error:
         raise _Unsound(error) from error
 
