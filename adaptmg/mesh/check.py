@@ -41,9 +41,9 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
         If it is no MeshArrays.
     ValueError
         No elements; wrong shapes; a node number out of range; an inverted or degenerate element; an unused node; a
-        fold (two neighbours on the same side of their facet); a hole (a facet of one element that is no boundary facet),
-        a boundary facet inside the mesh, given twice, or oriented
-        inwards; a named boundary that is missing; a body of several pieces.
+        fold (two neighbours on the same side of their facet); a hole (a facet of one element that is no boundary
+        facet), a boundary facet inside the mesh, given twice, or oriented inwards; a named boundary that is missing; a
+        body of several pieces.
     """
     if not isinstance(mesh, MeshArrays):
         raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}; as_mesh converts")

@@ -14,9 +14,11 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import with_source
+from adaptmg.mesh.gmsh_check import check_gmsh_file
 from adaptmg.mesh.normalise import normalised
 from adaptmg.mesh.overlap import check_overlap
 from adaptmg.mesh.topology import facet_keys, facet_table
+from adaptmg.problem import checks
 
 __all__ = ["from_gmsh"]
 
@@ -62,9 +64,12 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
         import meshio
     except ImportError as error:
         raise ImportError("reading Gmsh files needs meshio: pip install 'adaptmg[gmsh]'") from error
-    path = Path(path)
+    path = checks.file_path("path", path)
+    if unnamed is not None:
+        checks.boundary_name("unnamed", unnamed)
     if not path.is_file():
         raise FileNotFoundError(f"path: there is no file {str(path)!r}")
+    check_gmsh_file(path)
     try:
         raw = meshio.gmsh.read(path)
     except Exception as error:
@@ -132,6 +137,8 @@ def _cells(raw: Any, kinds: tuple[str, ...], dim: int, unnamed: str) -> tuple[np
     known = {int(number): name for name, (number, of_dim) in raw.field_data.items() if of_dim == dim}
     groups = np.union1d([0], tag).astype(np.int64)
     names = [unnamed] + [known.get(int(number), str(int(number))) for number in groups[1:]]
+    for name in names[1:]:
+        checks.boundary_name("the name of a physical group", name)
     return cells, np.searchsorted(groups, tag), names
 
 
