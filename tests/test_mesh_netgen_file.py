@@ -2,6 +2,7 @@
 
 import gzip
 import re
+from pathlib import Path
 
 import ngsolve
 import numpy as np
@@ -150,3 +151,14 @@ def test_a_bomb_is_not_unpacked(tmp_path):
     (tmp_path / "bomb.vol.gz").write_bytes(gzip.compress(b"mesh3d\n" + b"0" * 300_000_000, compresslevel=1))
     with pytest.raises(ValueError, match="unpacks to more than 200 times its size"):
         as_mesh(tmp_path / "bomb.vol.gz")
+
+
+def test_hostile_files_are_sound_before_they_are_damaged(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parent / "hostile"))
+    import mesh_files
+
+    for name, text in (("a.vol", mesh_files.VOL), ("b.msh", mesh_files.MSH2), ("c.msh", mesh_files.MSH4),
+                       ("d.vol.gz", gzip.compress(mesh_files.VOL.encode()))):
+        (tmp_path / name).write_bytes(text.encode() if isinstance(text, str) else text)
+        mesh = as_mesh(tmp_path / name)
+        assert mesh.volumes.sum() == 2 and mesh.bodies == ("steel",)

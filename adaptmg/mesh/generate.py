@@ -124,10 +124,11 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
                  grading: float) -> float:
     """Expected nodes from the sizes along the sides alone: the integral of (h + grading x)^-dim over x > 0."""
     volume, areas = _measures(domain)
-    cells = volume / max_size**domain.dim
-    for name, h in side_sizes.items():
-        cells += areas[name] / ((domain.dim - 1) * grading * h ** (domain.dim - 1))
-    return _NODES_PER_CELL[domain.dim] * cells
+    with np.errstate(over="ignore", divide="ignore"):
+        cells = volume * np.float64(1 / max_size) ** domain.dim
+        for name, h in side_sizes.items():
+            cells += areas[name] / ((domain.dim - 1) * grading) * np.float64(1 / h) ** (domain.dim - 1)
+    return float(_NODES_PER_CELL[domain.dim] * cells)
 
 
 def _generate(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],

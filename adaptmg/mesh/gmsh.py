@@ -95,9 +95,12 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
                          'or here by unnamed="free"')
     # the first name, of each body if these are split, is the one of unnamed facets
     label = tables.body[owner] * (len(tables.boundaries) // len(tables.bodies)) * split_bodies
-    return check_overlap(with_source(normalised(tables.points, tables.elements, np.concatenate([tables.facets, rest]),
-                                                np.concatenate([tables.label, label]), tables.boundaries, tables.body,
-                                                tables.bodies)))
+    facets, labels = np.concatenate([tables.facets, rest]), np.concatenate([tables.label, label])
+    try:
+        return check_overlap(with_source(normalised(tables.points, tables.elements, facets, labels, tables.boundaries,
+                                                    tables.body, tables.bodies)))
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r}: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +121,8 @@ def _tables(raw: Any, dim: int, unnamed: str, path: Path) -> _Tables:
     volumes, surfaces = (_TETRAHEDRA, _TRIANGLES) if dim == 3 else (_TRIANGLES, _LINES)
     elements, body, bodies = _cells(raw, volumes, dim, "body")
     facets, label, boundaries = _cells(raw, surfaces, dim - 1, unnamed)
+    for name in (*bodies[1:], *boundaries[1:]):
+        checks.boundary_name(f"{str(path)!r}: the name of a physical group", name)
     if len(elements) == 0:
         raise ValueError(f"{str(path)!r} has neither triangles nor tetrahedra (Gmsh saves only what is in a physical "
                          f"group: add a Physical {'Surface' if dim == 2 else 'Volume'})")
@@ -137,8 +142,6 @@ def _cells(raw: Any, kinds: tuple[str, ...], dim: int, unnamed: str) -> tuple[np
     known = {int(number): name for name, (number, of_dim) in raw.field_data.items() if of_dim == dim}
     groups = np.union1d([0], tag).astype(np.int64)
     names = [unnamed] + [known.get(int(number), str(int(number))) for number in groups[1:]]
-    for name in names[1:]:
-        checks.boundary_name("the name of a physical group", name)
     return cells, np.searchsorted(groups, tag), names
 
 

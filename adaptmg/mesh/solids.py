@@ -48,6 +48,7 @@ _ATTEMPTS = (1.0, 0.7, 0.5)
 # of the largest coordinate: what scaling to unit size and back may move a node by
 _FLAT = 1e-9
 _DIGITS = 14
+_ENDLESS = 1e90
 # Netgen's own, and what exceptions of OCC arrive as
 _NETGEN_ERRORS = (netgen.meshing.NgException, RuntimeError)
 
@@ -207,13 +208,14 @@ def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, 
         Without source; not yet checked after its nodes have been put onto planes.
     """
     groups: dict[str, list[str]] = {name: [] for name in sizes.boundaries}
-    cells = shape.mass * (scale / sizes.size) ** 3
+    # cut off where powers of it would overflow
+    cells = shape.mass * min(scale / sizes.size, _ENDLESS) ** 3
     for i, (face, name) in enumerate(zip(shape.faces, names, strict=True)):
         face.name = str(i)
         if name in groups:
             groups[name].append(str(i))
             face.maxh = raised(sizes.boundaries[name], sizes.size / _NETGEN_RATIO) / scale
-            cells += face.mass * (scale / sizes.boundaries[name]) ** 2 / (2 * sizes.grading)
+            cells += face.mass * min(scale / sizes.boundaries[name], _ENDLESS) ** 2 / (2 * sizes.grading)
     for name, parts in groups.items():
         if not parts:
             raise ValueError(f"boundary_sizes: of boundary {name!r} no face is left on {domain!r}")

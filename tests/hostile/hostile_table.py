@@ -10,6 +10,9 @@ __all__ = ["TABLES", "Hostile"]
 #: the tables: modules beside this one with a tuple INPUTS of Hostile rows
 TABLES = (
     "numbers_and_names",
+    "mesh_files",
+    "mesh_objects",
+    "domains_and_sizes",
 )
 
 
