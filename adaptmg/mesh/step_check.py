@@ -1,7 +1,7 @@
 """check_step: a STEP file is first read in a process of its own, as OCC ends the process on some damaged ones.
 
-The child reads it as we shall, asks each solid for what meshing needs, and meshes its surface coarsely where that is
-cheap. A file is known by its contents: what has passed passes at once from then on.
+The child reads it as we shall, asks each solid for what meshing needs, and meshes it coarsely where that is cheap. A
+file is known by its contents: what has passed passes at once from then on.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _known: dict[bytes, str] = {}
 _CHILD = """
 import sys
 from math import isfinite
-from netgen.meshing import MeshingStep
+from netgen.meshing import NgException
 from netgen.occ import OCCGeometry, Pnt, Vec
 try:
     solids = list(OCCGeometry(sys.argv[1]).solids)
@@ -40,11 +40,16 @@ try:
             raise ValueError(f"solid {i + 1} has a face without an area")
         for face in faces:
             face.name
-        try:
+        # what cannot be meshed at any size may end the process at another one
+        for h in (1.0, 0.5, 0.25, 0.1, 0.05) if len(faces) <= 200 else ():
+            try:
+                OCCGeometry(unit).GenerateMesh(maxh=h, parallel_meshing=False)
+                break
+            except NgException as error:
+                why = error
+        else:
             if len(faces) <= 200:
-                OCCGeometry(unit).GenerateMesh(maxh=1.0, perfstepsend=MeshingStep.MESHSURFACE, parallel_meshing=False)
-        except Exception:
-            pass  # with other sizes it may succeed: only that it comes back is of interest
+                raise ValueError(f"solid {i + 1} cannot be meshed, whatever the size ({why}); its faces do not fit")
 except Exception as error:
     print(f"{type(error).__name__}: {error}".replace("\\n", " ")[:500], file=sys.stderr)
     sys.stderr.flush()
