@@ -89,6 +89,8 @@ class Level:
 class Hierarchy:
     """Levels, coarsest first, and how they were made. Printing it shows a table.
 
+    ``limits`` says, in words, what more levels of this kind cannot do; it is printed with the table.
+
     Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`,
     :meth:`from_prolongations`, :meth:`algebraic`, :meth:`single`.
     """
@@ -97,6 +99,7 @@ class Hierarchy:
     problem: ContactProblem | None = None
     origin: str = "levels"
     timings: dict[str, float] = field(default_factory=dict)
+    limits: str = ""
 
     def __post_init__(self) -> None:
         levels = checks.items("levels", self.levels, Level, "Level(...)")
@@ -147,7 +150,7 @@ class Hierarchy:
             raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
         first, *rest = self.levels[coarsest:finest + 1]
         first = Level(first.discrete, first.mesh, galerkin=first.galerkin)
-        return Hierarchy((first, *rest), self.problem, self.origin, dict(self.timings))
+        return Hierarchy((first, *rest), self.problem, self.origin, dict(self.timings), self.limits)
 
     # -- constructors -------------------------------------------------------------------------------------------
 
@@ -219,7 +222,14 @@ class Hierarchy:
         problem : ContactProblem
         coarsest : MeshArrays, ngsolve.Mesh or path of a mesh file
         levels : int
-            Number of refinements, >= 1.
+            Number of refinements, >= 1; each doubles the elements at contact (3D: four times).
+
+        Notes
+        -----
+        Elements away from contact stay as they are on every level, and with them their part of the discretisation
+        error: after two or three levels it dominates, and further ones only resolve contact (from 531 to 82 000 nodes
+        the error of a recorded example falls from 1.40e-3 to 1.36e-3). Printing the hierarchy says so, with the sizes.
+        Meshes that follow the whole solution come from :meth:`graded` or :meth:`from_meshes`.
         """
         from adaptmg.mesh import as_mesh, refine_near
 
@@ -229,7 +239,8 @@ class Hierarchy:
         problem.check_boundaries(first.boundaries)
         meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
         seconds = time.perf_counter() - begin
-        return cls._build(problem, meshes, None, f"bisected near contact {levels} times", seconds)
+        made = cls._build(problem, meshes, None, f"bisected near contact {levels} times", seconds)
+        return replace(made, limits=_limits_of_bisection(meshes, problem.pair_boundaries))
 
     @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
@@ -358,7 +369,21 @@ class Hierarchy:
                          f"{ratio:>8}")
         lines.append(f"grid complexity {self.grid_complexity:.3f}, "
                      f"operator complexity (discretised) {self.operator_complexity:.3f}")
-        return "\n".join(lines)
+        return "\n".join(lines + [self.limits] * bool(self.limits))
+
+
+def _limits_of_bisection(meshes: Sequence[MeshArrays], boundaries: Sequence[str]) -> str:
+    """Words on what bisection near contact leaves: the elements that no level has touched, and what they do."""
+    first, last = meshes[0].element_sizes, meshes[-1]
+    contact = np.unique(np.concatenate([last.boundary_nodes(name) for name in boundaries]))
+    near = np.isin(last.elements, contact).any(axis=1)
+    bulk, fine = float(last.element_sizes.max()), float(last.element_sizes[near].max())
+    kept = float(last.volumes[last.element_sizes >= 0.5 * first.max()].sum() / last.volumes.sum())
+    words = (f"limits: only elements at contact are refined (to {fine:.3g} m); away from it {100 * kept:.0f} % of the "
+             f"domain keeps elements of up to {bulk:.3g} m")
+    if bulk > 6 * fine:
+        words += ": their part of the error stays, and more levels hardly help"
+    return words
 
 
 def _need_problem(problem: ContactProblem) -> None:

@@ -11,8 +11,20 @@ import numpy as np
 __all__ = ["MeshArrays"]
 
 
-def _frozen(array: np.ndarray, dtype: type) -> np.ndarray:
-    result = np.array(array, dtype=dtype, order="C")
+# of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
+_LABELS = ("facet_labels", "element_body")
+
+
+def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
+    """A read-only copy; node numbers are not rounded from floats, nor wrapped from more than 32 bits."""
+    given = np.asarray(array)
+    whole = name in _LABELS and (given.dtype.kind == "b" or (given.dtype.kind == "f" and (given == given // 1).all()))
+    if given.dtype.kind not in ("iuf" if dtype is np.float64 else "iu") and given.size and not whole:
+        what = "real numbers" if dtype is np.float64 else "integers"
+        raise TypeError(f"{name} must be an array of {what}, got an array of {given.dtype}")
+    if dtype is np.int32 and given.size and not (given.min() >= -2**31 and given.max() < 2**31):
+        raise ValueError(f"{name} must be below 2**31, got {given.min()} to {given.max()}")
+    result = np.array(given, dtype=dtype, order="C")
     result.flags.writeable = False
     return result
 
@@ -55,9 +67,9 @@ class MeshArrays:
     def __post_init__(self) -> None:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
                             ("facet_labels", np.int32)):
-            object.__setattr__(self, name, _frozen(getattr(self, name), dtype))
-        body = np.zeros(len(self.elements)) if self.element_body is None else self.element_body
-        object.__setattr__(self, "element_body", _frozen(body, np.int32))
+            object.__setattr__(self, name, _frozen(name, getattr(self, name), dtype))
+        body = np.zeros(len(self.elements), dtype=np.int32) if self.element_body is None else self.element_body
+        object.__setattr__(self, "element_body", _frozen("element_body", body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
 

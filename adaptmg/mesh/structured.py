@@ -25,6 +25,8 @@ from adaptmg.problem.domains import Box, Rectangle
 __all__ = ["structured"]
 
 Divisions = int | Sequence[int]
+# what fits into memory, and in 3D what facets can be numbered for
+_MAX_NODES = {2: 20_000_000, 3: 2_000_000}
 
 #: what making the mesh takes at its peak, measured
 _BYTES_PER_NODE = {2: 600, 3: 2000}
@@ -53,7 +55,8 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     Raises
     ------
     TypeError, ValueError
-        On a domain that is no rectangle or box, divisions below 1, a body left out, or an unknown diagonal.
+        On a domain that is no rectangle or box, divisions below 1, more than 20 million nodes (3D: 2
+        million), a body left out, or an unknown diagonal.
     """
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
@@ -71,7 +74,12 @@ def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> Me
     if isinstance(divisions, Mapping):
         raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
     dim = domain.dim
-    counts = np.array(_divisions(divisions, dim))
+    wanted = _divisions(divisions, dim)
+    nodes = math.prod(n + 1 for n in wanted)
+    if nodes > _MAX_NODES[dim]:
+        raise ValueError(f"divisions ask for more than {_MAX_NODES[dim]:.0e} nodes, got {checks.shown(divisions)}; "
+                         "take fewer")
+    counts = np.array(wanted)
     checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
     if dim == 3 and diagonal != "right":
         raise ValueError(f"diagonal must be 'right' in 3D, got {diagonal!r}")
@@ -96,7 +104,7 @@ def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> Me
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     """One number of cells for each axis."""
-    if np.ndim(divisions) == 0:
+    if isinstance(divisions, str) or not hasattr(divisions, "__len__") or getattr(divisions, "shape", None) == ():
         divisions = (divisions,) * dim
     if len(divisions) != dim:
         raise ValueError(f"divisions must be one integer or {dim} of them, got {checks.shown(divisions)}")

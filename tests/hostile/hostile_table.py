@@ -18,6 +18,9 @@ TABLES = (
     "discrete_problems",
     "user_parts",
     "hierarchies_and_solvers",
+    "mesh_files",
+    "mesh_objects",
+    "domains_and_sizes",
 )
 
 
