@@ -21,6 +21,7 @@ from scipy import sparse
 
 from adaptmg.coupling import Coupling
 from adaptmg.problem.laws import Law
+from adaptmg.threads import one_blas_thread
 
 __all__ = ["ContactNodes", "DiscreteProblem"]
 
@@ -314,6 +315,7 @@ class DiscreteProblem:
         return self.n_dofs // self.dim
 
 
+@one_blas_thread()
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
     """Rigid-body modes about the centroid, orthonormal.
 

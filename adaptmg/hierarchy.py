@@ -14,6 +14,7 @@ from scipy import sparse
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem, checks
+from adaptmg.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
@@ -199,8 +200,7 @@ class Hierarchy:
         first = as_mesh(coarsest)
         problem.check_boundaries(first.boundaries)
         meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
-        seconds = time.perf_counter() - begin
-        return cls._build(problem, meshes, None, f"bisected near contact {levels} times", seconds)
+        return cls._build(problem, meshes, None, f"bisected {levels} times near contact", time.perf_counter() - begin)
 
     @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
@@ -240,8 +240,7 @@ class Hierarchy:
 
         begin = time.perf_counter()
         given, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
-        levels = [Level(None, galerkin=matrices[0])]
-        levels += [Level(None, None, P, galerkin=A) for P, A in zip(given[:-1], matrices[1:], strict=True)]
+        levels = [Level(None, None, P, galerkin=A) for P, A in zip([None, *given[:-1]], matrices, strict=True)]
         levels.append(Level(discrete, None, given[-1]))
         return cls(tuple(levels), None, "given prolongations", {"transfer": time.perf_counter() - begin})
 
@@ -275,6 +274,7 @@ class Hierarchy:
         return cls(made.levels, None, "smoothed aggregation", {"transfer": time.perf_counter() - begin})
 
     @classmethod
+    @one_blas_thread()
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
                mesh_seconds: float, contact_rows: bool = True) -> Hierarchy:
         from adaptmg.discretisation.discretise import discretise

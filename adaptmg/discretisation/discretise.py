@@ -15,10 +15,12 @@ from adaptmg.discretisation.rigid_motions import rigid_motions
 from adaptmg.discretisation.supports import fixed_dofs
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.threads import one_blas_thread
 
 __all__ = ["discretise"]
 
 
+@one_blas_thread()
 def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
                ) -> DiscreteProblem:
     """Discretise by P1 elements.

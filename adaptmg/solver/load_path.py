@@ -22,8 +22,10 @@ from adaptmg.solver.path_walk import PathWalk
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
 from adaptmg.solver.status import NotConverged
+from adaptmg.threads import one_blas_thread
 
 __all__ = ["StepNotConverged", "solve_path"]
+
 
 class StepNotConverged(NotConverged):
     """Raised by :func:`solve_path` when a step did not reach its tolerance.
@@ -44,6 +46,7 @@ class StepNotConverged(NotConverged):
                      "the contact status changes much; the steps before it are in .partial.",)
 
 
+@one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
                start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
                throw: bool = True, callback: Callable[[int, Result], None] | None = None,

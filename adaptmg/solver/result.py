@@ -10,8 +10,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptmg.atomic import write_bytes
+from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
+from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.status import Status
 
 __all__ = ["ContactResult", "Result"]
@@ -163,6 +165,8 @@ class Result:
         Finest mesh (without its NGSolve source after loading).
     start_work_units : float
         The part of ``work_units`` spent before the first cycle on the finest level (nested start).
+    checked : Certificate or None
+        What :meth:`certificate` returns.
     """
 
     displacement: np.ndarray
@@ -184,6 +188,7 @@ class Result:
     mesh: MeshArrays | None = None
     start_work_units: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
+    checked: Certificate | None = None
 
     @property
     def dim(self) -> int:
@@ -202,7 +207,36 @@ class Result:
                 f"{states[0]} open, {states[1]} slip, {states[2]} stick\n"
                 f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
                 f"  natural residual {self.residual:.2e}, estimated error {self.error_estimate:.2e} "
-                f"(rtol {self.rtol:g})")
+                f"(rtol {self.rtol:g})" + self._certified())
+
+    def _certified(self) -> str:
+        if self.checked is None:
+            return ""
+        worst = self.checked.worst
+        return (f"\n  certificate: worst {worst.name} {worst.largest:.2e} {worst.unit} (relative "
+                f"{worst.relative:.2e}), energy error {self.checked.energy_error:.2e}")
+
+    def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
+        """By how much each condition of the contact problem is violated, by code that shares nothing with the solvers.
+
+        Parameters
+        ----------
+        problem : DiscreteProblem, optional
+            Check against it anew. Default: what was found when the problem was solved.
+        bound : bool
+            The energy error by a sparse factorisation; needs ``problem``.
+
+        Returns
+        -------
+        Certificate
+        """
+        if problem is not None:
+            checks.instance("problem", problem, DiscreteProblem)
+            return certify(problem, self.displacement, self.contact, bound)
+        if bound or self.checked is None:
+            raise ValueError("problem: this result keeps no matrix; give the DiscreteProblem that was solved "
+                             "(grids.finest.discrete)")
+        return self.checked
 
     def probe(self, points: np.ndarray) -> np.ndarray:
         """Displacement at points.
@@ -299,7 +333,8 @@ class Result:
                 "residual": self.residual, "error_estimate": self.error_estimate, "rate": self.rate, "rtol": self.rtol,
                 "timings": self.timings, "path": self.path, "levels": self.levels, "problem_name": self.problem_name,
                 "solver_name": self.solver_name, "start_work_units": self.start_work_units, "versions": self.versions,
-                "names": self.contact.names, "masters": self.contact.masters}
+                "names": self.contact.names, "masters": self.contact.masters,
+                "checked": None if self.checked is None else self.checked.as_dict()}
         if self.mesh is not None:
             arrays |= {f"mesh.{k}": getattr(self.mesh, k)
                        for k in ("points", "elements", "facets", "facet_labels", "element_body")}
@@ -331,6 +366,7 @@ class Result:
             contact = ContactResult(**groups["contact"], names=names,
                                     masters=tuple(meta.pop("masters", ())))
             meta["status"] = Status[meta["status"]]
+            meta["checked"] = meta.get("checked") and Certificate.from_dict(meta["checked"])
             meta["path"] = [tuple(step) for step in meta["path"]]
             return cls(displacement=data["displacement"], reaction=data["reaction"], contact=contact, mesh=mesh,
                        history=groups["history"], **meta)
