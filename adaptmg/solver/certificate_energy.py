@@ -61,7 +61,7 @@ class FrozenStatus:
 
 
 def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, forces: np.ndarray,
-                    coordinates: np.ndarray | None, exact: bool = False) -> float:
+                    diagonal: np.ndarray, coordinates: np.ndarray | None, exact: bool = False) -> float:
     """|e|^2 in the inverse of the matrix on the space of a status, N m.
 
     Parameters
@@ -70,6 +70,8 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, forces: np.n
     status : FrozenStatus
     forces : (n_nodes, dim) array
         e, N.
+    diagonal : (n_nodes, dim) array
+        Of the matrix.
     coordinates : (n_nodes, dim) array or None
         For the boxes; else nodes are taken in the order of their numbers.
     exact : bool
@@ -82,7 +84,7 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, forces: np.n
         return 0.0
     if exact:
         return _factorised(matrix, status, residual)
-    diagonal = matrix.diagonal().reshape(residual.shape).copy()
+    diagonal = diagonal.copy()
     diagonal[status.nodes] += np.diagonal(status.stiffening, axis1=1, axis2=2)
     boxes = _Boxes(matrix, status, coordinates)
     energy, direction, before = 0.0, None, 0.0
@@ -118,27 +120,23 @@ class _Boxes:
         of_node = np.full(n, self.count)
         of_node[self.inner] = number
         pair = np.repeat(of_node, np.diff(matrix.indptr)) * (self.count + 1) + of_node[matrix.indices]
-        size, coarse = self.count + 1, np.zeros((self.count, dim, self.count, dim))
-        for i in range(dim):
-            for j in range(dim):
-                entries = np.bincount(pair, matrix.data[:, i, j], minlength=size * size)
-                coarse[:, i, :, j] = entries.reshape(size, size)[:-1, :-1]
-        coarse = coarse.reshape(self.count * dim, self.count * dim)
-        shift = 1e-12 * np.abs(coarse).max(initial=0.0)
-        self.factor = None
-        if self.count:
+        size, self.factors = self.count + 1, []
+        for k in range(dim if self.count else 0):
+            # each component by itself: half the work, and as a preconditioner good enough
+            coarse = np.bincount(pair, matrix.data[:, k, k], minlength=size * size).reshape(size, size)[:-1, :-1]
+            coarse = coarse + 1e-12 * np.abs(coarse).max() * np.eye(self.count)
             try:
-                self.factor = cho_factor(coarse + shift * np.eye(len(coarse)))
+                self.factors.append(cho_factor(coarse))
             except np.linalg.LinAlgError:
-                self.factor = None  # a singular matrix: the diagonal alone is a preconditioner too
+                self.factors.append(None)  # a singular matrix: the diagonal alone is a preconditioner too
 
     def correction(self, residual: np.ndarray) -> np.ndarray:
         """P (P' A P)^-1 P' r (n_nodes, dim)."""
         result = np.zeros_like(residual)
-        if self.factor is not None:
-            sums = [np.bincount(self.number, residual[self.inner, k], minlength=self.count) for k in range(self.dim)]
-            found = cho_solve(self.factor, np.column_stack(sums).reshape(-1)).reshape(self.count, self.dim)
-            result[self.inner] = found[self.number]
+        for k, factor in enumerate(self.factors):
+            if factor is not None:
+                sums = np.bincount(self.number, residual[self.inner, k], minlength=self.count)
+                result[self.inner, k] = cho_solve(factor, sums)[self.number]
         return result
 
 

@@ -114,7 +114,9 @@ class Evidence:
     def _works(self, name: str, works: np.ndarray, scale: float) -> Line:
         total = float(works.sum())
         rounding = _over(self.rounding, self.force) + 16 * _EPSILON
-        return Line(name, float(works.max(initial=0.0)), total, "N m", _over(total, scale * self.length), rounding)
+        # never over next to nothing: bodies that part, or slip without friction
+        scale = max(scale, self.force) * self.length
+        return Line(name, float(works.max(initial=0.0)), total, "N m", _over(total, scale), rounding)
 
     def equilibrium(self) -> Line:
         """Forces at free dofs that neither loads nor claimed contact forces explain."""
@@ -139,7 +141,8 @@ class Evidence:
         along = np.einsum("nd,nd->n", self.friction, self.slip)
         excess, works = np.maximum(size - self.bound, 0.0), np.maximum(self.bound * slip + along, 0.0)
         # weighted by the friction: open nodes slip freely, under a force of rounding
-        same_way = np.maximum(along, 0.0) / (size.max(initial=0.0) or 1.0)
+        strongest = max(np.linalg.norm(self.claimed, axis=1).max(), 1e-6 * self.force)
+        same_way = np.maximum(along, 0.0) / (strongest or 1.0)
         missed = np.divide(works, slip, out=np.zeros_like(slip), where=slip > 16 * _EPSILON * self.length)
         free = ~self.supported
         return (self._forces("friction bound", excess * free),
@@ -173,7 +176,7 @@ class Evidence:
         if change.any():
             image = (problem.matrix @ change.reshape(-1)).reshape(change.shape)
             moved, forces = np.sqrt(max(_sum(change, image), 0.0)), forces + image
-        rest = residual_energy(problem.matrix, status, forces, problem.coordinates, exact)
+        rest = residual_energy(problem.matrix, status, forces, self.diagonal, problem.coordinates, exact)
         rounding = 32 * _EPSILON * _norm(np.sqrt(np.abs(self.diagonal)) * self.u)
         return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
 
