@@ -20,6 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.coupling import Coupling
+from adaptmg.exchange import Exchange, ScaledLaw, find_carriers, rows_of_carriers
 from adaptmg.problem.laws import Law
 from adaptmg.threads import one_blas_thread
 
@@ -155,6 +156,8 @@ class DiscreteProblem:
         Says that all of the above is in relative coordinates; see :meth:`coupled`.
     bodies : mapping of str to (n,) int arrays, optional
         Nodes of each body by name, for messages.
+    exchange : Exchange, optional
+        Contact as it was posed where slave and master were exchanged at single nodes (:mod:`adaptmg.exchange`).
     """
 
     matrix: sparse.bsr_array
@@ -168,6 +171,7 @@ class DiscreteProblem:
     name: str = "discrete problem"
     coupling: Coupling | None = None
     bodies: Mapping[str, np.ndarray] | None = None
+    exchange: Exchange | None = None
 
     @classmethod
     def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law,
@@ -191,13 +195,14 @@ class DiscreteProblem:
         DiscreteProblem
             In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
         """
+        contact, weights, law, exchange = _exchanged(contact, weights, np.asarray(fixed), law)
         coupling = Coupling(weights, np.asarray(fixed))
         if near_nullspace is None and coordinates is not None:
             near_nullspace = rigid_body_modes(np.asarray(coordinates, dtype=np.float64))
         blocks = sparse.bsr_array(matrix, blocksize=(coupling.dim, coupling.dim))
         return cls(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
                    load=coupling.relative_forces(np.asarray(load, dtype=np.float64)), fixed_values=fixed_values,
-                   coordinates=coordinates, name=name, coupling=coupling, bodies=bodies,
+                   coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
                    near_nullspace=None if near_nullspace is None else coupling.relative(near_nullspace))
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:
@@ -210,6 +215,36 @@ class DiscreteProblem:
         flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
         return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(-1, self.dim)
 
+    def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
+        """Displacement (n_contact, dim) of the contact nodes relative to what they face, m.
+
+        Of the unknowns; between bodies that both are held, relative to what holds the other one.
+        """
+        nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
+        result = nodal[self.contact.nodes]
+        if self.coupling is not None:
+            fixed = self.fixed.reshape(-1, self.dim)
+            for at, weights, c in self.held_together():
+                result[at, c] -= weights @ np.where(fixed[:, c], nodal[:, c], 0.0)
+        return result
+
+    def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
+        """For each component the contact nodes at which it is fixed and faces fixed ones, and the weights of these.
+
+        Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component.
+        """
+        if self.coupling is None:
+            return []
+        rows, fixed, result = self.coupling.weights[self.contact.nodes], self.fixed.reshape(-1, self.dim), []
+        for c in range(self.dim):
+            held = np.flatnonzero(fixed[self.contact.nodes, c])
+            weights = sparse.csr_array(rows[held] @ sparse.diags_array(fixed[:, c].astype(float)))
+            total = np.asarray(weights.sum(axis=1)).ravel()
+            kept = np.abs(total) > 0.1
+            scale = sparse.diags_array(1 / total[kept], format="csr")
+            result.append((held[kept], sparse.csr_array(scale @ weights[kept]), c))
+        return result
+
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.
 
@@ -218,7 +253,7 @@ class DiscreteProblem:
         load, fixed_values : (n_dofs,) arrays
             N and m, in the coordinates of this problem (with a coupling relative ones).
         slip_reference : (n_contact, dim) array
-            Displacement against which slip is measured, m; between bodies relative to the other body.
+            Displacement of the contact nodes against which slip is measured, as :meth:`at_contact` has it, m.
         """
         contact, result = copy.copy(self.contact), copy.copy(self)
         reference = _array("slip_reference", slip_reference, contact.normals.shape)
@@ -313,6 +348,36 @@ class DiscreteProblem:
     def n_nodes(self) -> int:
         """Number of nodes."""
         return self.n_dofs // self.dim
+
+
+def _exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
+               ) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
+    """Contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
+    if not (isinstance(contact, ContactNodes) and sparse.issparse(weights) and isinstance(law, Law)
+            and fixed.dtype == bool and fixed.shape == (contact.dim * weights.shape[0],)):
+        return contact, weights, law, None  # to be refused where it is checked
+    weights = sparse.csr_array(weights, dtype=np.float64)
+    places, carriers, unmatched = find_carriers(contact, weights, fixed, law)
+    if len(unmatched):
+        raise ValueError(f"contact: slave node {contact.nodes[unmatched[0]]} has a supported tangential component, and "
+                         "no node that it faces can take its place (each belongs to another one, too): exchange slave "
+                         "and master, or leave the node out and let its neighbours take its part")
+    if not len(places):
+        return contact, weights, law, None
+    slaves = contact.nodes[places]
+    sigma = np.ones(len(contact))
+    sigma[places] = -weights[slaves, carriers]
+    posed = Exchange(contact, sparse.csr_array(weights[contact.nodes]), sigma)
+    nodes, boundary, pairs = contact.nodes.copy(), contact.boundary.copy(), len(contact.names)
+    nodes[places] = carriers
+    boundary[places] += pairs
+    masters = tuple(master or name for name, master in zip(contact.names, contact.masters, strict=True))
+    size = np.abs(sigma)
+    turned = ContactNodes(nodes=nodes, normals=contact.normals * np.sign(sigma)[:, None], gaps=contact.gaps / size,
+                          weights=contact.weights * size, slip_reference=contact.slip_reference / sigma[:, None],
+                          allow_interference=contact.allow_interference, boundary=boundary,
+                          names=(*contact.names, *masters), masters=(*contact.masters, *contact.names))
+    return turned, rows_of_carriers(weights, slaves, carriers), ScaledLaw(law, size), posed
 
 
 @one_blas_thread()

@@ -73,8 +73,7 @@ def test_a_solution_violates_nothing(law, dim):
     certificate = exact(law, dim).certificate()
     assert not certificate.contradictions(1e-11)
     for line in certificate.lines:
-        if line.name not in certificate.UNJUDGED:
-            assert line.relative <= 1e-11, line
+        assert line.relative <= 1e-11, line
     assert certificate.energy_error <= 1e-11
 
 
@@ -236,8 +235,8 @@ def test_the_energy_error_is_estimated(solver, law, dim):
     result = am.solve(grids(law, dim), solver, throw=False)
     true = energy(discrete, result.displacement - exact(law, dim).displacement) / energy(
         discrete, exact(law, dim).displacement)
-    assert 0.5 * true <= result.certificate().energy_error <= 1.3 * true
-    assert 0.8 * true <= result.certificate(discrete, bound=True).energy_error <= 1.3 * true
+    assert 0.5 * true <= result.certificate().energy_error <= 1.5 * true
+    assert 0.8 * true <= result.certificate(discrete, bound=True).energy_error <= 1.2 * true
 
 
 def test_an_energy_error_beyond_the_tolerance_takes_converged_back():

@@ -35,8 +35,7 @@ class Certificate:
         'equilibrium' (of free dofs, under the claimed contact forces), 'prescribed values', 'penetration', 'tension',
         'complementarity' (pressure times gap), 'friction bound', 'slip direction' (the work of friction on its bound
         and opposite to the slip, less that of the claimed friction), 'slip along the force' (weighted by force, over
-        the largest), 'friction at supports' (these of nodes with a supported tangential component), 'open, touching'
-        (forces at nodes said to be open), 'touching, open' (gaps at nodes said to touch), 'slip, sticking' (slip at
+        the largest), 'open, touching' (forces at nodes said to be open), 'touching, open' (gaps at nodes said to touch), 'slip, sticking' (slip at
         nodes said to stick), 'balance' (sum of loads and all reactions).
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held; a few conjugate gradient steps, so that it is
@@ -57,8 +56,6 @@ class Certificate:
     displacement: float
     energy_norm: float
 
-    #: lines that do not decide on a status
-    UNJUDGED = ("friction at supports",)
     #: lines beyond this multiple of rtol contradict a solver that says it has converged (as for its residual)
     FACTOR = 20.0
     #: and an energy error beyond this
@@ -81,8 +78,7 @@ class Certificate:
         """Names of what a displacement that has converged to ``rtol`` would not violate so much."""
         def beyond(value: float, allowed: float, rounding: float) -> bool:
             return not value <= max(allowed, min(rounding, self.MOST_ROUNDING))
-        found = [line.name for line in self.lines if line.name not in self.UNJUDGED
-                 and beyond(line.relative, self.FACTOR * rtol, line.rounding)]
+        found = [line.name for line in self.lines if beyond(line.relative, self.FACTOR * rtol, line.rounding)]
         if beyond(self.energy_error, self.ENERGY_FACTOR * rtol, self.energy_rounding):
             found.append("energy error")
         return tuple(found)

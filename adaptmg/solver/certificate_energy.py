@@ -40,12 +40,15 @@ class FrozenStatus:
         Projections onto what may move: I, I - n n' (closed, slipping), 0 (closed, sticking).
     stiffening : (n_contact, dim, dim) array
         Of friction that turns with the slip (3D), N/m.
+    dragged : (n_contact, dim, dim) array
+        Friction for a normal force, of slipping nodes under Coulomb's law; the factorisation alone knows it.
     """
 
     free: np.ndarray
     nodes: np.ndarray
     kept: np.ndarray
     stiffening: np.ndarray
+    dragged: np.ndarray
 
     def project(self, vector: np.ndarray) -> np.ndarray:
         """The part (n_nodes, dim) that may move; a copy."""
@@ -152,20 +155,20 @@ def _boxes(n: int, dim: int, coordinates: np.ndarray | None) -> np.ndarray:
 
 def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray) -> float:
     n, dim = residual.shape
-    blocks = np.zeros((n, dim, dim))
-    blocks[:] = np.eye(dim)
-    blocks[status.nodes] = status.kept
-    blocks = blocks * status.free[:, :, None] * status.free[:, None, :]
-    at = np.arange(n)
-    keep = sparse.bsr_array((blocks, at, np.arange(n + 1)), shape=matrix.shape)
-    extra = np.zeros((n, dim, dim))
-    extra[status.nodes] = status.stiffening
-    whole = matrix + sparse.bsr_array((extra, at, np.arange(n + 1)), shape=matrix.shape)
-    scale = np.abs(matrix.diagonal()).max()
+    eye, free = np.tile(np.eye(dim), (n, 1, 1)), status.free
+    mask = free[:, :, None] * free[:, None, :]
+
+    def by_node(blocks: np.ndarray, others: np.ndarray) -> sparse.bsr_array:
+        every = others.copy()
+        every[status.nodes] = blocks
+        return sparse.bsr_array((every * mask, np.arange(n), np.arange(n + 1)), shape=matrix.shape)
+
+    keep = by_node(status.kept, eye)
+    whole = keep @ (matrix + by_node(status.stiffening, 0 * eye)) + by_node(status.dragged, 0 * eye) @ matrix
     # what may not move gets a diagonal of the size of the others
-    system = keep @ whole @ keep + scale * (sparse.eye_array(matrix.shape[0]) - keep)
-    found = splu(sparse.csc_array(system)).solve(residual.reshape(-1)).reshape(n, dim)
-    return max(_dot(residual, found), 0.0)
+    rest = np.abs(matrix.diagonal()).max() * (sparse.eye_array(matrix.shape[0]) - keep)
+    found = splu(sparse.csc_array(whole @ keep + rest)).solve(residual.reshape(-1))
+    return max(_dot(found.reshape(n, dim), (matrix @ found).reshape(n, dim)), 0.0)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:

@@ -60,7 +60,11 @@ class Evidence:
     """What the lines are made from. Forces of coupled bodies are those of the bodies, not of relative coordinates."""
 
     def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims) -> None:
-        self.problem, self.contact, self.nodes = problem, contact, problem.contact.nodes
+        self.problem, self.contact = problem, contact
+        # contact as it was posed: between held bodies the problem may have nodes of the master in its place
+        self.posed = problem.contact if problem.exchange is None else problem.exchange.contact
+        self.nodes = self.posed.nodes
+        self.sigma = np.ones(len(self.nodes)) if problem.exchange is None else problem.exchange.sigma
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
@@ -70,15 +74,14 @@ class Evidence:
         self.load = self._physical(problem.load).reshape(shape)
         self.fixed = problem.fixed.reshape(shape)
         self.diagonal = problem.matrix.diagonal().reshape(shape)
-        self.normals = problem.contact.normals
+        self.normals = self.posed.normals
         self.claimed = np.einsum("nk,nkd->nd", np.column_stack([-contact.force_n, contact.force_t]), contact.frames)
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
-        limit, coefficient = problem.law.bounds(len(self.nodes))
-        self.bound = limit + coefficient * np.maximum(self.pressure, 0.0)
+        limit, self.coefficient = problem.law.bounds(len(self.nodes))
+        self.limit = limit / np.abs(self.sigma)
+        self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
-        # what a support and friction do there together cannot be told apart from the displacement
-        self.supported = self.fixed[self.nodes].any(axis=1)
         self.unexplained = self.reaction.copy()
         self.unexplained[self.nodes] -= self.claimed
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
@@ -94,13 +97,16 @@ class Evidence:
 
     def _kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """Gap (n,) and slip (n, dim) against the obstacle, or the other body."""
-        moved = self.u[self.nodes]
-        if self.problem.coupling is not None:
-            moved = moved - self.problem.coupling.weights[self.nodes] @ self.u
+        problem, moved = self.problem, self.u[self.nodes]
+        if problem.coupling is not None:
+            rows = problem.coupling.weights[self.nodes] if problem.exchange is None else problem.exchange.weights
+            moved = moved - rows @ self.u
+            for at, weights, c in problem.held_together():
+                moved[at, c] = self.u[self.nodes[at], c] - weights @ self.u[:, c]
         u_n = np.einsum("nd,nd->n", moved, self.normals)
-        along = moved - self.problem.contact.slip_reference
+        along = moved - self.posed.slip_reference
         slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals
-        return self.problem.contact.gaps - u_n, slip
+        return self.posed.gaps - u_n, slip
 
     def _forces(self, name: str, forces: np.ndarray) -> Line:
         total = float(np.linalg.norm(forces))
@@ -135,7 +141,7 @@ class Evidence:
                 self._forces("tension", np.maximum(np.maximum(pulling, -self.pressure), 0.0)),
                 self._works("complementarity", works, np.maximum(self.pressure, 0.0).sum()))
 
-    def tangential(self) -> tuple[Line, Line, Line, Line]:
+    def tangential(self) -> tuple[Line, Line, Line]:
         """Friction beyond its bound, and not opposite to the slip."""
         size, slip = np.linalg.norm(self.friction, axis=1), np.linalg.norm(self.slip, axis=1)
         along = np.einsum("nd,nd->n", self.friction, self.slip)
@@ -143,19 +149,15 @@ class Evidence:
         # weighted by the friction: open nodes slip freely, under a force of rounding
         strongest = max(np.linalg.norm(self.claimed, axis=1).max(), 1e-6 * self.force)
         same_way = np.maximum(along, 0.0) / (strongest or 1.0)
-        missed = np.divide(works, slip, out=np.zeros_like(slip), where=slip > 16 * _EPSILON * self.length)
-        free = ~self.supported
-        return (self._forces("friction bound", excess * free),
-                self._works("slip direction", works * free, self.bound.sum()),
-                self._lengths("slip along the force", same_way * free),
-                self._forces("friction at supports", np.maximum(excess, missed) * self.supported))
+        return (self._forces("friction bound", excess), self._works("slip direction", works, self.bound.sum()),
+                self._lengths("slip along the force", same_way))
 
     def states(self) -> tuple[Line, Line, Line]:
         """What the claimed states contradict."""
         state, slip = np.asarray(self.contact.state), np.linalg.norm(self.slip, axis=1)
         return (self._forces("open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)),
                 self._lengths("touching, open", np.where(state != _OPEN, np.maximum(self.gap, 0.0), 0.0)),
-                self._lengths("slip, sticking", np.where((state == _STICK) & ~self.supported, slip, 0.0)))
+                self._lengths("slip, sticking", np.where(state == _STICK, slip, 0.0)))
 
     def balance(self) -> Line:
         """Sum of loads, supports, claimed contact forces and elastic foundations: what free dofs leave unexplained."""
@@ -171,7 +173,7 @@ class Evidence:
         status, change, unlawful = self._frozen()
         forces = self.unexplained if coupling is None else coupling.relative_forces(self.unexplained.reshape(-1))
         forces = forces.reshape(self.u.shape).copy()
-        forces[self.nodes] += unlawful
+        forces[problem.contact.nodes] += unlawful
         moved = 0.0
         if change.any():
             image = (problem.matrix @ change.reshape(-1)).reshape(change.shape)
@@ -186,34 +188,38 @@ class Evidence:
         At each node the cheaper is taken, in the measure of its stiffness: to move onto the obstacle (to zero slip), or
         to give the force up (to turn it against the slip).
         """
-        n, dim = self.normals.shape
+        contact, dim = self.problem.contact, self.problem.dim
         free = (~self.fixed).astype(float)
-        here = free[self.nodes]
-        d = self.diagonal[self.nodes].max(axis=1)
-        closed = d * self.gap**2 < np.maximum(self.pressure, 0.0) ** 2 / d + d * np.minimum(self.gap, 0.0) ** 2
-        closed |= self.gap < 0
-        slip, friction = self.slip * here, self.friction * here
-        size, force = np.linalg.norm(slip, axis=1), np.linalg.norm(friction, axis=1)
-        limit = np.where(closed, self.bound, self.problem.law.bounds(n)[0])
+        here, d = free[contact.nodes], self.diagonal[contact.nodes].max(axis=1)
+        # at the nodes that carry the conditions in the equations
+        scale, sigma = np.abs(self.sigma), self.sigma[:, None]
+        gap, pressure = self.gap / scale, self.pressure * scale
+        slip, friction = self.slip / sigma, self.friction * sigma * here
+        closed = d * gap**2 < np.maximum(pressure, 0.0) ** 2 / d + d * np.minimum(gap, 0.0) ** 2
+        closed |= gap < 0
+        size, limit = np.linalg.norm(slip, axis=1), np.where(closed, self.bound, self.limit) * scale
         against = -_directions(slip)
-        excess = np.maximum(force - limit, 0.0)
-        turned = limit[:, None] * against
+        excess = np.maximum(np.linalg.norm(friction, axis=1) - limit, 0.0)
+        turned = limit[:, None] * against * here
         stays = (limit > 0) & (d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d)
+        # from no slip at all the node moves as the force drags it
         beyond = stays & (excess > 0)
-        lawful = np.where(stays[:, None], friction, turned)
-        lawful[beyond] = (limit[:, None] * _directions(friction))[beyond]
-        sticks = stays & ~beyond
+        against[beyond] = _directions(friction)[beyond]
+        lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * here)
         change = np.zeros_like(self.u)
-        change[self.nodes] = np.where(closed, self.gap, 0.0)[:, None] * self.normals - stays[:, None] * slip
+        change[contact.nodes] = np.where(closed, gap, 0.0)[:, None] * contact.normals - stays[:, None] * slip * here
         change[self.fixed] = (self.problem.fixed_values.reshape(self.u.shape) - self.unknowns)[self.fixed]
-        outer = np.einsum("ni,nj->nij", self.normals, self.normals)
+        outer = np.einsum("ni,nj->nij", contact.normals, contact.normals)
         tangents = np.eye(dim) - outer
-        kept = np.where(sticks[:, None, None], 0.0, tangents) + np.where(closed[:, None, None], 0.0, outer)
+        slides, closed_too = ~stays | beyond, closed[:, None, None]
+        kept = np.where(slides[:, None, None], tangents, 0.0) + np.where(closed_too, 0.0, outer)
         turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))
-        across = tangents - np.einsum("ni,nj->nij", against, against)
-        stiffening = turning[:, None, None] * (across if dim == 3 else np.zeros_like(across))
-        pressed = -np.where(closed, self.pressure, 0.0)[:, None] * self.normals
-        return FrozenStatus(free, self.nodes, kept, stiffening), change, self.claimed - pressed - lawful
+        across = (tangents - np.einsum("ni,nj->nij", against, against)) * (dim == 3)
+        dragged = (self.coefficient * (slides & closed))[:, None, None] * np.einsum(
+            "ni,nj->nij", against, contact.normals)
+        pressed = -np.where(closed, pressure, 0.0)[:, None] * contact.normals
+        status = FrozenStatus(free, contact.nodes, kept, turning[:, None, None] * across, dragged)
+        return status, change, self.claimed * sigma - pressed - lawful
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:

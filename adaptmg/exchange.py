@@ -1,0 +1,132 @@
+r"""Exchange of slave and master at single nodes, where a support holds a tangential component of the slave.
+
+There the slave cannot slip, but what it faces can. In the coordinates of :mod:`adaptmg.coupling` the unknown of such a
+node j would be its own displacement, which is given, and friction would act on none. So one node k of those that it
+faces takes its place: with the slip :math:`v = u_j - \sum_l W_{jl} u_l` the new unknown is :math:`v/\sigma`,
+:math:`\sigma = -W_{jk}`, and
+
+.. math:: u_k = \frac{v}{\sigma} + \frac{1}{W_{jk}}\Big(u_j - \sum_{l \ne k} W_{jl}\,u_l\Big),
+
+again a relative displacement with weights of sum 1. Node k then has the contact conditions of j with the normal turned
+round, gaps and slips divided and forces multiplied by :math:`|\sigma|`; the node j keeps its displacement as unknown
+and its support. Results are turned back: they speak of the slave node.
+
+A node k serves if it is free, follows no other, and no other such j faces it. Without one (edges of 3D bodies whose
+nodes lie closer than those of the master, say) j must do without a multiplier, and its neighbours take its part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.problem.laws import Law
+
+if TYPE_CHECKING:
+    from adaptmg.discrete import ContactNodes
+
+__all__ = ["Exchange", "ScaledLaw", "find_carriers", "rows_of_carriers"]
+
+#: the least weight of a node that takes the place of another
+_WEIGHT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Exchange:
+    """How contact was posed, before nodes were exchanged.
+
+    Attributes
+    ----------
+    contact : ContactNodes
+        With the slave nodes.
+    weights : (n_contact, n_nodes) csr_array
+        What they face.
+    sigma : (n_contact,) array
+        Displacement relative to what the posed node faces, over that of the contact node: 1 where none was exchanged.
+    """
+
+    contact: ContactNodes
+    weights: sparse.csr_array
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledLaw:
+    """A nodal law whose limits are multiplied by ``factors`` (n_contact,)."""
+
+    law: Law
+    factors: np.ndarray
+
+    def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> ScaledLaw:
+        """Itself: it is nodal."""
+        return self
+
+    def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
+        """Limits times the factors; friction."""
+        limit, friction = self.law.bounds(n_contact)
+        return limit * self.factors, friction
+
+
+def find_carriers(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
+                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The contact nodes to be exchanged, and for whom.
+
+    Parameters
+    ----------
+    contact : ContactNodes
+    weights : (n_nodes, n_nodes) csr_array
+        In the rows of slave nodes what they face.
+    fixed : (n_dofs,) bool array
+    law : Law
+        Nodal.
+
+    Returns
+    -------
+    places : (m,) int array
+        Indices of contact nodes.
+    carriers : (m,) int array
+        The nodes that take their places.
+    unmatched : (k,) int array
+        Indices of contact nodes that should be exchanged but for which there is no node.
+    """
+    dim, fixed = contact.dim, fixed.reshape(-1, contact.dim)
+    limit, friction = law.bounds(len(contact))
+    rows = sparse.csr_array(weights[contact.nodes])
+    acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (np.diff(rows.indptr) > 0)
+    held = np.flatnonzero(acts & fixed[contact.nodes].any(axis=1))
+    # where the other body is held likewise nothing can slip
+    share = np.stack([abs(rows[held]) @ (~fixed[:, c]).astype(float) for c in range(dim)], axis=1)
+    total = abs(rows[held]) @ np.ones(rows.shape[1])
+    slips = fixed[contact.nodes[held]] & (share > 0.5 * total[:, None])
+    places = held[slips.any(axis=1)]
+    mine = rows[places]
+    wanted = np.bincount(mine.indices[np.abs(mine.data) > 0], minlength=rows.shape[1])
+    able = (wanted == 1) & ~fixed.any(axis=1) & (np.diff(sparse.csr_array(weights).indptr) == 0)
+    carriers = np.full(len(places), -1)
+    for i in range(len(places)):
+        columns, values = (part[mine.indptr[i]:mine.indptr[i + 1]] for part in (mine.indices, mine.data))
+        good = able[columns] & (values > _WEIGHT)
+        if good.any():
+            carriers[i] = columns[np.argmax(np.where(good, values, 0.0))]
+    found = carriers >= 0
+    return places[found], carriers[found], places[~found]
+
+
+def rows_of_carriers(weights: sparse.csr_array, slaves: np.ndarray, carriers: np.ndarray) -> sparse.csr_array:
+    """The weights (n_nodes, n_nodes) with ``carriers`` in place of ``slaves`` as the nodes that follow others."""
+    n = weights.shape[0]
+    old = sparse.csr_array(weights[slaves])
+    at = np.repeat(np.arange(len(slaves)), np.diff(old.indptr))
+    own = old.indices == carriers[at]
+    factor = np.zeros(len(slaves))
+    factor[at[own]] = 1 / old.data[own]
+    kept = np.ones(n)
+    kept[slaves] = 0.0
+    rows = np.concatenate([carriers[at[~own]], carriers])
+    columns = np.concatenate([old.indices[~own], slaves])
+    values = np.concatenate([-(old.data * factor[at])[~own], factor])
+    new = sparse.csr_array((values, (rows, columns)), shape=(n, n))
+    return sparse.csr_array(sparse.diags_array(kept, format="csr") @ weights + new)
