@@ -23,24 +23,36 @@ class _Blas:
     """The BLAS libraries of the process, and how many are inside :func:`one_blas_thread`."""
 
     def __init__(self) -> None:
-        self.lock, self.inside, self.limits = threading.RLock(), 0, None
         self.controller: Any = None
         self.modules = -1
+        self.renew()
+
+    def renew(self) -> None:
+        """Nobody is inside."""
+        self.lock, self.inside = threading.RLock(), 0
+        self.before: list[tuple[Any, int]] = []
+        self.here = threading.local()
 
     def enter(self) -> None:
         with self.lock:
+            self.here.inside = getattr(self.here, "inside", 0) + 1
+            if self.here.inside == 1:
+                # built on OpenMP a library counts its threads for each calling thread
+                self.here.before = _limit([library for library in self._found() if _by_thread(library)])
             if self.inside == 0:
-                self.limits = self._found().limit(limits=1, user_api="blas")
+                self.before = _limit([library for library in self._found() if not _by_thread(library)])
             self.inside += 1
 
     def leave(self) -> None:
         with self.lock:
+            self.here.inside -= 1
             self.inside -= 1
+            if self.here.inside == 0:
+                _give_back(self.here.before)
             if self.inside == 0:
-                limits, self.limits = self.limits, None
-                limits.restore_original_limits()
+                _give_back(self.before)
 
-    def _found(self) -> Any:
+    def _found(self) -> list[Any]:
         """The libraries loaded by now: looked for again (some ms) when modules were imported since."""
         # imported late, inside the block, it would bring a BLAS of its own that nobody limits
         import scipy.linalg  # noqa: F401
@@ -48,7 +60,32 @@ class _Blas:
 
         if self.modules != len(sys.modules):
             self.controller, self.modules = ThreadpoolController(), len(sys.modules)
-        return self.controller
+        return [library for library in self.controller.lib_controllers if library.user_api == "blas"]
+
+
+def _by_thread(library: Any) -> bool:
+    return getattr(library, "threading_layer", "") == "openmp"
+
+
+def _limit(libraries: list[Any]) -> list[tuple[Any, int]]:
+    before = [(library, library.get_num_threads()) for library in libraries]
+    for library, _ in before:
+        _set(library, 1)
+    return before
+
+
+def _give_back(before: list[tuple[Any, int]]) -> None:
+    for library, threads in before:
+        _set(library, threads)
+
+
+def _set(library: Any, threads: int) -> None:
+    """Set the number, whichever thread of Python set it before."""
+    # threadpoolctl 3.7 and later obey, in silence, only the thread that was first to set it
+    release = getattr(library, "clear_controlling_thread", lambda force: None)
+    release(force=True)
+    library.set_num_threads(threads)
+    release(force=True)
 
 
 _BLAS = _Blas()
@@ -58,10 +95,9 @@ _RANDOM = threading.RLock()
 def _after_fork() -> None:
     """Locks that other threads held, and their being inside, do not come along to a child."""
     global _RANDOM
-    _RANDOM, limits = threading.RLock(), _BLAS.limits
-    _BLAS.lock, _BLAS.inside, _BLAS.limits = threading.RLock(), 0, None
-    if limits is not None:
-        limits.restore_original_limits()
+    _RANDOM, before = threading.RLock(), _BLAS.before if _BLAS.inside else []
+    _BLAS.renew()
+    _give_back(before)
 
 
 if hasattr(os, "register_at_fork"):
