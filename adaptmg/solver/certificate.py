@@ -21,6 +21,7 @@ import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.solver.certificate_lines import ContactClaims, Evidence, Line
+from adaptmg.threads import one_blas_thread
 
 __all__ = ["Certificate", "Line", "certify"]
 
@@ -101,6 +102,7 @@ class Certificate:
         return "\n".join([*rows, f"{'energy error':<22} {'':>9} {'':>9} {'':<4} {self.energy_error:>9.2e}  ({how})"])
 
 
+@one_blas_thread()
 def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False
             ) -> Certificate:
     """Check a displacement and the contact forces and states that go with it.

@@ -92,18 +92,22 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, forces: np.n
     boxes = _Boxes(matrix, status, coordinates)
     energy, direction, before = 0.0, None, 0.0
     for _ in range(_STEPS):
-        step = status.project(residual / diagonal) + boxes.correction(residual)
+        step = status.project(residual / diagonal)
+        boxes.add_correction(residual, step)
         product = _dot(residual, step)
         if not product > 0.0:
             break
-        direction = step if direction is None else step + (product / before) * direction
+        if direction is not None:
+            step += (product / before) * direction
+        direction = step
         image = status.product(matrix, direction)
         curvature = _dot(direction, image)
         if not curvature > 0.0:
             break  # a motion that nothing holds
         alpha = product / curvature
         energy += alpha * product
-        residual, before = residual - alpha * image, product
+        image *= alpha
+        residual, before = residual - image, product
     return energy
 
 
@@ -114,16 +118,13 @@ class _Boxes:
         n, dim = status.free.shape
         inner = status.free.all(axis=1)
         inner[status.nodes] = False
-        self.inner, self.dim = np.flatnonzero(inner), dim
         box = _boxes(n, dim, coordinates)
-        _, number = np.unique(box[self.inner], return_inverse=True)
-        self.count = int(number.max(initial=-1)) + 1
-        self.number = number
+        used = np.bincount(box[inner], minlength=_BOXES[dim] ** dim) > 0
+        self.dim, self.count = dim, int(used.sum())
         # nodes left out go to one box more, which is cut off again
-        of_node = np.full(n, self.count)
-        of_node[self.inner] = number
-        pair = np.repeat(of_node, np.diff(matrix.indptr)) * (self.count + 1) + of_node[matrix.indices]
+        self.of_node = np.where(inner, (np.cumsum(used) - 1)[box], self.count).astype(np.int32)
         size, self.factors = self.count + 1, []
+        pair = np.repeat(self.of_node * np.int32(size), np.diff(matrix.indptr)) + self.of_node[matrix.indices]
         for k in range(dim if self.count else 0):
             # each component by itself: half the work, and as a preconditioner good enough
             coarse = np.bincount(pair, matrix.data[:, k, k], minlength=size * size).reshape(size, size)[:-1, :-1]
@@ -133,14 +134,12 @@ class _Boxes:
             except np.linalg.LinAlgError:
                 self.factors.append(None)  # a singular matrix: the diagonal alone is a preconditioner too
 
-    def correction(self, residual: np.ndarray) -> np.ndarray:
-        """P (P' A P)^-1 P' r (n_nodes, dim)."""
-        result = np.zeros_like(residual)
+    def add_correction(self, residual: np.ndarray, step: np.ndarray) -> None:
+        """Add P (P' A P)^-1 P' r to ``step``, both (n_nodes, dim)."""
         for k, factor in enumerate(self.factors):
             if factor is not None:
-                sums = np.bincount(self.number, residual[self.inner, k], minlength=self.count)
-                result[self.inner, k] = cho_solve(factor, sums)[self.number]
-        return result
+                sums = np.bincount(self.of_node, residual[:, k], minlength=self.count + 1)[:-1]
+                step[:, k] += np.append(cho_solve(factor, sums), 0.0)[self.of_node]
 
 
 def _boxes(n: int, dim: int, coordinates: np.ndarray | None) -> np.ndarray:
