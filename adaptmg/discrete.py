@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.coupling import Coupling
-from adaptmg.exchange import Exchange, ScaledLaw, find_carriers, rows_of_carriers
+from adaptmg.exchange import NEGLIGIBLE, Exchange, ScaledLaw, facing_part, find_carriers, rows_of_carriers
 from adaptmg.problem.laws import Law
 from adaptmg.threads import one_blas_thread
 
@@ -221,11 +221,14 @@ class DiscreteProblem:
         Of the unknowns; between bodies that both are held, relative to what holds the other one.
         """
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
-        result = nodal[self.contact.nodes]
-        if self.coupling is not None:
-            fixed = self.fixed.reshape(-1, self.dim)
+        nodes = self.contact.nodes
+        result, own = nodal[nodes], self.fixed.reshape(-1, self.dim)[nodes]
+        if self.coupling is not None and own.any():
+            # such components are no relative coordinates
+            moved = self.physical(nodal)
+            result = np.where(own, moved[nodes] - self.coupling.weights[nodes] @ moved, result)
             for at, weights, c in self.held_together():
-                result[at, c] -= weights @ np.where(fixed[:, c], nodal[:, c], 0.0)
+                result[at, c] = moved[nodes[at], c] - weights @ moved[:, c]
         return result
 
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
@@ -238,9 +241,9 @@ class DiscreteProblem:
         rows, fixed, result = self.coupling.weights[self.contact.nodes], self.fixed.reshape(-1, self.dim), []
         for c in range(self.dim):
             held = np.flatnonzero(fixed[self.contact.nodes, c])
-            weights = sparse.csr_array(rows[held] @ sparse.diags_array(fixed[:, c].astype(float)))
+            weights = sparse.csr_array(facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float)))
             total = np.asarray(weights.sum(axis=1)).ravel()
-            kept = np.abs(total) > 0.1
+            kept = total > NEGLIGIBLE
             scale = sparse.diags_array(1 / total[kept], format="csr")
             result.append((held[kept], sparse.csr_array(scale @ weights[kept]), c))
         return result
@@ -357,7 +360,7 @@ def _exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarr
             and fixed.dtype == bool and fixed.shape == (contact.dim * weights.shape[0],)):
         return contact, weights, law, None  # to be refused where it is checked
     weights = sparse.csr_array(weights, dtype=np.float64)
-    places, carriers, unmatched = find_carriers(contact, weights, fixed, law)
+    places, carriers, unmatched = find_carriers(contact.nodes, weights, fixed, law)
     if len(unmatched):
         raise ValueError(f"contact: slave node {contact.nodes[unmatched[0]]} has a supported tangential component, and "
                          "no node that it faces can take its place (each belongs to another one, too): exchange slave "

@@ -18,18 +18,17 @@ nodes lie closer than those of the master, say) j must do without a multiplier, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg.problem.laws import Law
 
-if TYPE_CHECKING:
-    from adaptmg.discrete import ContactNodes
+__all__ = ["NEGLIGIBLE", "Exchange", "ScaledLaw", "facing_part", "find_carriers", "rows_of_carriers"]
 
-__all__ = ["Exchange", "ScaledLaw", "find_carriers", "rows_of_carriers"]
-
+#: the largest weight that counts as none
+NEGLIGIBLE = 1e-6
 #: the least weight of a node that takes the place of another
 _WEIGHT = 0.05
 
@@ -41,14 +40,14 @@ class Exchange:
     Attributes
     ----------
     contact : ContactNodes
-        With the slave nodes.
+        With the slave nodes (:class:`adaptmg.discrete.ContactNodes`).
     weights : (n_contact, n_nodes) csr_array
         What they face.
     sigma : (n_contact,) array
         Displacement relative to what the posed node faces, over that of the contact node: 1 where none was exchanged.
     """
 
-    contact: ContactNodes
+    contact: Any
     weights: sparse.csr_array
     sigma: np.ndarray
 
@@ -70,13 +69,21 @@ class ScaledLaw:
         return limit * self.factors, friction
 
 
-def find_carriers(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
+def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
+    """The positive entries of weights: those of the other body, not of slave nodes that carry no multiplier."""
+    result = sparse.csr_array(rows, copy=True)
+    result.data = np.maximum(result.data, 0.0)
+    return result
+
+
+def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray, law: Law
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The contact nodes to be exchanged, and for whom.
 
     Parameters
     ----------
-    contact : ContactNodes
+    nodes : (n_contact,) int array
+        Contact nodes.
     weights : (n_nodes, n_nodes) csr_array
         In the rows of slave nodes what they face.
     fixed : (n_dofs,) bool array
@@ -92,15 +99,15 @@ def find_carriers(contact: ContactNodes, weights: sparse.csr_array, fixed: np.nd
     unmatched : (k,) int array
         Indices of contact nodes that should be exchanged but for which there is no node.
     """
-    dim, fixed = contact.dim, fixed.reshape(-1, contact.dim)
-    limit, friction = law.bounds(len(contact))
-    rows = sparse.csr_array(weights[contact.nodes])
+    dim = len(fixed) // weights.shape[0]
+    fixed = fixed.reshape(-1, dim)
+    limit, friction = law.bounds(len(nodes))
+    rows = sparse.csr_array(weights[nodes])
     acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (np.diff(rows.indptr) > 0)
-    held = np.flatnonzero(acts & fixed[contact.nodes].any(axis=1))
-    # where the other body is held likewise nothing can slip
-    share = np.stack([abs(rows[held]) @ (~fixed[:, c]).astype(float) for c in range(dim)], axis=1)
-    total = abs(rows[held]) @ np.ones(rows.shape[1])
-    slips = fixed[contact.nodes[held]] & (share > 0.5 * total[:, None])
+    held = np.flatnonzero(acts & fixed[nodes].any(axis=1))
+    # where the other body is held likewise the supports say what slips
+    alike = facing_part(rows[held]) @ fixed.astype(float)
+    slips = fixed[nodes[held]] & (alike <= NEGLIGIBLE)
     places = held[slips.any(axis=1)]
     mine = rows[places]
     wanted = np.bincount(mine.indices[np.abs(mine.data) > 0], minlength=rows.shape[1])

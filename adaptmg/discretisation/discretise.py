@@ -85,7 +85,7 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
         if weights is None:
             return contact, None
         law = problem.law.at_nodes(mesh.points[contact.nodes], contact.weights)
-        unmatched = find_carriers(contact, weights, fixed, law)[2]
+        unmatched = find_carriers(contact.nodes, weights, fixed, law)[2]
         if not len(unmatched):
             return contact, weights
         excluded = np.union1d(excluded, contact.nodes[unmatched])
