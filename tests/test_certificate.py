@@ -288,3 +288,48 @@ def test_steps_of_a_path_have_one():
     results = am.solve_path(grids(), am.LoadPath(default=[0.5, 1.0, 0.8]), am.FullMultigrid())
     for result in results:
         assert not result.certificate().contradictions(1e-7)
+
+
+class TestFrictionAtSupports:
+    """Nodes that a support drives along the contact: friction acts there as everywhere."""
+
+    def driven(self):
+        problem = am.ContactProblem(
+            domain=am.Rectangle(width=40e-3, height=20e-3), material=am.PlaneStrain(young=2.1e11, poisson=0.3),
+            contact=am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1))), law=am.Coulomb(0.4),
+            loads=(am.Pressure("top", 1e7),), supports=(am.Support("left", x=1e-4), am.Support("right", x=1e-4)))
+        return am.Hierarchy.uniform(problem, ((4, 2), (8, 4)))
+
+    def between(self):
+        parts = {"pad": am.Rectangle(width=40e-3, height=20e-3),
+                 "plate": am.Rectangle(width=80e-3, height=20e-3, origin=(-20e-3, -20e-3))}
+        problem = am.ContactProblem(
+            domain=am.Assembly(parts=parts), material=am.PlaneStrain(young=2.1e11, poisson=0.3), law=am.Coulomb(0.4),
+            contact=am.ContactPair("pad.bottom", "plate.top"), loads=(am.Pressure("pad.top", 1e7),),
+            supports=(am.Support("pad.left", x=0.0), am.Support("pad.right", x=0.0),
+                      am.Support("plate.bottom", x=1e-3, y=0.0)))
+        return am.Hierarchy.uniform(problem, [{"pad": (k, k // 2), "plate": (2 * k, k // 2)} for k in (4, 8)])
+
+    @pytest.mark.parametrize("make", ["driven", "between"])
+    def test_faults_there_are_caught(self, make):
+        hierarchy = getattr(self, make)()
+        # 1 mm of slip against micrometres of strain: fewer digits
+        discrete, result = hierarchy.finest.discrete, am.solve(hierarchy, am.ActiveSet(rtol=1e-10))
+        contact = result.contact
+        assert not result.certificate().contradictions(1e-9)
+        held = discrete.fixed.reshape(result.displacement.shape)[contact.node].any(axis=1)
+        assert held.sum() == 2 and (contact.force_n[held] > 0).all()
+        none = contact.force_t * ~held[:, None]
+        found = certify(discrete, result.displacement, replace(contact, force_t=none))
+        assert "slip direction" in found.contradictions(1e-6)
+        twice = contact.force_t * (1 + held[:, None])
+        found = certify(discrete, result.displacement, replace(contact, force_t=twice))
+        assert "friction bound" in found.contradictions(1e-6)
+        stuck = replace(contact, state=np.where(held, am.STICK, contact.state))
+        assert certify(discrete, result.displacement, stuck).contradictions(1e-6) == ("slip, sticking",)
+        if make == "between":
+            # the master must carry the friction of held nodes, too
+            share = np.zeros_like(contact.master_force)
+            share[np.argmax(np.abs(contact.master_force[:, 0])), 0] = 0.1 * np.abs(contact.master_force).max()
+            wrong = replace(contact, master_force=contact.master_force + share)
+            assert "equilibrium" in certify(discrete, result.displacement, wrong).contradictions(1e-6)
