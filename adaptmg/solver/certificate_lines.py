@@ -104,7 +104,8 @@ class Evidence:
             for at, weights, c in problem.held_together():
                 moved[at, c] = self.u[self.nodes[at], c] - weights @ self.u[:, c]
         u_n = np.einsum("nd,nd->n", moved, self.normals)
-        along = moved - self.posed.slip_reference
+        # a load step changes the reference of the nodes in the equations
+        along = moved - problem.contact.slip_reference * self.sigma[:, None]
         slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals
         return self.posed.gaps - u_n, slip
 
