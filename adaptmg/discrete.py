@@ -33,6 +33,7 @@ from adaptmg.exchange import NEGLIGIBLE, Exchange, ScaledLaw, facing_part, find_
 from adaptmg.problem import checks
 from adaptmg.problem.contact_problem import CONTACT, check_law
 from adaptmg.problem.laws import Law
+from adaptmg.threads import one_blas_thread
 
 __all__ = ["ContactNodes", "DiscreteProblem"]
 
@@ -387,6 +388,7 @@ def _exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarr
     return turned, rows_of_carriers(weights, slaves, carriers), ScaledLaw(law, size), posed
 
 
+@one_blas_thread()
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
     """Rigid-body modes about the centroid, orthonormal.
 

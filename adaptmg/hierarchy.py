@@ -15,6 +15,7 @@ from scipy import sparse
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem, checks
+from adaptmg.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
@@ -239,7 +240,7 @@ class Hierarchy:
         problem.check_boundaries(first.boundaries)
         meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
         seconds = time.perf_counter() - begin
-        made = cls._build(problem, meshes, None, f"bisected near contact {levels} times", seconds)
+        made = cls._build(problem, meshes, None, f"bisected {levels} times near contact", seconds)
         return replace(made, limits=_limits_of_bisection(meshes, problem.pair_boundaries))
 
     @classmethod
@@ -283,8 +284,7 @@ class Hierarchy:
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = time.perf_counter()
         given, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
-        levels = [Level(None, galerkin=matrices[0])]
-        levels += [Level(None, None, P, galerkin=A) for P, A in zip(given[:-1], matrices[1:], strict=True)]
+        levels = [Level(None, None, P, galerkin=A) for P, A in zip([None, *given[:-1]], matrices, strict=True)]
         levels.append(Level(discrete, None, given[-1]))
         return cls(tuple(levels), None, "given prolongations", {"transfer": time.perf_counter() - begin})
 
@@ -317,6 +317,7 @@ class Hierarchy:
         return cls(made.levels, None, "smoothed aggregation", {"transfer": time.perf_counter() - begin})
 
     @classmethod
+    @one_blas_thread()
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
                mesh_seconds: float, contact_rows: bool = True) -> Hierarchy:
         from adaptmg.discretisation.discretise import discretise
