@@ -9,7 +9,7 @@ from adaptmg.discrete import ContactNodes, DiscreteProblem
 from adaptmg.problem import Coulomb, Frictionless, Tresca
 from adaptmg.smoother.system import LocalProblem, local_system
 
-LAWS = {"frictionless": Frictionless(), "tresca": Tresca(0.4), "coulomb": Coulomb(0.5)}
+LAWS = {"frictionless": Frictionless(), "tresca": Tresca(0.5), "coulomb": Coulomb(0.5)}
 
 
 def spd(rng: np.random.Generator, n: int, condition: float = 30.0) -> np.ndarray:
@@ -60,6 +60,9 @@ def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:
     dofs = system.nodes[:, None] * dim + np.arange(dim)
     delassus = flexibility[np.ix_(dofs.ravel(), dofs.ravel())]
     free = (flexibility @ problem.load)[dofs]
+    # a held tangent does not give way, but friction along it counts
+    held = system.fixed[dofs]
+    delassus[held.ravel()], delassus[:, held.ravel()], free[held] = 0.0, 0.0, 0.0
     zero = np.column_stack([contact.gap, contact.slip_reference])
     rate = 1 / np.linalg.eigvalsh(delassus)[-1]
     force = np.zeros_like(free)  # b - A w at contact nodes
@@ -74,5 +77,5 @@ def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:
             break
         force = new
     load = problem.load.copy()
-    load[dofs.ravel()] -= force.ravel()
+    load[dofs[~held]] -= force[~held]
     return flexibility @ load

@@ -98,12 +98,16 @@ class TestLocalProblem:
         np.testing.assert_array_equal(frames[:, 0], problem.contact.normals)
 
     def test_flat_arrays_describe_the_matrix(self, problem):
-        system = local_system(problem).system
+        local = local_system(problem)
+        system, held = local.system, local.contact.held
         dim, matrix = system.dim, system.matrix.toarray()
         for node in range(system.n_nodes):
             rows = slice(dim * node, dim * (node + 1))
             block = slice(dim * dim * node, dim * dim * (node + 1))
-            np.testing.assert_array_equal(system.diagonal[block].reshape(dim, dim), matrix[rows, rows])
+            expected = matrix[rows, rows].copy()
+            if held is not None and node in system.nodes[held]:
+                expected[1, 1] *= -1  # says that the tangent is held
+            np.testing.assert_array_equal(system.diagonal[block].reshape(dim, dim), expected)
             np.testing.assert_allclose(system.inverse[block].reshape(dim, dim) @ matrix[rows, rows], np.eye(dim),
                                        atol=1e-12)
         assert system.nonzeros == len(system.indices) * dim * dim == problem.matrix.nnz

@@ -304,7 +304,7 @@ def test_names_without_faces_are_an_error_only_when_used():
     (lambda: Common(UNIT, Ball((5, 0, 0), 1)), ValueError, "nothing in common"),
     (lambda: Moved(UNIT, angle=float("inf")), ValueError, "angle must be finite"),
     (lambda: Moved(UNIT, axis=(0, 0, 0)), ValueError, "axis must not be zero"),
-    (lambda: StepFile(3), TypeError, "path must be a string"),
+    (lambda: StepFile(3), TypeError, "path must be a path"),
     (lambda: StepFile("a.step", unit=0), ValueError, "unit must be > 0"),
     (lambda: StepFile("a.step", names={"solid1": "a.b"}), ValueError, "must not contain '.'"),
 ])

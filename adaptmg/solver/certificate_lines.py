@@ -147,9 +147,8 @@ class Evidence:
         size, slip = np.linalg.norm(self.friction, axis=1), np.linalg.norm(self.slip, axis=1)
         along = np.einsum("nd,nd->n", self.friction, self.slip)
         excess, works = np.maximum(size - self.bound, 0.0), np.maximum(self.bound * slip + along, 0.0)
-        # weighted by the friction: open nodes slip freely, under a force of rounding
-        strongest = max(np.linalg.norm(self.claimed, axis=1).max(), 1e-6 * self.force)
-        same_way = np.maximum(along, 0.0) / (strongest or 1.0)
+        # weighted by the force: open nodes slip freely, under a force of rounding
+        same_way = np.maximum(along, 0.0) / (self.force or 1.0)
         return (self._forces("friction bound", excess), self._works("slip direction", works, self.bound.sum()),
                 self._lengths("slip along the force", same_way))
 

@@ -18,6 +18,7 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.smoother.system import LocalProblem, local_contact, local_system, rotate
 from adaptmg.solver.arguments import checked_outcome
+from adaptmg.solver.confirm import confirmed_result
 from adaptmg.solver.path_machine import coarse_displacements, lifted_load
 from adaptmg.solver.path_store import fingerprint
 from adaptmg.solver.result import Result
@@ -100,7 +101,7 @@ class PathWalk:
             outcome, coarse = self.method.run(grids, self.local, run, past)
             outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
             with run.phase("result"):
-                result = result_of(grids, self.local, run, outcome, self.solver, self._stress_data(k))
+                result = confirmed_result(grids, self.local, run, outcome, self.solver, self._stress_data(k))
         with run.phase("result"):
             self._remember(grids, result, forces, coarse)
         _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,

@@ -18,9 +18,9 @@ from adaptmg.solver.arguments import (
     solver_argument,
     warn_of_large_friction,
 )
+from adaptmg.solver.confirm import confirmed_result
 from adaptmg.solver.critical_friction import warn_of_several_solutions
 from adaptmg.solver.result import Result
-from adaptmg.solver.result_of import result_of
 from adaptmg.solver.run import Run, Solver
 from adaptmg.solver.statics import check_statics
 from adaptmg.solver.status import NotConverged
@@ -80,7 +80,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     outcome = checked_outcome(outcome, solver, discrete)
     posed, mesh = grids.problem, grids.finest.mesh
     stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
-    result = result_of(grids, local, run, outcome, solver, stress_data)
+    result = confirmed_result(grids, local, run, outcome, solver, stress_data)
     if throw and not result.status.ok:
         raise NotConverged(result)
     return result

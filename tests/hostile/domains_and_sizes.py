@@ -20,12 +20,12 @@ def _thin():
     slot = _polygon((0, 0), (.5, 0), (.5, .5), (.500001, .5), (.500001, 0), (1, 0), (1, 1), (0, 1))
     triangle = _polygon((0, 0), (1, 0), (0, 1))
     plane = {"rectangle 1e-5": am.Rectangle(width=1, height=1e-5), "rectangle 1e-9": am.Rectangle(width=1e-9, height=1),
-             "rectangle 1e-300": am.Rectangle(width=1, height=1e-300), "needle": _polygon((0, 0), (1, 0), (1, 1e-5)),
+             "needle": _polygon((0, 0), (1, 0), (1, 1e-5)),
              "needle 1e-4": _polygon((0, 0), (1, 0), (1, 1e-4)), "wall": wall, "slot": slot,
              "arc": am.Outline(vertices=((0, 0), (1, 0), (1, 1), (0, 1e-6)), boundaries=tuple("abcd"),
                                arcs={0: (0.5, 30.0)})}
     solid = {"box 1e-6": am.Box(width=1, depth=1, height=1e-6), "box 1e-9": am.Box(width=1e-9, depth=1, height=1),
-             "box 1e-300": am.Box(width=1, depth=1e-300, height=1), "disk": am.Cylinder((0, 0, 0), (0, 0, 1), 1, 1e-6),
+             "disk": am.Cylinder((0, 0, 0), (0, 0, 1), 1, 1e-6),
              "wire": am.Cylinder((0, 0, 0), (0, 0, 1), 1e-6, 1), "sheet": am.Extrusion(triangle, 1e-6),
              "needle turned": am.Extrusion(_polygon((0, 0), (1, 0), (1, 1e-6)), 1),
              "tube": am.Revolution(_polygon((1, 0), (1.000001, 0), (1.000001, 1), (1, 1))),
