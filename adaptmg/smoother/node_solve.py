@@ -37,10 +37,29 @@ import math
 
 from numba import njit
 
-__all__ = ["slip_3d", "solve_2d", "solve_3d"]
+from adaptmg.smoother.blocks import ONE, TWO, in_loop
+
+__all__ = ["read_reference", "slip_3d", "solve", "solve_2d", "solve_3d"]
 
 EPSILON = 2.0**-52
 MAX_STEPS = 200
+
+
+@in_loop
+def solve(m, c, gap, reference, limit, friction):
+    """The problem of one node in 2D or 3D: block (upper triangle), force and reference as tuples, so is w."""
+    if len(c) == 2:
+        return solve_2d(m[0], m[1], m[2], c[0], c[1], gap, reference[0], limit, friction)
+    return solve_3d(m[0], m[1], m[2], m[3], m[4], m[5], c[0], c[1], c[2], gap, reference[0], reference[1], limit,
+                    friction)
+
+
+@in_loop
+def read_reference(reference, k, like):
+    """The tangential displacement of zero slip of contact node k, a tuple with one entry less than ``like``."""
+    if len(like) == 2:
+        return (reference[k],)
+    return reference[TWO * k], reference[TWO * k + ONE]
 
 
 @njit(cache=True)
