@@ -19,10 +19,10 @@ from numba import njit
 
 from adaptmg.multigrid.half_sweeps import LINES
 from adaptmg.smoother.blocks import (
-    ONE,
     add,
-    dot,
+    inner,
     inverse_square,
+    minus_times,
     read,
     read_upper,
     subtract,
@@ -35,8 +35,11 @@ from adaptmg.smoother.rows import minus_row, minus_transposed_row
 
 __all__ = ["backward", "energy_product", "forward", "solve_at"]
 
+ONE = np.uint64(1)
 
-@njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+# fastmath said, so that it does not depend on which of the sweeps is compiled first
+@njit(cache=True, fastmath=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
     """Solve contact node k; ``c`` is the Cartesian force without the diagonal block."""
     dim = np.uint64(len(c))
@@ -86,7 +89,7 @@ def forward(zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, fra
         else:
             k = np.uint64(contact_of[i])
             new = solve_at(k, frames, blocks, gap, reference, limit, friction, values, r)
-            write(kept, at, subtract(r, times(diagonal, dim * dim * k, new)))
+            write(kept, at, minus_times(r, diagonal, dim * dim * k, new))
         change = subtract(new, read(u, at, zero))
         write(u, at, new)
         minus_transposed_row(i, 1, l_indptr, l_indices, lower, change, kept)
@@ -105,5 +108,5 @@ def energy_product(zero, l_indptr, l_indices, lower, inverse, new, old):
         for entry in range(np.uint64(l_indptr[i]), np.uint64(l_indptr[i + ONE])):
             j = dim * np.uint64(l_indices[entry])
             other = subtract(read(new, j, zero), read(old, j, zero))
-            total += 2.0 * dot(change, times(lower, dim * dim * entry, other))
+            total += 2.0 * inner(change, times(lower, dim * dim * entry, other))
     return total

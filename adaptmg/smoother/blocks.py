@@ -14,8 +14,9 @@ from collections.abc import Callable
 import numpy as np
 from numba.extending import register_jitable
 
-__all__ = ["ZERO", "add", "dot", "in_loop", "inverse_square", "over", "plus_symmetric", "read", "read_upper", "subtract",
-           "times", "transposed_times", "upper", "write"]
+__all__ = ["ZERO", "add", "in_loop", "inner", "inverse_square", "minus_times", "multiply", "negative", "nothing",
+           "over", "plus_symmetric", "read", "read_upper", "scale", "subtract", "times", "transposed_times", "upper",
+           "write"]
 
 ZERO = {1: (0.0,), 2: (0.0, 0.0), 3: (0.0, 0.0, 0.0)}
 
@@ -29,7 +30,7 @@ def in_loop(function: Callable) -> Callable:
     (A function of its own, cached, would be compiled once for callers with and without contraction to fused
     multiply-adds, whichever comes first.)
     """
-    return register_jitable(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    return register_jitable(forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
 
 
 @in_loop
@@ -53,6 +54,14 @@ def write(array, at, v):
 
 
 @in_loop
+def nothing(like):
+    """Zeros, as many as ``like`` has entries."""
+    if len(like) == 2:
+        return 0.0, 0.0
+    return 0.0, 0.0, 0.0
+
+
+@in_loop
 def add(v, w):
     """v + w."""
     if len(v) == 1:
@@ -73,7 +82,35 @@ def subtract(v, w):
 
 
 @in_loop
-def dot(v, w):
+def scale(factor, v):
+    """A number times v."""
+    if len(v) == 1:
+        return (factor * v[0],)
+    if len(v) == 2:
+        return factor * v[0], factor * v[1]
+    return factor * v[0], factor * v[1], factor * v[2]
+
+
+@in_loop
+def negative(v):
+    """-v."""
+    if len(v) == 1:
+        return (-v[0],)
+    if len(v) == 2:
+        return -v[0], -v[1]
+    return -v[0], -v[1], -v[2]
+
+
+@in_loop
+def multiply(v, w):
+    """Component by component."""
+    if len(v) == 2:
+        return v[0] * w[0], v[1] * w[1]
+    return v[0] * w[0], v[1] * w[1], v[2] * w[2]
+
+
+@in_loop
+def inner(v, w):
     """v'w."""
     if len(v) == 1:
         return v[0] * w[0]
@@ -92,6 +129,15 @@ def times(blocks, at, v):
     return (blocks[at] * v[0] + blocks[at + ONE] * v[1] + blocks[at + TWO] * v[2],
             blocks[at + THREE] * v[0] + blocks[at + FOUR] * v[1] + blocks[at + FIVE] * v[2],
             blocks[at + SIX] * v[0] + blocks[at + SEVEN] * v[1] + blocks[at + EIGHT] * v[2])
+
+
+@in_loop
+def minus_times(r, blocks, at, v):
+    """R minus the block at a position times v."""
+    if len(v) == 2:
+        return (r[0] - blocks[at] * v[0] - blocks[at + ONE] * v[1],
+                r[1] - blocks[at + TWO] * v[0] - blocks[at + THREE] * v[1])
+    return subtract(r, times(blocks, at, v))
 
 
 @in_loop
@@ -153,3 +199,4 @@ def inverse_square(blocks, at, v):
     determinant = m[0] * c_00 + m[1] * c_01 + m[2] * c_02
     return (c_00 * v[0] * v[0] + c_11 * v[1] * v[1] + c_22 * v[2] * v[2]
             + 2.0 * (c_01 * v[0] * v[1] + c_02 * v[0] * v[2] + c_12 * v[1] * v[2])) / determinant
+

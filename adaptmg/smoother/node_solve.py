@@ -35,12 +35,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
-from adaptmg.smoother.blocks import ONE, TWO, in_loop
+from adaptmg.smoother.blocks import in_loop, nothing, plus_symmetric, subtract
 
-__all__ = ["read_reference", "slip_3d", "solve", "solve_2d", "solve_3d"]
+__all__ = ["natural_at", "read_reference", "slip_3d", "solve", "solve_2d", "solve_3d"]
 
+ONE, TWO = np.uint64(1), np.uint64(2)
 EPSILON = 2.0**-52
 MAX_STEPS = 200
 
@@ -52,6 +54,13 @@ def solve(m, c, gap, reference, limit, friction):
         return solve_2d(m[0], m[1], m[2], c[0], c[1], gap, reference[0], limit, friction)
     return solve_3d(m[0], m[1], m[2], m[3], m[4], m[5], c[0], c[1], c[2], gap, reference[0], reference[1], limit,
                     friction)
+
+
+@in_loop
+def natural_at(d, r, w, gap, reference, limit):
+    """The natural residual D (prox_D(w + D^-1 r) - w) of one node, its bound held at ``limit``."""
+    change = subtract(solve(d, plus_symmetric(r, d, w), gap, reference, limit, 0.0), w)
+    return plus_symmetric(nothing(w), d, change)
 
 
 @in_loop

@@ -27,8 +27,12 @@ def minus_row(i, step, indptr, indices, data, w, r, lines):
     begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
     if len(r) < 3:
         ahead = np.int64(size) * begin + step * AHEAD
-        for line in range(lines):
-            prefetch(data, ahead + np.int64(8) * line)
+        prefetch(data, ahead)
+        if lines > 1:
+            prefetch(data, ahead + np.int64(8))
+        if lines > 2:
+            prefetch(data, ahead + np.int64(16))
+            prefetch(data, ahead + np.int64(24))
     first = begin if step > 0 else end - np.int64(1)
     for entry in range(end - begin):
         k = np.uint64(first + step * entry)
