@@ -30,7 +30,8 @@ def in_loop(function: Callable) -> Callable:
     (A function of its own, cached, would be compiled once for callers with and without contraction to fused
     multiply-adds, whichever comes first.)
     """
-    return register_jitable(forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    return register_jitable(forceinline=True, error_model="numpy", no_cpython_wrapper=True,
+                            no_cfunc_wrapper=True)(function)
 
 
 @in_loop
