@@ -30,6 +30,7 @@ from adaptmg.smoother.blocks import (
     transposed_times,
     write,
 )
+from adaptmg.smoother.hints import likely
 from adaptmg.smoother.node_solve import read_reference, solve
 from adaptmg.smoother.rows import minus_row, minus_transposed_row
 
@@ -63,7 +64,7 @@ def backward(zero, l_indptr, l_indices, lower, inverse, load, contact_of, frames
         # kept comes last: it is the one to wait for, as the node before has just written to it
         r = minus_row(i, -1, l_indptr, l_indices, lower, u, zero, LINES)
         r = add(read(kept, at, zero), r)
-        if contact_of[i] < 0:
+        if likely(contact_of[i] < 0):
             new = times(inverse, dim * at, r)
         else:
             new = solve_at(np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction, values, r)
@@ -83,7 +84,7 @@ def forward(zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, fra
         i = np.uint64(node)
         at = dim * i
         r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(kept, at, zero), LINES)
-        if contact_of[i] < 0:
+        if likely(contact_of[i] < 0):
             new = times(inverse, dim * at, r)
             write(kept, at, zero)
         else:

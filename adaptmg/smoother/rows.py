@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.smoother.blocks import in_loop, read, subtract, times, transposed_times, write
-from adaptmg.smoother.prefetch import AHEAD, prefetch
+from adaptmg.smoother.hints import AHEAD, prefetch
 
 __all__ = ["minus_row", "minus_transposed_row"]
 
