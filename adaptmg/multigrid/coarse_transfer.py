@@ -7,8 +7,8 @@ their number, see :mod:`adaptmg.smoother.blocks`); the transpose is applied from
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import kernel
 from adaptmg.smoother.blocks import add, in_loop, inner, read, scale, subtract, write
 
 __all__ = ["add_prolonged", "combine", "dot", "product_of_change", "restrict", "shorten", "zero_at"]
@@ -16,14 +16,14 @@ __all__ = ["add_prolonged", "combine", "dot", "product_of_change", "restrict", "
 ONE = np.uint64(1)
 
 
-@njit(cache=True)
+@kernel
 def zero_at(vector, positions):
     """Set entries to zero."""
     for k in range(len(positions)):
         vector[positions[k]] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def dot(a, b):
     """a'b, not through BLAS: its threads cost more than they gain."""
     total = 0.0
@@ -32,7 +32,7 @@ def dot(a, b):
     return total
 
 
-@njit(cache=True)
+@kernel
 def product_of_change(r, new, old):
     """r'(new - old)."""
     total = 0.0
@@ -41,14 +41,14 @@ def product_of_change(r, new, old):
     return total
 
 
-@njit(cache=True)
+@kernel
 def shorten(alpha, old, new):
     """new = old + alpha (new - old)."""
     for at in range(len(old)):
         new[at] = old[at] + alpha * (new[at] - old[at])
 
 
-@njit(cache=True)
+@kernel
 def restrict(zero, indptr, indices, weights, r, coarse):
     """coarse = P' r; returns r'r."""
     dim = np.uint64(len(zero))
@@ -72,7 +72,7 @@ def _plus_prolonged(i, indptr, indices, weights, coarse, e):
     return e
 
 
-@njit(cache=True)
+@kernel
 def add_prolonged(zero, indptr, indices, weights, coarse, u):
     """u += P coarse."""
     for node in range(len(indptr) - 1):
@@ -81,7 +81,7 @@ def add_prolonged(zero, indptr, indices, weights, coarse, u):
         write(u, at, add(read(u, at, zero), _plus_prolonged(i, indptr, indices, weights, coarse, zero)))
 
 
-@njit(cache=True)
+@kernel
 def combine(zero, indptr, indices, weights, coarse, u, first, second, alpha_1, alpha_2):
     """second = u + alpha_1 (first - u) + alpha_2 (second - u) + P coarse."""
     for node in range(len(indptr) - 1):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import kernel
 from adaptmg.multigrid.contact_loops import BACKWARDS, CLOSED, HELD, SLIPS
 from adaptmg.smoother.blocks import in_loop, inner, read, read_upper, times
 from adaptmg.smoother.node_solve import natural_at, read_reference
@@ -12,7 +12,7 @@ from adaptmg.smoother.node_solve import natural_at, read_reference
 __all__ = ["classify"]
 
 
-@njit(cache=True)
+@kernel
 def classify(zero, nodes, frames, blocks, gap, reference, limit, friction, values, defect, codes, pressure):
     """Update ``codes`` and ``pressure`` from local unknowns and the residual ``defect`` (n_dofs,).
 

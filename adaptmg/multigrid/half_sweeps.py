@@ -10,8 +10,8 @@ that know no nodes); indptr, indices, data of a half; ``inverse`` of the diagona
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import kernel
 from adaptmg.smoother.blocks import read, subtract, times, write
 from adaptmg.smoother.rows import minus_row
 
@@ -22,7 +22,7 @@ __all__ = ["LINES", "backward_change", "backward_full", "backward_kept", "forwar
 LINES = 2
 
 
-@njit(cache=True)
+@kernel
 def forward_from_zero(zero, l_indptr, l_indices, lower, inverse, load, u, kept):
     """u = (L + D)^-1 f, kept = f - L u."""
     dim = np.uint64(len(zero))
@@ -34,7 +34,7 @@ def forward_from_zero(zero, l_indptr, l_indices, lower, inverse, load, u, kept):
         write(u, at, times(inverse, dim * at, r))
 
 
-@njit(cache=True)
+@kernel
 def forward_residual(zero, u_indptr, u_indices, upper, u, result):
     """The residual after :func:`forward_from_zero`: minus U times u."""
     dim = np.uint64(len(zero))
@@ -43,7 +43,7 @@ def forward_residual(zero, u_indptr, u_indices, upper, u, result):
         write(result, dim * i, minus_row(i, 1, u_indptr, u_indices, upper, u, zero, LINES))
 
 
-@njit(cache=True)
+@kernel
 def backward_change(zero, u_indptr, u_indices, upper, inverse, u, kept):
     """Backward sweep that takes f - L u from ``kept`` and leaves the change of u there."""
     dim = np.uint64(len(zero))
@@ -56,7 +56,7 @@ def backward_change(zero, u_indptr, u_indices, upper, inverse, u, kept):
         write(u, at, new)
 
 
-@njit(cache=True)
+@kernel
 def residual(zero, l_indptr, l_indices, lower, kept):
     """The residual after :func:`backward_change`, minus L times the change, in place of the change."""
     dim = np.uint64(len(zero))
@@ -65,7 +65,7 @@ def residual(zero, l_indptr, l_indices, lower, kept):
         write(kept, dim * i, minus_row(i, -1, l_indptr, l_indices, lower, kept, zero, LINES))
 
 
-@njit(cache=True)
+@kernel
 def forward_full(zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u, kept):
     """Forward sweep from any u, kept = f - L u."""
     dim = np.uint64(len(zero))
@@ -78,7 +78,7 @@ def forward_full(zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, i
         write(u, at, times(inverse, dim * at, r))
 
 
-@njit(cache=True)
+@kernel
 def backward_kept(zero, u_indptr, u_indices, upper, inverse, u, kept):
     """Backward sweep that takes f - L u from ``kept``."""
     dim = np.uint64(len(zero))
@@ -89,7 +89,7 @@ def backward_kept(zero, u_indptr, u_indices, upper, inverse, u, kept):
         write(u, at, times(inverse, dim * at, r))
 
 
-@njit(cache=True)
+@kernel
 def backward_full(zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u):
     """Backward sweep from any u."""
     dim = np.uint64(len(zero))

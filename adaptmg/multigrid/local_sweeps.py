@@ -13,8 +13,8 @@ whose followers are all open are therefore moved alone, the followers staying wh
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.multigrid.projected_sweeps import solve_at
 from adaptmg.smoother.blocks import (
     add,
@@ -33,7 +33,7 @@ __all__ = ["local"]
 ONE = np.uint64(1)
 
 
-@njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@inner_kernel
 def _changed(p, i, d, indptr, indices, blocks, diagonal, defect):
     """Take a change d of node i, at position p, out of the residual: its own and that of its neighbours."""
     dim = np.uint64(len(d))
@@ -44,7 +44,7 @@ def _changed(p, i, d, indptr, indices, blocks, diagonal, defect):
         write(defect, j, subtract(read(defect, j, d), transposed_times(blocks, size * entry, d)))
 
 
-@njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@inner_kernel
 def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, contact_of,
            frames, gap, limit, values, u, defect):
     """Move a master without its followers, if all are open and stay so; whether it was done."""
@@ -79,7 +79,7 @@ def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
     return True
 
 
-@njit(cache=True)
+@kernel
 def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, inverse,
           contact_of, frames, own_blocks, gap, reference, limit, friction, values, u, defect):
     """Projected sweep over positions ``order`` of an :class:`~adaptmg.multigrid.interface.Interface`.

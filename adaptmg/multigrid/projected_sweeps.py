@@ -15,8 +15,8 @@ unknowns, which hold gap and reference exactly where the node touches and sticks
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.multigrid.half_sweeps import LINES
 from adaptmg.smoother.blocks import (
     add,
@@ -40,7 +40,7 @@ ONE = np.uint64(1)
 
 
 # fastmath said, so that it does not depend on which of the sweeps is compiled first
-@njit(cache=True, fastmath=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@inner_kernel(fastmath=False)
 def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
     """Solve contact node k; ``c`` is the Cartesian force without the diagonal block."""
     dim = np.uint64(len(c))
@@ -51,7 +51,7 @@ def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
     return transposed_times(frames, frame, w)
 
 
-@njit(cache=True)
+@kernel
 def backward(zero, l_indptr, l_indices, lower, inverse, load, contact_of, frames, blocks, gap, reference, limit,
              friction, values, u, kept):
     """Backward projected sweep, kept = f - U u."""
@@ -72,7 +72,7 @@ def backward(zero, l_indptr, l_indices, lower, inverse, load, contact_of, frames
         minus_transposed_row(i, -1, l_indptr, l_indices, lower, new, kept)
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def forward(zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, blocks, gap, reference, limit,
             friction, values, u, kept):
     """Forward projected sweep after :func:`backward`; ``kept`` becomes f - A u.
@@ -96,7 +96,7 @@ def forward(zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, fra
         minus_transposed_row(i, 1, l_indptr, l_indices, lower, change, kept)
 
 
-@njit(cache=True)
+@kernel
 def energy_product(zero, l_indptr, l_indices, lower, inverse, new, old):
     """(new - old)' A (new - old) from L and the inverse diagonal blocks: half a pass."""
     dim = np.uint64(len(zero))

@@ -18,8 +18,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.smoother.blocks import add, in_loop, inner, over, plus_symmetric, read, scale, times, upper, write
 from adaptmg.smoother.node_solve import natural_at, read_reference, solve
 from adaptmg.smoother.rows import minus_row
@@ -36,7 +36,7 @@ def _residual_at(i, indptr, indices, data, load, w, zero, step):
     return minus_row(i, step, indptr, indices, data, w, read(load, np.uint64(len(zero)) * i, zero), LINES)
 
 
-@njit(cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@inner_kernel
 def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, w, omega, r):
     """The new unknowns of a contact node from its residual."""
     dim = np.uint64(len(r))
@@ -45,7 +45,7 @@ def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, w, ome
                  limit[contact], friction[contact])
 
 
-@njit(cache=True)
+@kernel
 def sweep(zero, first, step, indptr, indices, data, diagonal, inverse, contact_of, gap, reference, limit, friction,
           load, w, omega):
     """One sweep over all nodes: ``first, step`` are 0, 1 (forward) or n_nodes - 1, -1 (backward); changes ``w``."""
@@ -61,7 +61,7 @@ def sweep(zero, first, step, indptr, indices, data, diagonal, inverse, contact_o
                                         omega, r))
 
 
-@njit(cache=True)
+@kernel
 def residual(zero, indptr, indices, data, load, w, result):
     """b - A w into ``result`` (n_dofs,)."""
     dim = np.uint64(len(zero))
@@ -70,14 +70,14 @@ def residual(zero, indptr, indices, data, load, w, result):
         write(result, dim * i, _residual_at(i, indptr, indices, data, load, w, zero, 1))
 
 
-@njit(cache=True)
+@kernel
 def normal_residual(zero, nodes, indptr, indices, data, load, w, result):
     """The normal component of b - A w at ``nodes`` into ``result`` (len(nodes),)."""
     for k in range(len(nodes)):
         result[k] = _residual_at(np.uint64(nodes[k]), indptr, indices, data, load, w, zero, 1)[0]
 
 
-@njit(cache=True)
+@kernel
 def natural_residual(zero, nodes, diagonal, gap, reference, limit, friction, w, result):
     """D (prox_D(w + D^-1 r) - w) at the contact nodes of ``result`` (n_dofs,), which comes as r = b - A w.
 
@@ -92,7 +92,7 @@ def natural_residual(zero, nodes, diagonal, gap, reference, limit, friction, w, 
                                      read_reference(reference, k, zero), limit[k] + friction[k] * max(r[0], 0.0)))
 
 
-@njit(cache=True)
+@kernel
 def energy(zero, indptr, indices, data, nodes, reference, limit, load, w):
     """1/2 w'Aw - b'w + sum of limit * |slip|."""
     dim = np.uint64(len(zero))

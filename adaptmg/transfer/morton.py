@@ -7,12 +7,13 @@ interleaved. The order adapts itself to graded meshes: it needs no cell size.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import inner_kernel, kernel
 
 __all__ = ["morton_order"]
 
 
-@njit(cache=True)
+@inner_kernel
 def _spread2(value):
     """Put a zero bit between the lower 32 bits."""
     x = np.uint64(value)
@@ -24,7 +25,7 @@ def _spread2(value):
     return x
 
 
-@njit(cache=True)
+@inner_kernel
 def _spread3(value):
     """Put two zero bits between the lower 21 bits."""
     x = np.uint64(value)
@@ -36,7 +37,7 @@ def _spread3(value):
     return x
 
 
-@njit(cache=True)
+@kernel
 def _bounds(points):
     """Lower corner (dim,) and longest side of the bounding box."""
     n, dim = points.shape
@@ -47,7 +48,7 @@ def _bounds(points):
     return low, (high - low).max()
 
 
-@njit(cache=True)
+@kernel
 def _codes(points, low, scale, out):
     n, dim = points.shape
     for i in range(n):
