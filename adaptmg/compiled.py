@@ -15,8 +15,11 @@ __all__ = ["inner_kernel", "kernel"]
 
 
 def kernel(function: Callable | None = None, **options: Any) -> Any:
-    """Compile a function that Python calls; ``options`` are those of ``numba.njit``."""
-    compiling = njit(cache=True, no_cfunc_wrapper=True, **options)
+    """Compile a function that Python calls; ``options`` are those of ``numba.njit``.
+
+    Divided by zero is as in numpy: tests before each division would take time, here and in what is compiled.
+    """
+    compiling = njit(**{"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy"} | options)
     return compiling if function is None else compiling(function)
 
 

@@ -146,7 +146,7 @@ def _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, 
     diagonal[:] = 0.0
     for i in range(len(indptr) - 1):
         # the columns are sorted, so that the row is one run for each part
-        begin, to = indptr[i], lower_indptr[i]
+        begin, to = np.int64(indptr[i]), np.int64(lower_indptr[i])
         count = lower_indptr[i + 1] - to
         _copy(size, count, begin, to, indices, data, lower_indices, lower)
         begin += count
@@ -155,7 +155,7 @@ def _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, 
                 diagonal[size * i + c] += data[size * begin + c]
             begin += 1
         if both:
-            _copy(size, indptr[i + 1] - begin, begin, upper_indptr[i], indices, data, upper_indices, upper)
+            _copy(size, indptr[i + 1] - begin, begin, np.int64(upper_indptr[i]), indices, data, upper_indices, upper)
 
 
 @kernel

@@ -62,6 +62,34 @@ def fetch(dim, rows, columns, entries, lower, diagonal, blocks):
                     blocks[e * size + a * dim + b] = lower[at + (a * dim + b if rows[e] > columns[e] else b * dim + a)]
 
 
+@inner_kernel
+def _turn_rows(dim, frames, k, inverse, block, other):
+    """other = F block, F the frame of contact node k, or F' block."""
+    for a in range(dim):
+        for b in range(dim):
+            other[a, b] = 0.0
+            for c in range(dim):
+                at = c * dim + a if inverse else a * dim + c
+                other[a, b] += frames[k * dim * dim + at] * block[c, b]
+
+
+@inner_kernel
+def _turn_columns(dim, frames, k, inverse, block, other):
+    """other = block F', F the frame of contact node k, or block F."""
+    for a in range(dim):
+        for b in range(dim):
+            other[a, b] = 0.0
+            for c in range(dim):
+                at = c * dim + b if inverse else b * dim + c
+                other[a, b] += block[a, c] * frames[k * dim * dim + at]
+
+
+@inner_kernel
+def _truncated(a, code):
+    """Whether component a of a contact node is out of the coarse problem."""
+    return code & CLOSED != 0 if a == 0 else code & TANGENTIAL == HELD
+
+
 @kernel
 def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, friction, direction, hessian, newton, change):
     """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen)."""
@@ -74,49 +102,28 @@ def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, fricti
             for b in range(dim):
                 block[a, b] = blocks[e * size + a * dim + b]
         if k >= 0:
-            for a in range(dim):
-                for b in range(dim):
-                    other[a, b] = 0.0
-                    for c in range(dim):
-                        other[a, b] += frames[k * size + a * dim + c] * block[c, b]
+            _turn_rows(dim, frames, k, False, block, other)
             if newton and codes[k] & CLOSED:
                 for a in range(m):
                     for b in range(dim):
                         other[1 + a, b] -= friction[k] * direction[m * k + a] * other[0, b]
             block, other = other, block
         if l >= 0:
-            for a in range(dim):
-                for b in range(dim):
-                    other[a, b] = 0.0
-                    for c in range(dim):
-                        other[a, b] += block[a, c] * frames[l * size + b * dim + c]
+            _turn_columns(dim, frames, l, False, block, other)
             block, other = other, block
         if k >= 0 and k == l:
             for a in range(m):
                 for b in range(m):
                     block[1 + a, 1 + b] += hessian[m * m * k + m * a + b]
-        if k >= 0:
-            for a in range(dim):
-                if (a == 0 and codes[k] & CLOSED) or (a > 0 and codes[k] & TANGENTIAL == HELD):
-                    for b in range(dim):
-                        block[a, b] = 0.0
+        for a in range(dim):
+            for b in range(dim):
+                if (k >= 0 and _truncated(a, codes[k])) or (l >= 0 and _truncated(b, codes[l])):
+                    block[a, b] = 0.0
         if l >= 0:
-            for a in range(dim):
-                if (a == 0 and codes[l] & CLOSED) or (a > 0 and codes[l] & TANGENTIAL == HELD):
-                    for b in range(dim):
-                        block[b, a] = 0.0
-            for a in range(dim):
-                for b in range(dim):
-                    other[a, b] = 0.0
-                    for c in range(dim):
-                        other[a, b] += block[a, c] * frames[l * size + c * dim + b]
+            _turn_columns(dim, frames, l, True, block, other)
             block, other = other, block
         if k >= 0:
-            for a in range(dim):
-                for b in range(dim):
-                    other[a, b] = 0.0
-                    for c in range(dim):
-                        other[a, b] += frames[k * size + c * dim + a] * block[c, b]
+            _turn_rows(dim, frames, k, True, block, other)
             block, other = other, block
         for a in range(dim):
             for b in range(dim):

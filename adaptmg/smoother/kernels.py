@@ -36,7 +36,7 @@ def _residual_at(i, indptr, indices, data, load, w, zero, step):
     return minus_row(i, step, indptr, indices, data, w, read(load, np.uint64(len(zero)) * i, zero), LINES)
 
 
-@inner_kernel
+@inner_kernel(forceinline=True)
 def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, w, omega, r):
     """The new unknowns of a contact node from its residual."""
     dim = np.uint64(len(r))

@@ -71,7 +71,7 @@ def read_reference(reference, k, like):
     return reference[TWO * k], reference[TWO * k + ONE]
 
 
-@kernel(error_model="numpy", fastmath=False)
+@kernel(fastmath=False)
 def solve_2d(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap: float, reference: float,
              limit: float, friction: float) -> tuple[float, float]:
     """Solve the problem of one node in 2D.
@@ -116,7 +116,7 @@ def solve_2d(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap:
     return gap, reference + slip
 
 
-@inner_kernel(error_model="numpy", fastmath=False)
+@inner_kernel(fastmath=False)
 def _shrink(value: float, bound: float) -> float:
     """Move ``value`` towards zero by ``bound``."""
     if value > bound:
@@ -126,7 +126,7 @@ def _shrink(value: float, bound: float) -> float:
     return 0.0
 
 
-@kernel(error_model="numpy", fastmath=False)
+@kernel(fastmath=False)
 def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_22: float,
              c_n: float, c_1: float, c_2: float, gap: float, reference_1: float, reference_2: float,
              limit: float, friction: float) -> tuple[float, float, float]:
@@ -164,7 +164,7 @@ def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_
     return w_n, reference_1 + slip_1, reference_2 + slip_2
 
 
-@kernel(error_model="numpy", fastmath=False)
+@kernel(fastmath=False)
 def slip_3d(b_11: float, b_12: float, b_22: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
             limit: float, friction: float) -> tuple[float, float]:
     r"""The slip of a node in 3D with :math:`p = \max(0, p_0 - a\cdot\tau)`.
@@ -202,7 +202,7 @@ def slip_3d(b_11: float, b_12: float, b_22: float, c_1: float, c_2: float, a_1: 
     return cosine * slip_1 + sine * slip_2, cosine * slip_2 - sine * slip_1
 
 
-@inner_kernel(error_model="numpy", fastmath=False)
+@inner_kernel(fastmath=False)
 def _slip_in_eigenbasis(b_1: float, b_2: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
                         limit: float, friction: float) -> tuple[float, float]:
     """:func:`slip_3d` of a node that slips, B = diag(b_1, b_2): safeguarded Newton for theta."""
@@ -242,7 +242,7 @@ def _slip_in_eigenbasis(b_1: float, b_2: float, c_1: float, c_2: float, a_1: flo
     return theta * q_1, theta * q_2
 
 
-@inner_kernel(error_model="numpy", fastmath=False)
+@inner_kernel(fastmath=False)
 def _inside(low: float, high: float, stiffness: float) -> float:
     """A point between two bounds whose orders of magnitude may differ; ``high`` may be +inf, ``low`` zero."""
     if high == math.inf:
