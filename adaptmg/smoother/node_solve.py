@@ -27,8 +27,8 @@ deterministic iteration). If open is rejected, every root of the closed problem 
 has p >= 0 (its tangential part would otherwise solve the open problem with :math:`w_n \le g_0`); the guards below
 only meet rounding.
 
-numba does not see across modules that a cached kernel is stale: after an edit here delete the
-``kernels_*.nbi`` files in ``__pycache__``.
+numba does not see across modules that a cached kernel is stale: after an edit here delete the ``*.nbi`` files of the
+callers (smoother, multigrid) in ``__pycache__``.
 """
 
 from __future__ import annotations
