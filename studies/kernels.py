@@ -21,10 +21,11 @@ from numba import njit
 import adaptmg as am
 from adaptmg.discretisation.elasticity import stiffness
 from adaptmg.mesh import MeshArrays, structured
-from adaptmg.multigrid import projected_sweeps_2d, projected_sweeps_3d
+from adaptmg.multigrid import projected_sweeps as sweeps
 from adaptmg.multigrid.halves import split
 from adaptmg.multigrid.obstacle import Obstacle
-from adaptmg.smoother import kernels_2d, kernels_3d
+from adaptmg.smoother import kernels
+from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import LocalSystem
 from adaptmg.transfer import PointLocator
 
@@ -74,8 +75,7 @@ def best_times(calls: list[Callable[[], object]], repeats: int) -> list[float]:
 
 def sweep_calls(system: LocalSystem) -> dict[str, tuple[Callable[[], object], int]]:
     """The kernels on a system: name -> (call, bytes moved)."""
-    kernels = kernels_2d if system.dim == 2 else kernels_3d
-    n = len(system.nodes)
+    n, zero = len(system.nodes), ZERO[system.dim]
     contact = (np.zeros(n), np.zeros(n * (system.dim - 1)), np.zeros(n), np.full(n, 0.5))
     rng = np.random.default_rng(0)
     load, unknowns, result = rng.normal(size=system.n_dofs), np.zeros(system.n_dofs), np.zeros(system.n_dofs)
@@ -83,9 +83,9 @@ def sweep_calls(system: LocalSystem) -> dict[str, tuple[Callable[[], object], in
     arguments = (*matrix, system.diagonal, system.inverse, system.contact_of, *contact, load, unknowns, 1.0)
     read = sum(array.nbytes for array in (*matrix, load, unknowns))
     sweep = read + system.inverse.nbytes + system.contact_of.nbytes + unknowns.nbytes
-    return {"sweep forward": (lambda: kernels.sweep(0, 1, *arguments), sweep),
-            "sweep backward": (lambda: kernels.sweep(system.n_nodes - 1, -1, *arguments), sweep),
-            "residual": (lambda: kernels.residual(*matrix, load, unknowns, result), read + result.nbytes)}
+    return {"sweep forward": (lambda: kernels.sweep(zero, 0, 1, *arguments), sweep),
+            "sweep backward": (lambda: kernels.sweep(zero, system.n_nodes - 1, -1, *arguments), sweep),
+            "residual": (lambda: kernels.residual(zero, *matrix, load, unknowns, result), read + result.nbytes)}
 
 
 def half_sweep_calls(dim: int, divisions: int) -> dict[str, tuple[Callable[[], object], int]]:
@@ -94,18 +94,18 @@ def half_sweep_calls(dim: int, divisions: int) -> dict[str, tuple[Callable[[], o
     discrete = am.discretise(problem, structured(problem.domain, divisions))
     level = split(discrete.matrix, discrete.fixed, symmetric=True)
     obstacle = Obstacle.of(discrete, level)
-    sweeps = projected_sweeps_2d if dim == 2 else projected_sweeps_3d
+    zero = ZERO[dim]
     load, unknowns, kept = np.array(discrete.load), np.zeros(discrete.n_dofs), np.zeros(discrete.n_dofs)
     lower = sum(array.nbytes for array in level.lower_arrays)
     nodal = level.inverse.nbytes + obstacle.contact_of.nbytes
 
     def backward() -> None:
-        sweeps.backward(*level.lower_arrays, level.inverse, load, obstacle.contact_of, *obstacle.node_data, unknowns,
-                        kept)
+        sweeps.backward(zero, *level.lower_arrays, level.inverse, load, obstacle.contact_of, *obstacle.node_data,
+                        unknowns, kept)
 
     def forward() -> None:
-        sweeps.forward(*level.lower_arrays, level.inverse, obstacle.diagonal, obstacle.contact_of, *obstacle.node_data,
-                       unknowns, kept)
+        sweeps.forward(zero, *level.lower_arrays, level.inverse, obstacle.diagonal, obstacle.contact_of,
+                       *obstacle.node_data, unknowns, kept)
 
     return {"backward, L twice used": (backward, lower + nodal + load.nbytes + 3 * unknowns.nbytes),
             "forward, L with residual": (forward, lower + nodal + 4 * unknowns.nbytes)}
@@ -143,8 +143,8 @@ def interpolation(dim: int, coarse: int, fine: int, repeats: int) -> dict[str, o
 def run(context: Context) -> Section:
     """Measure; nothing is stored, as timings of another moment are of no use."""
     repeats = QUICK_REPEATS if context.quick else REPEATS
-    kernels = pd.concat([bandwidth(dim, divisions, repeats)
-                         for dim, divisions in (QUICK_SIZES if context.quick else SIZES)])
+    speeds = pd.concat([bandwidth(dim, divisions, repeats)
+                        for dim, divisions in (QUICK_SIZES if context.quick else SIZES)])
     if context.quick:
         tasks = [location(2, 32, 10_000, 2), interpolation(2, 32, 64, 2)]
     else:
@@ -153,7 +153,7 @@ def run(context: Context) -> Section:
         tasks += [interpolation(2, 128, 256, 5), interpolation(2, 127, 256, 5), interpolation(3, 16, 32, 5)]
     section = Section("Kernels", "The cost of a sweep of the smoother and of an interpolation here, on one thread.")
     section.items = [
-        Table("kernels_bandwidth", kernels, "Bandwidth of the kernels over that of a triad, P1 elasticity",
+        Table("kernels_bandwidth", speeds, "Bandwidth of the kernels over that of a triad, P1 elasticity",
               f"Best of {repeats} runs in one process, in turns with the triad "
               f"({TRIAD_LENGTH} doubles an array). Above 1: the matrix fits into a cache. The kernels ask for the "
               "matrix ahead of its use.",

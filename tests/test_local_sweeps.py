@@ -11,14 +11,14 @@ from bodies import corner_pushed
 import adaptmg as am
 from adaptmg.discretisation.discretise import discretise
 from adaptmg.mesh import graded, structured
-from adaptmg.multigrid import local_sweeps_2d, local_sweeps_3d
+from adaptmg.multigrid import local_sweeps
 from adaptmg.multigrid.halves import split
 from adaptmg.multigrid.interface import Interface
 from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import local_system
 from adaptmg.transfer import without_fixed
 
-LOCAL = {2: local_sweeps_2d.local, 3: local_sweeps_3d.local}
 LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(2e6), "coulomb": am.Coulomb(0.4)}
 GAP = 2e-5
 
@@ -67,9 +67,9 @@ class Swept:
 
     def sweep(self, order=None, kernel=None):
         order = self.interface.forward if order is None else order
-        (LOCAL[self.dim] if kernel is None else kernel)(
-            order, *self.interface.arrays, self.inverse, self.obstacle.contact_of, *self.obstacle.node_data, self.u,
-            self.defect)
+        (local_sweeps.local if kernel is None else kernel)(
+            ZERO[self.dim], order, *self.interface.arrays, self.inverse, self.obstacle.contact_of,
+            *self.obstacle.node_data, self.u, self.defect)
 
     def energy(self):
         slip = (self.obstacle.values.reshape(-1, self.dim)[:, 1:]
@@ -253,11 +253,10 @@ def test_jit_changes_nothing(dim, amplitude, monkeypatch):
     compiled, plain = (Swept(dim, am.Coulomb(0.4), amplitude=amplitude) for _ in range(2))
     compiled.sweep()
     compiled.sweep(compiled.interface.backward)
-    module = {2: local_sweeps_2d, 3: local_sweeps_3d}[dim]
-    for name, function in list(vars(module).items()):
-        monkeypatch.setattr(module, name, getattr(function, "py_func", function))
-    assert not hasattr(module.local, "py_func")
-    plain.sweep(kernel=module.local)
-    plain.sweep(plain.interface.backward, kernel=module.local)
+    for name, function in list(vars(local_sweeps).items()):
+        monkeypatch.setattr(local_sweeps, name, getattr(function, "py_func", function))
+    assert not hasattr(local_sweeps.local, "py_func")
+    plain.sweep(kernel=local_sweeps.local)
+    plain.sweep(plain.interface.backward, kernel=local_sweeps.local)
     np.testing.assert_allclose(compiled.u, plain.u, atol=1e-13 * np.abs(plain.u).max())
     np.testing.assert_allclose(compiled.defect, plain.defect, atol=1e-12 * np.abs(plain.load).max())

@@ -62,7 +62,9 @@ def test_converges_to_the_solution_of_the_dual_problem(dim, law, options):
     expected = dual_solution(problem)
     np.testing.assert_allclose(solved(problem, **options), expected, atol=1e-11)
     state = contact_state(problem.system, problem.contact, problem.load, expected, tolerance=1e-9)
-    assert set(state) == ({OPEN, SLIP} if law == "frictionless" else {OPEN, SLIP, STICK})
+    # in 3D the support drives the node that would stick under the Tresca limit
+    sticks = law != "frictionless" and (dim, law) != (3, "tresca")
+    assert set(state) == ({OPEN, SLIP, STICK} if sticks else {OPEN, SLIP})
 
 
 @every_case

@@ -12,23 +12,16 @@ import pytest
 from scipy import sparse
 from smoother_problems import network
 
-from adaptmg.multigrid import (
-    half_sweeps_1d,
-    half_sweeps_2d,
-    half_sweeps_3d,
-    projected_sweeps_2d,
-    projected_sweeps_3d,
-)
+from adaptmg.multigrid import half_sweeps as kernels
+from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.coarse_transfer import add_prolonged, combine, restrict
 from adaptmg.multigrid.halves import split
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.truncation import Truncation
+from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.transfer import expand, galerkin_product, is_galerkin, without_fixed
-
-HALVES = {1: half_sweeps_1d, 2: half_sweeps_2d, 3: half_sweeps_3d}
-PROJECTED = {2: projected_sweeps_2d, 3: projected_sweeps_3d}
 
 
 def random_matrix(rng: np.random.Generator, dim: int, n: int = 9) -> sparse.bsr_array:
@@ -42,32 +35,32 @@ def random_matrix(rng: np.random.Generator, dim: int, n: int = 9) -> sparse.bsr_
 def test_half_passes_are_gauss_seidel(dim):
     rng = np.random.default_rng(dim)
     matrix = random_matrix(rng, dim)
-    halves, kernels = split(matrix, np.zeros(matrix.shape[0], dtype=bool)), HALVES[dim]
+    halves, zero = split(matrix, np.zeros(matrix.shape[0], dtype=bool)), ZERO[dim]
     dense, n = matrix.toarray(), matrix.shape[0]
     blocks = np.kron(np.eye(n // dim), np.ones((dim, dim)))
     D = dense * blocks
     L, U = np.tril(dense) * (1 - blocks), np.triu(dense) * (1 - blocks)
     f, u, kept = rng.normal(size=n), np.zeros(n), np.zeros(n)
-    kernels.forward_from_zero(*halves.lower_arrays, halves.inverse, f, u, kept)
+    kernels.forward_from_zero(zero, *halves.lower_arrays, halves.inverse, f, u, kept)
     expected = np.linalg.solve(L + D, f)
     np.testing.assert_allclose(u, expected, atol=1e-12)
     result = np.zeros(n)
-    kernels.forward_residual(*halves.upper_arrays, u, result)
+    kernels.forward_residual(zero, *halves.upper_arrays, u, result)
     np.testing.assert_allclose(result, f - dense @ u, atol=1e-12)
-    kernels.backward_change(*halves.upper_arrays, halves.inverse, u, kept)
+    kernels.backward_change(zero, *halves.upper_arrays, halves.inverse, u, kept)
     expected = np.linalg.solve(U + D, f - L @ expected)
     np.testing.assert_allclose(u, expected, atol=1e-12)
-    kernels.residual(*halves.lower_arrays, kept)
+    kernels.residual(zero, *halves.lower_arrays, kept)
     np.testing.assert_allclose(kept, f - dense @ u, atol=1e-12)
     u += rng.normal(size=n)
     start = u.copy()
-    kernels.forward_full(*halves.lower_arrays, *halves.upper_arrays, halves.inverse, f, u, kept)
+    kernels.forward_full(zero, *halves.lower_arrays, *halves.upper_arrays, halves.inverse, f, u, kept)
     expected = np.linalg.solve(L + D, f - U @ start)
     np.testing.assert_allclose(u, expected, atol=1e-12)
-    kernels.backward_kept(*halves.upper_arrays, halves.inverse, u, kept)
+    kernels.backward_kept(zero, *halves.upper_arrays, halves.inverse, u, kept)
     np.testing.assert_allclose(u, np.linalg.solve(U + D, f - L @ expected), atol=1e-12)
     u = start.copy()
-    kernels.backward_full(*halves.lower_arrays, *halves.upper_arrays, halves.inverse, f, u)
+    kernels.backward_full(zero, *halves.lower_arrays, *halves.upper_arrays, halves.inverse, f, u)
     np.testing.assert_allclose(u, np.linalg.solve(U + D, f - L @ start), atol=1e-12)
     np.testing.assert_allclose(halves.matrix().toarray(), dense)
 
@@ -106,10 +99,11 @@ def parts(dim: int, law: str):
 
 
 def smooth(level, obstacle, load, u):
-    kernels, defect = PROJECTED[level.dim], np.zeros_like(u)
-    kernels.backward(*level.lower_arrays, level.inverse, load, obstacle.contact_of, *obstacle.node_data, u, defect)
-    kernels.forward(*level.lower_arrays, level.inverse, obstacle.diagonal, obstacle.contact_of, *obstacle.node_data,
-                    u, defect)
+    zero, defect = ZERO[level.dim], np.zeros_like(u)
+    projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, load, obstacle.contact_of,
+                              *obstacle.node_data, u, defect)
+    projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, obstacle.diagonal, obstacle.contact_of,
+                             *obstacle.node_data, u, defect)
     return defect
 
 
@@ -128,7 +122,7 @@ def test_projected_half_passes_are_the_smoother(dim, law):
                                    atol=1e-11)
         np.testing.assert_allclose(defect, load - level.matrix() @ u, atol=1e-11)
     other = np.random.default_rng(0).normal(size=u.shape) * ~problem.discrete.fixed
-    product = PROJECTED[dim].energy_product(*level.lower_arrays, level.inverse, other, u)
+    product = projected_sweeps.energy_product(ZERO[dim], *level.lower_arrays, level.inverse, other, u)
     assert product == pytest.approx((other - u) @ (level.matrix() @ (other - u)), rel=1e-10)
 
 
@@ -242,14 +236,14 @@ def test_transfers(dim):
     P = sparse.random_array((12, 5), density=0.4, rng=rng, format="csr")
     Q = sparse.csr_array(sparse.kron(P, np.eye(dim)))
     r, coarse = rng.normal(size=12 * dim), np.empty(5 * dim)
-    assert restrict[dim](P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
+    assert restrict(ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
     np.testing.assert_allclose(coarse, Q.T @ r)
     u, first, second = rng.normal(size=(3, 12 * dim))
     expected = u + 0.3 * (first - u) - 0.2 * (second - u) + Q @ coarse
-    combine[dim](P.indptr, P.indices, P.data, coarse, u, first, second, 0.3, -0.2)
+    combine(ZERO[dim], P.indptr, P.indices, P.data, coarse, u, first, second, 0.3, -0.2)
     np.testing.assert_allclose(second, expected)
     expected = u + Q @ coarse
-    add_prolonged[dim](P.indptr, P.indices, P.data, coarse, u)
+    add_prolonged(ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
     np.testing.assert_allclose(u, expected)
 
 

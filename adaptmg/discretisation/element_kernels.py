@@ -17,12 +17,13 @@ bitwise symmetric, and the same in every run.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import inner_kernel, kernel
 
 __all__ = ["add_axisymmetric", "add_plane", "add_solid", "count_neighbours", "fill_neighbours"]
 
 
-@njit(cache=True)
+@inner_kernel
 def _elements_of_nodes(elements, start, listed):
     """Elements of each node, ascending: ``listed[start[i]:start[i + 1]]``; ``start`` (n_nodes + 1,) comes as 0."""
     n = len(start) - 1
@@ -40,7 +41,7 @@ def _elements_of_nodes(elements, start, listed):
     start[0] = 0
 
 
-@njit(cache=True)
+@kernel
 def count_neighbours(elements, start, listed, marker, indptr):
     """Row pointers of the pattern: nodes that share an element, each node with itself.
 
@@ -59,7 +60,7 @@ def count_neighbours(elements, start, listed, marker, indptr):
         indptr[i + 1] = indptr[i] + count
 
 
-@njit(cache=True)
+@kernel
 def fill_neighbours(elements, start, listed, marker, end, indices):
     """Columns of the pattern, ascending. ``end`` (n_nodes,) comes as ``indptr[:-1]``, ``marker`` as -1.
 
@@ -75,7 +76,7 @@ def fill_neighbours(elements, start, listed, marker, end, indices):
                     end[v] += 1
 
 
-@njit(cache=True)
+@inner_kernel
 def _plane_gradients(points, corners, g):
     """Write the gradients (3, 2) of the shape functions; returns the area, and nothing if that is not positive."""
     a, b, c = corners[0], corners[1], corners[2]
@@ -89,7 +90,7 @@ def _plane_gradients(points, corners, g):
     return det / 2.0
 
 
-@njit(cache=True)
+@inner_kernel
 def _solid_gradients(points, corners, g):
     """Write the gradients (4, 3) of the shape functions; returns the volume, and nothing if that is not positive."""
     a, b, c, d = corners[0], corners[1], corners[2], corners[3]
@@ -109,7 +110,7 @@ def _solid_gradients(points, corners, g):
     return det / 6.0
 
 
-@njit(cache=True)
+@inner_kernel
 def _position(indptr, indices, a, b):
     """Where the block (a, b), which is there, is stored."""
     at = indptr[a]
@@ -118,7 +119,7 @@ def _position(indptr, indices, a, b):
     return at
 
 
-@njit(cache=True)
+@inner_kernel
 def _add_plane_block(a, b, xx, xy, yx, yy, indptr, indices, data):
     """Add the block of nodes a, b, and off the diagonal its transpose at (b, a)."""
     at = _position(indptr, indices, a, b)
@@ -134,7 +135,7 @@ def _add_plane_block(a, b, xx, xy, yx, yy, indptr, indices, data):
         data[at, 1, 1] += yy
 
 
-@njit(cache=True)
+@kernel
 def add_plane(points, elements, body, lame, shear, indptr, indices, data):
     """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies.
 
@@ -158,7 +159,7 @@ def add_plane(points, elements, body, lame, shear, indptr, indices, data):
     return -1
 
 
-@njit(cache=True)
+@kernel
 def add_solid(points, elements, body, lame, shear, indptr, indices, data):
     """Add the element matrices of solid elasticity; ``lame`` and ``shear`` are those of the bodies.
 
@@ -189,7 +190,7 @@ def add_solid(points, elements, body, lame, shear, indptr, indices, data):
     return -1
 
 
-@njit(cache=True)
+@kernel
 def add_axisymmetric(points, elements, body, lame, shear, rule, weights, indptr, indices, data):
     """Add the element matrices of axisymmetric elasticity, x = r, y = z, over the full circumference.
 

@@ -13,7 +13,8 @@ and the edge faces the ray if f > 0. The rays do not cross between the surfaces 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import kernel
 
 __all__ = ["SHORTEST", "distance_along_normal", "nearest_pieces", "search_strips"]
 
@@ -23,7 +24,7 @@ SHORTEST = 1e-13
 _BESIDE = 1e-9  # how far outside a master edge, as a fraction of it, a ray may pass
 
 
-@njit(cache=True)
+@kernel
 def _meets(boxes, node, strip):
     """Whether a box (x, y lower, x, y upper) meets a strip (the same four, unit axis, lower and upper along it)."""
     if (boxes[node, 0] > strip[2] or boxes[node, 1] > strip[3] or boxes[node, 2] < strip[0]
@@ -34,7 +35,7 @@ def _meets(boxes, node, strip):
     return middle - half <= strip[7] and middle + half >= strip[6]
 
 
-@njit(cache=True)
+@kernel
 def search_strips(boxes, strips, starts, counts, found, stack):
     """Leaves of a tree of boxes that meet each strip.
 
@@ -61,7 +62,7 @@ def search_strips(boxes, strips, starts, counts, found, stack):
             counts[e] += 1
 
 
-@njit(cache=True)
+@kernel
 def distance_along_normal(points, normals, a, b, y1, y2, s):
     """Distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1, y2).
 
@@ -82,7 +83,7 @@ def distance_along_normal(points, normals, a, b, y1, y2, s):
     return distance * np.hypot(nx, ny)
 
 
-@njit(cache=True)
+@kernel
 def nearest_pieces(points, normals, slave, master, starts, facets, lows, highs, breaks, backward, forward, active,
                    piece_edge, piece_facet, piece_ends):
     """Cut each slave edge where a master edge begins or ends; give each part the nearest master edge in front of it.

@@ -9,8 +9,8 @@ that of the slave's.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.discretisation.polygon_kernels import (
     MOMENTS,
     ROOM,
@@ -35,7 +35,7 @@ STACK = 128
 """Depth of the search stack: more than twice the levels of any tree that fits in memory."""
 
 
-@njit(cache=True)
+@kernel
 def find_opposite(frames, origins, low, high, boxes, order, corners, vectors, start, fill, found):
     """Master facets that face a slave facet and meet the box of its local extents.
 
@@ -85,7 +85,7 @@ def find_opposite(frames, origins, low, high, boxes, order, corners, vectors, st
             start[s + 1] = count
 
 
-@njit(cache=True)
+@inner_kernel
 def _box_meets(box, frame, origin, low, high):
     for a in range(3):
         centre, radius = 0.0, 0.0
@@ -97,7 +97,7 @@ def _box_meets(box, frame, origin, low, high):
     return True
 
 
-@njit(cache=True)
+@inner_kernel
 def _facet_meets(corners, frame, origin, low, high):
     for a in range(3):
         lowest, highest = np.inf, -np.inf
@@ -109,7 +109,7 @@ def _facet_meets(corners, frame, origin, low, high):
     return True
 
 
-@njit(cache=True)
+@inner_kernel
 def _faces(vector, frame):
     along, square = 0.0, 0.0
     for c in range(3):
@@ -118,7 +118,7 @@ def _faces(vector, frame):
     return along < -GRAZING * np.sqrt(square)
 
 
-@njit(cache=True)
+@kernel
 def _local(point, frame, origin, a):
     result = 0.0
     for c in range(3):
@@ -126,7 +126,7 @@ def _local(point, frame, origin, a):
     return result
 
 
-@njit(cache=True)
+@kernel
 def common_moments(slave, frames, origins, corners, start, found, below, above, moments):
     """Moments of the visible common parts of slave facets and the master facets found for them.
 
@@ -184,7 +184,7 @@ def common_moments(slave, frames, origins, corners, start, found, below, above, 
                         moments[first + i, 0] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def _bound(parts, sizes, masters, n, boxes):
     """Write low x, low y, high x, high y of the parts, and low x of their masters; returns the largest width of one."""
     widest = 0.0
@@ -199,7 +199,7 @@ def _bound(parts, sizes, masters, n, boxes):
     return widest
 
 
-@njit(cache=True)
+@inner_kernel
 def _hiding(parts, sizes, masters, gaps, n, i, boxes, widest, tolerance, spare, hiding):
     """Write those that hide something of part i to ``hiding``; returns their number."""
     count = 0
@@ -217,7 +217,7 @@ def _hiding(parts, sizes, masters, gaps, n, i, boxes, widest, tolerance, spare, 
     return count
 
 
-@njit(cache=True)
+@kernel
 def _plane(corners, plane):
     """Write height at the origin and slope of the plane through three local points; returns twice their area."""
     x1, y1, z1 = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
@@ -229,13 +229,13 @@ def _plane(corners, plane):
     return double
 
 
-@njit(cache=True)
+@inner_kernel
 def _gap(plane, moments):
     """Value at the centroid."""
     return plane[0] + plane[1] * moments[1] + plane[2] * moments[2]
 
 
-@njit(cache=True)
+@inner_kernel
 def _nearer(parts, sizes, masters, gaps, i, j, tolerance, spare):
     """Which of two parts is nearer where they overlap, -1 if they do not; the same for (i, j) and (j, i)."""
     a, b = min(i, j), max(i, j)

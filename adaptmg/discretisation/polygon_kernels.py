@@ -16,7 +16,8 @@ areas (rounding) count as zero: centroids stay inside, covariances positive.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import inner_kernel, kernel
 
 __all__ = ["MOMENTS", "ROOM", "add_visible", "clip", "keep_left", "polygon_moments", "separated"]
 
@@ -27,13 +28,13 @@ MOMENTS = 6
 """Area, centroid (2), covariance xx, xy, yy."""
 
 
-@njit(cache=True)
+@kernel
 def _side(polygon, i, ax, ay, bx, by):
     """Twice the area of the triangle of a, b and corner i: positive to the left of the line from a to b."""
     return (bx - ax) * (polygon[i, 1] - ay) - (by - ay) * (polygon[i, 0] - ax)
 
 
-@njit(cache=True)
+@inner_kernel
 def keep_left(polygon, n, ax, ay, bx, by, out):
     """Write the part of a polygon to the left of the line from a to b to ``out``; returns its number of corners.
 
@@ -58,7 +59,7 @@ def keep_left(polygon, n, ax, ay, bx, by, out):
     return kept
 
 
-@njit(cache=True)
+@kernel
 def clip(polygon, n, window, m, out, spare):
     """Write the intersection of two polygons to ``out``.
 
@@ -88,7 +89,7 @@ def clip(polygon, n, window, m, out, spare):
     return count
 
 
-@njit(cache=True)
+@inner_kernel
 def _separated_by_edge(polygon, n, window, m, tolerance):
     """Whether ``polygon`` lies to the right of an edge of ``window``, but for a strip as wide as ``tolerance``."""
     for i in range(m):
@@ -108,7 +109,7 @@ def _separated_by_edge(polygon, n, window, m, tolerance):
     return False
 
 
-@njit(cache=True)
+@inner_kernel
 def separated(polygon, n, window, m, tolerance):
     """Whether an edge of one of two polygons separates them, but for a strip as wide as ``tolerance``."""
     for c in range(2):
@@ -122,7 +123,7 @@ def separated(polygon, n, window, m, tolerance):
     return _separated_by_edge(polygon, n, window, m, tolerance) or _separated_by_edge(window, m, polygon, n, tolerance)
 
 
-@njit(cache=True)
+@inner_kernel
 def _add_triangle(moments, polygon, i, j, k):
     """Merge the moments of the triangle of three corners into ``moments`` (MOMENTS,)."""
     area = 0.5 * _side(polygon, k, polygon[i, 0], polygon[i, 1], polygon[j, 0], polygon[j, 1])
@@ -148,7 +149,7 @@ def _add_triangle(moments, polygon, i, j, k):
     moments[5] += share * (yy - moments[5]) + rest * dy * dy
 
 
-@njit(cache=True)
+@kernel
 def polygon_moments(polygon, n, moments):
     """Moments of a polygon, written to ``moments`` (MOMENTS,): area, centroid, covariance."""
     for c in range(MOMENTS):
@@ -157,7 +158,7 @@ def polygon_moments(polygon, n, moments):
         _add_triangle(moments, polygon, 0, i, i + 1)
 
 
-@njit(cache=True)
+@kernel
 def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states, piece, moments):
     """Moments of what is left of a polygon when triangles hide parts of it.
 
@@ -206,7 +207,7 @@ def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states
         depth = _push(piece[1], outside, at + 1, 0, stack, states, depth)
 
 
-@njit(cache=True)
+@inner_kernel
 def _push(polygon, n, at, edge, stack, states, depth):
     """Put the triangles of a polygon with their state on the stack; returns its new depth."""
     for i in range(1, n - 1):

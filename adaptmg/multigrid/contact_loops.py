@@ -15,7 +15,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import inner_kernel, kernel
 
 __all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "SLIPS", "TANGENTIAL", "count_cut", "directions", "friction_slope",
            "project", "truncate"]
@@ -24,7 +25,7 @@ CLOSED, FREE, HELD, SLIPS, BACKWARDS = 1, 0, 2, 4, 6
 TANGENTIAL = 6
 
 
-@njit(cache=True, inline="always")
+@inner_kernel(inline="always")
 def _slip_size(dim, k, values, reference):
     largest = 0.0
     for a in range(dim - 1):
@@ -39,7 +40,7 @@ def _slip_size(dim, k, values, reference):
     return largest * math.sqrt(total)
 
 
-@njit(cache=True)
+@kernel
 def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r):
     """Replace the residual (n_dofs,) at contact nodes by the truncated one; returns the sum of its squares there."""
     local = np.empty(dim)
@@ -71,7 +72,7 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r):
     return squares
 
 
-@njit(cache=True)
+@kernel
 def directions(dim, codes, limit, friction, pressure, reference, values, direction, hessian):
     """Slip directions and, in 3D, the Hessian of g |slip| at slipping nodes, zero elsewhere.
 
@@ -98,7 +99,7 @@ def directions(dim, codes, limit, friction, pressure, reference, values, directi
                 hessian[4 * k + 3 * a] += bound / size
 
 
-@njit(cache=True)
+@kernel
 def project(dim, codes, nodes, frames, gap, reference, values, u):
     """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns.
 
@@ -141,7 +142,7 @@ def project(dim, codes, nodes, frames, gap, reference, values, u):
     return cut
 
 
-@njit(cache=True)
+@kernel
 def count_cut(dim, codes, nodes, frames, gap, reference, values, first, second, alpha_1, alpha_2, u):
     """At how many nodes u + alpha_1 (first - u) + alpha_2 (second - u) closes an open node or reverses a slip."""
     m = dim - 1
@@ -168,7 +169,7 @@ def count_cut(dim, codes, nodes, frames, gap, reference, values, first, second, 
     return count
 
 
-@njit(cache=True)
+@kernel
 def friction_slope(dim, codes, limit, friction, pressure, reference, old, new, alpha):
     """Derivative of the sum of g |slip| along old + alpha (new - old), minus that at alpha = 0; slipping nodes only."""
     m = dim - 1

@@ -11,8 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy import sparse
+
+from adaptmg.compiled import inner_kernel, kernel
 
 __all__ = ["Halves", "split"]
 
@@ -112,7 +113,7 @@ class Halves:
         return parts[0] + parts[1] + (parts[1].T if self.symmetric else parts[2])
 
 
-@njit(cache=True)
+@kernel
 def _count(indptr, indices, lower_indptr, upper_indptr):
     """Row pointers of both halves."""
     lower_indptr[0] = upper_indptr[0] = 0
@@ -127,7 +128,7 @@ def _count(indptr, indices, lower_indptr, upper_indptr):
         upper_indptr[i + 1] = upper_indptr[i] + above
 
 
-@njit(cache=True)
+@inner_kernel
 def _copy(size, count, begin, to, indices, data, own_indices, own):
     """A run of ``count`` blocks from place ``begin`` to place ``to``."""
     for k in range(count):
@@ -136,7 +137,7 @@ def _copy(size, count, begin, to, indices, data, own_indices, own):
         own[size * to + c] = data[size * begin + c]
 
 
-@njit(cache=True)
+@kernel
 def _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper,
                 diagonal):
     """Blocks into L, U (unless it is empty) and D; blocks of a duplicate or missing diagonal are summed or zero."""
@@ -145,7 +146,7 @@ def _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, 
     diagonal[:] = 0.0
     for i in range(len(indptr) - 1):
         # the columns are sorted, so that the row is one run for each part
-        begin, to = indptr[i], lower_indptr[i]
+        begin, to = np.int64(indptr[i]), np.int64(lower_indptr[i])
         count = lower_indptr[i + 1] - to
         _copy(size, count, begin, to, indices, data, lower_indices, lower)
         begin += count
@@ -154,10 +155,10 @@ def _distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, 
                 diagonal[size * i + c] += data[size * begin + c]
             begin += 1
         if both:
-            _copy(size, indptr[i + 1] - begin, begin, upper_indptr[i], indices, data, upper_indices, upper)
+            _copy(size, indptr[i + 1] - begin, begin, np.int64(upper_indptr[i]), indices, data, upper_indices, upper)
 
 
-@njit(cache=True)
+@kernel
 def _mask(dim, indptr, indices, data, free, held):
     """Zero rows and columns of fixed dofs in a half; ``held`` tells the nodes that have some."""
     for i in range(len(indptr) - 1):
@@ -171,7 +172,7 @@ def _mask(dim, indptr, indices, data, free, held):
                         data[(k * dim + a) * dim + b] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def _decouple(dim, diagonal, fixed):
     """Zero the couplings of fixed dofs inside their diagonal blocks; the entry itself stays."""
     for at in fixed:
@@ -182,7 +183,7 @@ def _decouple(dim, diagonal, fixed):
                 diagonal[(i * dim + b) * dim + a] = 0.0
 
 
-@njit(cache=True)
+@inner_kernel
 def invert_block(dim, block, scale, result, at):
     """The inverse of a block (dim * dim,) with diagonal scale, zero in rows and columns of vanishing diagonal entries.
 
@@ -213,7 +214,7 @@ def invert_block(dim, block, scale, result, at):
                     result[at + row * dim + b] -= factor * result[at + a * dim + b]
 
 
-@njit(cache=True)
+@inner_kernel
 def _invert_2d(blocks, result, at):
     """The same in 2D in a few operations, where no diagonal entry vanishes; whether it was done."""
     a, b, c, d = blocks[at], blocks[at + 1], blocks[at + 2], blocks[at + 3]
@@ -225,7 +226,7 @@ def _invert_2d(blocks, result, at):
     return True
 
 
-@njit(cache=True)
+@kernel
 def _invert_all(dim, diagonal, inverse):
     size = dim * dim
     block = np.empty(size)

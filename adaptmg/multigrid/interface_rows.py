@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import kernel
 
 __all__ = ["alone", "count", "fill"]
 
 
-@njit(cache=True)
+@kernel
 def count(indptr, indices, place, result):
     """Row pointers of the rows (without diagonal) of the nodes with ``place`` >= 0."""
     for i in range(len(indptr) - 1):
@@ -22,7 +23,7 @@ def count(indptr, indices, place, result):
         result[i + 1] += result[i]
 
 
-@njit(cache=True)
+@kernel
 def fill(dim, indptr, indices, lower, place, row_indptr, columns, blocks):
     """Columns and blocks of those rows; a block above the diagonal is the transpose of the one below."""
     size = dim * dim
@@ -44,7 +45,7 @@ def fill(dim, indptr, indices, lower, place, row_indptr, columns, blocks):
                 at[q] += 1
 
 
-@njit(cache=True)
+@kernel
 def _add(dim, p, node, left, right, nodes, indptr, columns, blocks, diagonal, result, at):
     """result += diag(left) A diag(right) for the block in row ``p`` (a position) and column ``node``."""
     size = dim * dim
@@ -61,7 +62,7 @@ def _add(dim, p, node, left, right, nodes, indptr, columns, blocks, diagonal, re
             return
 
 
-@njit(cache=True)
+@kernel
 def alone(dim, nodes, indptr, columns, blocks, diagonal, follow_indptr, followers, weights, result):
     """Blocks D'AD of the motion D of each node that leaves its followers where they are."""
     one = np.ones(dim)

@@ -9,14 +9,13 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 
-from adaptmg.multigrid import half_sweeps_1d, half_sweeps_2d, half_sweeps_3d
+from adaptmg.multigrid import half_sweeps
 from adaptmg.multigrid.coarse_transfer import add_prolonged, restrict, zero_at
 from adaptmg.multigrid.correction import Recorder
 from adaptmg.multigrid.halves import Halves
+from adaptmg.smoother.blocks import ZERO
 
 __all__ = ["CoarseFactors", "LinearCycle", "Vectors"]
-
-_SWEEPS = {1: half_sweeps_1d, 2: half_sweeps_2d, 3: half_sweeps_3d}
 
 
 class CoarseFactors:
@@ -139,12 +138,12 @@ class LinearCycle:
         self._before(level, v, self.sweeps[number])
         self.recorder.visit(number, "smooth", self.sweeps[number])
         below = self.vectors(number - 1)
-        components = level.n_dofs // nodal.shape[0]
-        restrict[components](nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
+        components = ZERO[level.n_dofs // nodal.shape[0]]
+        restrict(components, nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
         zero_at(below.load, self.levels[number - 1].fixed)
         self.recorder.visit(number, "restrict")
         correction = self.solve(number - 1)
-        add_prolonged[components](nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
+        add_prolonged(components, nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
         zero_at(v.solution, level.fixed)
         self.recorder.visit(number, "prolong")
         self._after(level, v, self.sweeps[number])
@@ -154,19 +153,20 @@ class LinearCycle:
 
     def _before(self, level: Halves, v: Vectors, sweeps: int) -> None:
         """Smooth from zero; the residual is left in ``kept``."""
-        kernels = _SWEEPS[level.dim]
-        kernels.forward_from_zero(*level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
+        zero = ZERO[level.dim]
+        half_sweeps.forward_from_zero(zero, *level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
         if sweeps == 1:
-            kernels.forward_residual(*level.upper_arrays, v.solution, v.kept)
+            half_sweeps.forward_residual(zero, *level.upper_arrays, v.solution, v.kept)
         else:
-            kernels.backward_change(*level.upper_arrays, level.inverse, v.solution, v.kept)
-            kernels.residual(*level.lower_arrays, v.kept)
+            half_sweeps.backward_change(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)
+            half_sweeps.residual(zero, *level.lower_arrays, v.kept)
 
     def _after(self, level: Halves, v: Vectors, sweeps: int) -> None:
         """Smooth the corrected solution."""
-        kernels = _SWEEPS[level.dim]
+        zero = ZERO[level.dim]
         if sweeps == 1:
-            kernels.backward_full(*level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
+            half_sweeps.backward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
         else:
-            kernels.forward_full(*level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution, v.kept)
-            kernels.backward_kept(*level.upper_arrays, level.inverse, v.solution, v.kept)
+            half_sweeps.forward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution,
+                                     v.kept)
+            half_sweeps.backward_kept(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)

@@ -8,13 +8,13 @@ from typing import ClassVar
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.multigrid import contact_loops, contact_status_2d, contact_status_3d
+from adaptmg.multigrid import contact_loops
+from adaptmg.multigrid.contact_status import classify
 from adaptmg.multigrid.halves import Halves
+from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import NodalContact, local_contact, turn_held
 
 __all__ = ["Obstacle", "Status"]
-
-_CLASSIFY = {2: contact_status_2d.classify, 3: contact_status_3d.classify}
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Obstacle:
 
     def look(self, defect: np.ndarray) -> Status:
         """Update the status after a sweep; ``defect`` is f - A u (n_dofs,)."""
-        found = _CLASSIFY[self.dim](self.nodes, *self.node_data, defect, self.codes, self.pressure)
+        found = classify(ZERO[self.dim], self.nodes, *self.node_data, defect, self.codes, self.pressure)
         return Status(*found)
 
     def renew_directions(self) -> None:

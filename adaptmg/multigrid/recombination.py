@@ -9,12 +9,13 @@ the restriction). As long as the contact status stays, the truncated residual is
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import kernel
 
 __all__ = ["Recombination"]
 
 
-@njit(cache=True)
+@kernel
 def _normal_equations(dim, inverse, now, first, second, result):
     """The entries a_11, a_12, a_22, b_1, b_2 of the weighted least squares problem, and the weighted |R_0|^2."""
     a_11, a_12, a_22, b_1, b_2, c = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -33,7 +34,7 @@ def _normal_equations(dim, inverse, now, first, second, result):
     result[0], result[1], result[2], result[3], result[4], result[5] = a_11, a_12, a_22, b_1, b_2, c
 
 
-@njit(cache=True)
+@kernel
 def _combined(now, first, second, alpha_1, alpha_2, result):
     for at in range(len(now)):
         result[at] = now[at] + alpha_1 * (first[at] - now[at]) + alpha_2 * (second[at] - now[at])

@@ -6,19 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.multigrid import local_sweeps_2d, local_sweeps_3d, projected_sweeps_2d, projected_sweeps_3d
+from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.coarse_transfer import combine, dot, product_of_change, restrict, shorten, zero_at
 from adaptmg.multigrid.interface import Interface
 from adaptmg.multigrid.linear_cycle import LinearCycle
+from adaptmg.multigrid.local_sweeps import local
 from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.recombination import Recombination
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncation import Truncation
+from adaptmg.smoother.blocks import ZERO
 
 __all__ = ["Look", "TruncatedCycle"]
-
-_LOCAL = {2: local_sweeps_2d.local, 3: local_sweeps_3d.local}
-_SWEEPS = {2: projected_sweeps_2d, 3: projected_sweeps_3d}
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class TruncatedCycle:
         self.level, self.below = cycle.levels[number], cycle.levels[number - 1]
         self.truncation = Truncation(cycle.levels[:number + 1], cycle.prolongations[:number], obstacle)
         self.recombination = Recombination(self.below.dim, self.below.n_dofs, depth)
-        self._components = self.level.n_dofs // cycle.prolongations[number - 1].shape[0]
+        self._components = ZERO[self.level.n_dofs // cycle.prolongations[number - 1].shape[0]]
         self.unknowns, self.motions = unknowns, motions
         self._past = [np.zeros_like(unknowns), np.zeros_like(unknowns)]
         self.defect = np.zeros_like(unknowns)
@@ -99,17 +98,17 @@ class TruncatedCycle:
 
         Rigid motions that the contact status then leaves free go to the least energy.
         """
-        level, o, sweeps = self.level, self.obstacle, _SWEEPS[self.level.dim]
-        sweeps.backward(*level.lower_arrays, level.inverse, self.load, o.contact_of, *o.node_data, self.unknowns,
-                        self.defect)
-        sweeps.forward(*level.lower_arrays, level.inverse, o.diagonal, o.contact_of, *o.node_data, self.unknowns,
-                       self.defect)
+        level, o, zero = self.level, self.obstacle, ZERO[self.level.dim]
+        projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, self.load, o.contact_of, *o.node_data,
+                                  self.unknowns, self.defect)
+        projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, o.diagonal, o.contact_of, *o.node_data,
+                                 self.unknowns, self.defect)
         self.cycle.recorder.count(1.0, level.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
         for k in range(self._interface_sweeps):
             order = self.interface.backward if k % 2 == 0 else self.interface.forward
-            _LOCAL[level.dim](order, *self.interface.arrays, level.inverse, o.contact_of, *o.node_data, self.unknowns,
-                              self.defect)
+            local(zero, order, *self.interface.arrays, level.inverse, o.contact_of, *o.node_data, self.unknowns,
+                  self.defect)
             self.cycle.recorder.count(1.0, self.interface.nonzeros)
         if self.motions is not None:
             self.motions.settle(self.unknowns, self._past, self.defect)
@@ -123,7 +122,7 @@ class TruncatedCycle:
         status = o.look(self.defect)
         squares = o.truncate(self.defect)
         now = self.recombination.now
-        total = restrict[self._components](nodal.indptr, nodal.indices, nodal.data, self.defect, now)
+        total = restrict(self._components, nodal.indptr, nodal.indices, nodal.data, self.defect, now)
         zero_at(now, self.below.fixed)
         self.cycle.recorder.visit(self.number, "restrict")
         residual = float(np.sqrt(max(total - squares, 0.0) + status.natural))
@@ -149,7 +148,7 @@ class TruncatedCycle:
         self.recombination.combine(alpha, below.load)
         correction = self.cycle.solve(self.number - 1)
         energy = float(dot(below.load, correction))
-        combine[self._components](nodal.indptr, nodal.indices, nodal.data, correction, self.unknowns, first, second,
+        combine(self._components, nodal.indptr, nodal.indices, nodal.data, correction, self.unknowns, first, second,
                                 *alpha)
         zero_at(second, self.level.fixed)
         before = o.values.copy()
@@ -163,9 +162,7 @@ class TruncatedCycle:
 
     def _search(self, proposed: np.ndarray, before: np.ndarray) -> None:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
-        level, o = self.level, self.obstacle
-        curvature = _SWEEPS[level.dim].energy_product(*level.lower_arrays, level.inverse, proposed, self.unknowns)
-        self.cycle.recorder.count(0.5, level.nonzeros)
+        o, curvature = self.obstacle, self._energy_product(proposed)
         gain = product_of_change(self.defect, proposed, self.unknowns)
 
         def slope(alpha: float) -> float:
@@ -187,7 +184,11 @@ class TruncatedCycle:
 
     def distance(self, other: np.ndarray) -> float:
         """A-norm of the difference to other unknowns; half a pass."""
+        return float(np.sqrt(max(self._energy_product(other), 0.0)))
+
+    def _energy_product(self, other: np.ndarray) -> float:
+        """Square of the A-norm of the difference to other unknowns; half a pass."""
         level = self.level
         self.cycle.recorder.count(0.5, level.nonzeros)
-        return float(np.sqrt(max(_SWEEPS[level.dim].energy_product(*level.lower_arrays, level.inverse, self.unknowns,
-                                                                   other), 0.0)))
+        return projected_sweeps.energy_product(ZERO[level.dim], *level.lower_arrays, level.inverse, self.unknowns,
+                                               other)

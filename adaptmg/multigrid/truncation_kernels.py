@@ -12,8 +12,8 @@ matrix by one slot number: L first, then the diagonal, then U.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.multigrid.contact_loops import CLOSED, HELD, TANGENTIAL
 from adaptmg.multigrid.halves import invert_block
 
@@ -21,7 +21,7 @@ __all__ = ["add_contributions", "changed_blocks", "collect", "count_blocks", "co
            "fetch", "fill_contributions", "find_slot", "find_slots", "store"]
 
 
-@njit(cache=True)
+@kernel
 def count_blocks(nodes, contact_of, indptr, indices):
     """The number of blocks in rows and columns of contact nodes, from the lower half of a symmetric matrix."""
     total = 0
@@ -32,7 +32,7 @@ def count_blocks(nodes, contact_of, indptr, indices):
     return total + len(nodes)
 
 
-@njit(cache=True)
+@kernel
 def collect(nodes, contact_of, indptr, indices, rows, columns, entries):
     """Where those blocks are: on the diagonal the contact node, elsewhere the entry of L, for both sides."""
     count = 0
@@ -48,7 +48,7 @@ def collect(nodes, contact_of, indptr, indices, rows, columns, entries):
                 count += 2
 
 
-@njit(cache=True)
+@kernel
 def fetch(dim, rows, columns, entries, lower, diagonal, blocks):
     """Copy the collected blocks; above the diagonal they are transposed ones of L."""
     size = dim * dim
@@ -62,7 +62,35 @@ def fetch(dim, rows, columns, entries, lower, diagonal, blocks):
                     blocks[e * size + a * dim + b] = lower[at + (a * dim + b if rows[e] > columns[e] else b * dim + a)]
 
 
-@njit(cache=True)
+@inner_kernel
+def _turn_rows(dim, frames, k, inverse, block, other):
+    """other = F block, F the frame of contact node k, or F' block."""
+    for a in range(dim):
+        for b in range(dim):
+            other[a, b] = 0.0
+            for c in range(dim):
+                at = c * dim + a if inverse else a * dim + c
+                other[a, b] += frames[k * dim * dim + at] * block[c, b]
+
+
+@inner_kernel
+def _turn_columns(dim, frames, k, inverse, block, other):
+    """other = block F', F the frame of contact node k, or block F."""
+    for a in range(dim):
+        for b in range(dim):
+            other[a, b] = 0.0
+            for c in range(dim):
+                at = c * dim + b if inverse else b * dim + c
+                other[a, b] += block[a, c] * frames[k * dim * dim + at]
+
+
+@inner_kernel
+def _truncated(a, code):
+    """Whether component a of a contact node is out of the coarse problem."""
+    return code & CLOSED != 0 if a == 0 else code & TANGENTIAL == HELD
+
+
+@kernel
 def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, friction, direction, hessian, newton, change):
     """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen)."""
     size = dim * dim
@@ -74,56 +102,35 @@ def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, fricti
             for b in range(dim):
                 block[a, b] = blocks[e * size + a * dim + b]
         if k >= 0:
-            for a in range(dim):
-                for b in range(dim):
-                    other[a, b] = 0.0
-                    for c in range(dim):
-                        other[a, b] += frames[k * size + a * dim + c] * block[c, b]
+            _turn_rows(dim, frames, k, False, block, other)
             if newton and codes[k] & CLOSED:
                 for a in range(m):
                     for b in range(dim):
                         other[1 + a, b] -= friction[k] * direction[m * k + a] * other[0, b]
             block, other = other, block
         if l >= 0:
-            for a in range(dim):
-                for b in range(dim):
-                    other[a, b] = 0.0
-                    for c in range(dim):
-                        other[a, b] += block[a, c] * frames[l * size + b * dim + c]
+            _turn_columns(dim, frames, l, False, block, other)
             block, other = other, block
         if k >= 0 and k == l:
             for a in range(m):
                 for b in range(m):
                     block[1 + a, 1 + b] += hessian[m * m * k + m * a + b]
-        if k >= 0:
-            for a in range(dim):
-                if (a == 0 and codes[k] & CLOSED) or (a > 0 and codes[k] & TANGENTIAL == HELD):
-                    for b in range(dim):
-                        block[a, b] = 0.0
+        for a in range(dim):
+            for b in range(dim):
+                if (k >= 0 and _truncated(a, codes[k])) or (l >= 0 and _truncated(b, codes[l])):
+                    block[a, b] = 0.0
         if l >= 0:
-            for a in range(dim):
-                if (a == 0 and codes[l] & CLOSED) or (a > 0 and codes[l] & TANGENTIAL == HELD):
-                    for b in range(dim):
-                        block[b, a] = 0.0
-            for a in range(dim):
-                for b in range(dim):
-                    other[a, b] = 0.0
-                    for c in range(dim):
-                        other[a, b] += block[a, c] * frames[l * size + c * dim + b]
+            _turn_columns(dim, frames, l, True, block, other)
             block, other = other, block
         if k >= 0:
-            for a in range(dim):
-                for b in range(dim):
-                    other[a, b] = 0.0
-                    for c in range(dim):
-                        other[a, b] += frames[k * size + c * dim + a] * block[c, b]
+            _turn_rows(dim, frames, k, True, block, other)
             block, other = other, block
         for a in range(dim):
             for b in range(dim):
                 change[e * size + a * dim + b] = block[a, b] - blocks[e * size + a * dim + b]
 
 
-@njit(cache=True)
+@kernel
 def count_contributions(rows, columns, indptr):
     """Number of products P_iI P_jJ over all blocks (i, j)."""
     total = 0
@@ -133,7 +140,7 @@ def count_contributions(rows, columns, indptr):
     return total
 
 
-@njit(cache=True)
+@inner_kernel
 def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices):
     """Slot of block (row, column), -1 where the matrix has none."""
     n = len(l_indptr) - 1
@@ -158,14 +165,14 @@ def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices):
     return np.int64(-1)
 
 
-@njit(cache=True)
+@kernel
 def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, slots):
     """Slots of many blocks."""
     for k in range(len(rows)):
         slots[k] = find_slot(rows[k], columns[k], l_indptr, l_indices, u_indptr, u_indices)
 
 
-@njit(cache=True)
+@kernel
 def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indices, u_indptr, u_indices, number,
                        source, target, weight, slots, coarse_rows, coarse_columns):
     """Where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``.
@@ -194,7 +201,7 @@ def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indi
     return met, count, lost
 
 
-@njit(cache=True)
+@kernel
 def add_contributions(size, source, target, weight, fine, coarse):
     """coarse = sum of weight * fine over the products."""
     coarse[:] = 0.0
@@ -204,7 +211,7 @@ def add_contributions(size, source, target, weight, fine, coarse):
             coarse[to + e] += factor * fine[at + e]
 
 
-@njit(cache=True)
+@kernel
 def store(dim, slots, rows, columns, base, change, free, below, lower, upper, diagonal, inverse):
     """Write base + change to the halves; ``change`` is zeroed in rows and columns of fixed dofs first.
 

@@ -17,15 +17,15 @@ from typing import Literal, Protocol
 import numpy as np
 
 from adaptmg.problem import checks
-from adaptmg.smoother import kernels_2d, kernels_3d
+from adaptmg.smoother import kernels
 from adaptmg.smoother.arguments import check_contact, check_vector
+from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.compiling import notice
 from adaptmg.smoother.residuals import contact_share, normal_force
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
 __all__ = ["ProjectedGaussSeidel", "Smoother"]
 
-_SWEEPS = {2: kernels_2d.sweep, 3: kernels_3d.sweep}
 _DIRECTIONS = {"forward": (1,), "backward": (-1,), "symmetric": (1, -1)}
 
 
@@ -113,8 +113,7 @@ class ProjectedGaussSeidel:
     def _pass(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
               step: int) -> None:
         """One pass over all nodes, first to last (step 1) or last to first (-1)."""
-        kernel = _SWEEPS[system.dim]
-        notice(kernel)
-        kernel(0 if step > 0 else system.n_nodes - 1, step, system.indptr, system.indices, system.data,
-               system.diagonal, system.inverse, system.contact_of, contact.gap, contact.slip_reference.reshape(-1),
-               contact.limit, contact.friction, load, unknowns, self.omega)
+        notice(kernels.sweep)
+        kernels.sweep(ZERO[system.dim], 0 if step > 0 else system.n_nodes - 1, step, system.indptr, system.indices,
+                      system.data, system.diagonal, system.inverse, system.contact_of, contact.gap,
+                      contact.slip_reference.reshape(-1), contact.limit, contact.friction, load, unknowns, self.omega)

@@ -31,23 +31,51 @@ deterministic iteration). If open is rejected, every root of the closed problem 
 has p >= 0 (its tangential part would otherwise solve the open problem with :math:`w_n \le g_0`); the guards below
 only meet rounding.
 
-numba does not see across modules that a cached kernel is stale: after an edit here delete the
-``kernels_*.nbi`` files in ``__pycache__``.
+numba does not see across modules that a cached kernel is stale: after an edit here delete the ``*.nbi`` files of the
+callers (smoother, multigrid) in ``__pycache__``.
 """
 
 from __future__ import annotations
 
 import math
 
-from numba import njit
+import numpy as np
 
-__all__ = ["slip_3d", "solve_2d", "solve_3d"]
+from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.smoother.blocks import in_loop, nothing, plus_symmetric, subtract
 
+__all__ = ["natural_at", "read_reference", "slip_3d", "solve", "solve_2d", "solve_3d"]
+
+ONE, TWO = np.uint64(1), np.uint64(2)
 EPSILON = 2.0**-52
 MAX_STEPS = 200
 
 
-@njit(cache=True)
+@in_loop
+def solve(m, c, gap, reference, limit, friction):
+    """The problem of one node in 2D or 3D: block (upper triangle), force and reference as tuples, so is w."""
+    if len(c) == 2:
+        return solve_2d(m[0], m[1], m[2], c[0], c[1], gap, reference[0], limit, friction)
+    return solve_3d(m[0], m[1], m[2], m[3], m[4], m[5], c[0], c[1], c[2], gap, reference[0], reference[1], limit,
+                    friction)
+
+
+@in_loop
+def natural_at(d, r, w, gap, reference, limit):
+    """The natural residual D (prox_D(w + D^-1 r) - w) of one node, its bound held at ``limit``."""
+    change = subtract(solve(d, plus_symmetric(r, d, w), gap, reference, limit, 0.0), w)
+    return plus_symmetric(nothing(w), d, change)
+
+
+@in_loop
+def read_reference(reference, k, like):
+    """The tangential displacement of zero slip of contact node k, a tuple with one entry less than ``like``."""
+    if len(like) == 2:
+        return (reference[k],)
+    return reference[TWO * k], reference[TWO * k + ONE]
+
+
+@kernel(fastmath=False)
 def solve_2d(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap: float, reference: float,
              limit: float, friction: float) -> tuple[float, float]:
     """Solve the problem of one node in 2D.
@@ -92,7 +120,7 @@ def solve_2d(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap:
     return gap, reference + slip
 
 
-@njit(cache=True)
+@inner_kernel(fastmath=False)
 def _shrink(value: float, bound: float) -> float:
     """Move ``value`` towards zero by ``bound``."""
     if value > bound:
@@ -102,7 +130,7 @@ def _shrink(value: float, bound: float) -> float:
     return 0.0
 
 
-@njit(cache=True)
+@kernel(fastmath=False)
 def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_22: float,
              c_n: float, c_1: float, c_2: float, gap: float, reference_1: float, reference_2: float,
              limit: float, friction: float) -> tuple[float, float, float]:
@@ -146,7 +174,7 @@ def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_
     return w_n, reference_1 + slip_1, reference_2 + slip_2
 
 
-@njit(cache=True)
+@kernel(fastmath=False)
 def _solve_beside(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap: float, held: float,
                   reference: float, limit: float, friction: float) -> tuple[float, float]:
     """:func:`solve_2d` of a node that slips by ``held`` along a further tangent."""
@@ -161,7 +189,7 @@ def _solve_beside(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float,
     return w_n, reference + slip
 
 
-@njit(cache=True)
+@kernel(fastmath=False)
 def _slip_beside(b: float, c: float, a: float, p_stick: float, held: float, limit: float, friction: float) -> float:
     """The root of c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held^2 + x^2): it lies from 0 to c / b.
 
@@ -192,7 +220,7 @@ def _slip_beside(b: float, c: float, a: float, p_stick: float, held: float, limi
     return slip
 
 
-@njit(cache=True)
+@kernel(fastmath=False)
 def slip_3d(b_11: float, b_12: float, b_22: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
             limit: float, friction: float) -> tuple[float, float]:
     r"""The slip of a node in 3D with :math:`p = \max(0, p_0 - a\cdot\tau)`.
@@ -230,7 +258,7 @@ def slip_3d(b_11: float, b_12: float, b_22: float, c_1: float, c_2: float, a_1: 
     return cosine * slip_1 + sine * slip_2, cosine * slip_2 - sine * slip_1
 
 
-@njit(cache=True)
+@inner_kernel(fastmath=False)
 def _slip_in_eigenbasis(b_1: float, b_2: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
                         limit: float, friction: float) -> tuple[float, float]:
     """:func:`slip_3d` of a node that slips, B = diag(b_1, b_2): safeguarded Newton for theta."""
@@ -270,7 +298,7 @@ def _slip_in_eigenbasis(b_1: float, b_2: float, c_1: float, c_2: float, a_1: flo
     return theta * q_1, theta * q_2
 
 
-@njit(cache=True)
+@inner_kernel(fastmath=False)
 def _inside(low: float, high: float, stiffness: float) -> float:
     """A point between two bounds whose orders of magnitude may differ; ``high`` may be +inf, ``low`` zero."""
     if high == math.inf:

@@ -17,15 +17,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.smoother import kernels_2d, kernels_3d
+from adaptmg.smoother import kernels
 from adaptmg.smoother.arguments import check_contact, check_vector
+from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.compiling import notice
 from adaptmg.smoother.state import ContactState
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
 __all__ = ["contact_share", "contact_state", "energy", "natural_residual", "normal_force", "residual"]
-
-_KERNELS = {2: kernels_2d, 3: kernels_3d}
 
 
 def residual(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
@@ -46,10 +45,9 @@ def residual(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.
     """
     check_vector("load", load, system)
     check_vector("unknowns", unknowns, system)
-    kernel = _KERNELS[system.dim].residual
-    notice(kernel)
+    notice(kernels.residual)
     result = np.empty(system.n_dofs)
-    kernel(system.indptr, system.indices, system.data, load, unknowns, result)
+    kernels.residual(ZERO[system.dim], system.indptr, system.indices, system.data, load, unknowns, result)
     return result
 
 
@@ -78,10 +76,9 @@ def natural_residual(system: LocalSystem, contact: NodalContact, load: np.ndarra
         check_vector("unknowns", unknowns, system)
         check_vector("defect", defect, system)
         result = defect.copy()
-    kernel = _KERNELS[system.dim].natural_residual
-    notice(kernel)
-    kernel(system.nodes, system.diagonal, contact.gap, contact.slip_reference.reshape(-1), contact.limit,
-           contact.friction, unknowns, result)
+    notice(kernels.natural_residual)
+    kernels.natural_residual(ZERO[system.dim], system.nodes, system.diagonal, contact.gap,
+                             contact.slip_reference.reshape(-1), contact.limit, contact.friction, unknowns, result)
     return result
 
 
@@ -95,10 +92,10 @@ def normal_force(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) ->
     """
     check_vector("load", load, system)
     check_vector("unknowns", unknowns, system)
-    kernel = _KERNELS[system.dim].normal_residual
-    notice(kernel)
+    notice(kernels.normal_residual)
     result = np.empty(len(system.nodes))
-    kernel(system.nodes, system.indptr, system.indices, system.data, load, unknowns, result)
+    kernels.normal_residual(ZERO[system.dim], system.nodes, system.indptr, system.indices, system.data, load,
+                            unknowns, result)
     return np.maximum(result, 0.0, out=result)
 
 
@@ -156,7 +153,6 @@ def energy(system: LocalSystem, contact: NodalContact, load: np.ndarray, unknown
     check_contact(system, contact)
     check_vector("load", load, system)
     check_vector("unknowns", unknowns, system)
-    kernel = _KERNELS[system.dim].energy
-    notice(kernel)
-    return float(kernel(system.indptr, system.indices, system.data, system.nodes, contact.slip_reference.reshape(-1),
-                        contact.limit, load, unknowns))
+    notice(kernels.energy)
+    return float(kernels.energy(ZERO[system.dim], system.indptr, system.indices, system.data, system.nodes,
+                                contact.slip_reference.reshape(-1), contact.limit, load, unknowns))

@@ -10,8 +10,8 @@ depends on the number of simplices.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.transfer.closest import closest_on_simplex
 from adaptmg.transfer.morton import morton_order
 
@@ -24,14 +24,14 @@ STACK = 128
 """Depth of the search stacks: more than twice the levels of any tree that fits in memory."""
 
 
-@njit(cache=True)
+@inner_kernel
 def leaf_range(node, n_leaves, n_simplices):
     """First and past-the-last position of the simplices in a leaf, given its node number."""
     leaf = node - (n_leaves - 1)
     return leaf * n_simplices // n_leaves, (leaf + 1) * n_simplices // n_leaves
 
 
-@njit(cache=True)
+@kernel
 def _centres(points, simplices):
     """Means of the corners (n, dim)."""
     n, k = simplices.shape
@@ -46,7 +46,7 @@ def _centres(points, simplices):
     return result
 
 
-@njit(cache=True)
+@kernel
 def _build(points, simplices, n_leaves, boxes):
     """Boxes (2 n_leaves - 1, 2 dim): lower corner, upper corner; empty ones are inverted."""
     n, k = simplices.shape
@@ -67,7 +67,7 @@ def _build(points, simplices, n_leaves, boxes):
             boxes[node, dim + c] = max(boxes[left, dim + c], boxes[right, dim + c])
 
 
-@njit(cache=True)
+@inner_kernel
 def box_overlaps(boxes, node, box, dim):
     """Whether the box of ``node`` and ``box`` (2 dim,) meet."""
     meet = True
@@ -76,7 +76,7 @@ def box_overlaps(boxes, node, box, dim):
     return meet
 
 
-@njit(cache=True)
+@inner_kernel
 def _box_distance(boxes, node, x, dim):
     """Squared distance of ``x`` from the box of ``node``; infinite for an empty box."""
     total = 0.0
@@ -86,7 +86,7 @@ def _box_distance(boxes, node, x, dim):
     return total
 
 
-@njit(cache=True)
+@inner_kernel
 def nearest_simplex(x, points, simplices, boxes, dim, weights, trial, candidate, stack):
     """Position of the simplex nearest to ``x`` (3,), its squared distance; writes the weights of the closest point."""
     n, k = simplices.shape
@@ -116,7 +116,7 @@ def nearest_simplex(x, points, simplices, boxes, dim, weights, trial, candidate,
     return best, best_distance
 
 
-@njit(cache=True)
+@kernel
 def _nearest_all(queries, points, simplices, boxes, dim, found, weights, distances):
     k = simplices.shape[1]
     trial, candidate = np.empty(k), np.empty(k)

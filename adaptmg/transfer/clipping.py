@@ -14,7 +14,7 @@ is exact. No topological case is told apart, and a sliver only makes a piece of 
 
 from __future__ import annotations
 
-from numba import njit
+from adaptmg.compiled import inner_kernel, kernel
 
 __all__ = ["PIECES", "SNAP", "common_moments"]
 
@@ -26,7 +26,7 @@ SNAP = 1e-13
 """Barycentric coordinates smaller than this count as zero."""
 
 
-@njit(cache=True)
+@kernel
 def common_moments(mu, k, pieces, levels, moments):
     """Moments of the fine shape functions over the intersection of a fine and a coarse element.
 
@@ -90,7 +90,7 @@ def common_moments(mu, k, pieces, levels, moments):
     return covered
 
 
-@njit(cache=True)
+@kernel
 def _cut(pieces, at, moved, kept, m, k):
     """Move a corner of a piece along the edge towards the corner ``kept`` to where mu_m = 0."""
     kk = k * k
@@ -105,7 +105,7 @@ def _cut(pieces, at, moved, kept, m, k):
     pieces[at, 0] *= t
 
 
-@njit(cache=True)
+@inner_kernel
 def _add_moments(pieces, at, k, moments):
     scale = pieces[at, 0] / (k * (k + 1))
     for i in range(k):

@@ -11,12 +11,13 @@ distance, m^2.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import inner_kernel
 
 __all__ = ["closest_on_simplex"]
 
 
-@njit(cache=True)
+@inner_kernel
 def _difference_dot(points, a, b, c, d):
     """(x_b - x_a) . (x_d - x_c)."""
     total = 0.0
@@ -25,7 +26,7 @@ def _difference_dot(points, a, b, c, d):
     return total
 
 
-@njit(cache=True)
+@inner_kernel
 def _dot_from(points, a, b, x, c):
     """(x_b - x_a) . (x - x_c)."""
     total = 0.0
@@ -34,7 +35,7 @@ def _dot_from(points, a, b, x, c):
     return total
 
 
-@njit(cache=True)
+@inner_kernel
 def _on_segment(points, a, b, x):
     """Weight of b in the point of the segment (a, b) closest to x."""
     length = _difference_dot(points, a, b, a, b)
@@ -43,7 +44,7 @@ def _on_segment(points, a, b, x):
     return min(max(_dot_from(points, a, b, x, a) / length, 0.0), 1.0)
 
 
-@njit(cache=True)
+@inner_kernel
 def _on_triangle(points, a, b, c, x):
     """Weights of b and c in the point of the triangle (a, b, c) closest to x."""
     d1, d2 = _dot_from(points, a, b, x, a), _dot_from(points, a, c, x, a)
@@ -69,7 +70,7 @@ def _on_triangle(points, a, b, c, x):
     return vb / total, vc / total
 
 
-@njit(cache=True)
+@inner_kernel
 def _squared_distance(points, corners, weights, x):
     total = 0.0
     for m in range(3):
@@ -80,7 +81,7 @@ def _squared_distance(points, corners, weights, x):
     return total
 
 
-@njit(cache=True)
+@inner_kernel
 def closest_on_simplex(points, corners, x, weights, trial):
     """Weights (k,) of the point of the simplex ``corners`` (k,), k = 2, 3, 4, closest to ``x`` (3,).
 

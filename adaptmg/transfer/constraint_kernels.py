@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import kernel
 
 __all__ = ["largest", "minmod_line", "minmod_plane", "smallest"]
 
 
-@njit(cache=True)
+@kernel
 def smallest(indptr, nodes, values, result):
     """Minimum over S_k, +inf where it is empty."""
     for k in range(len(indptr) - 1):
@@ -20,7 +21,7 @@ def smallest(indptr, nodes, values, result):
             result[k] = min(result[k], values[nodes[at]])
 
 
-@njit(cache=True)
+@kernel
 def largest(indptr, nodes, values, result):
     """Maximum over S_k, +inf where it is empty."""
     for k in range(len(indptr) - 1):
@@ -29,7 +30,7 @@ def largest(indptr, nodes, values, result):
             result[k] = max(result[k], values[nodes[at]])
 
 
-@njit(cache=True)
+@kernel
 def minmod_line(indptr, nodes, slip, stick, result):
     """2D: the slip of smallest magnitude, 0 unless all slips in S_k have one sign and none sticks."""
     for k in range(len(indptr) - 1):
@@ -45,7 +46,7 @@ def minmod_line(indptr, nodes, slip, stick, result):
                 result[k] = value
 
 
-@njit(cache=True)
+@kernel
 def minmod_plane(indptr, nodes, slip, stick, sine, result):
     """3D: the shortest slip, 0 unless all slips in S_k point its way within an angle below 90 degrees."""
     for k in range(len(indptr) - 1):

@@ -13,9 +13,9 @@ reproduced at the projected points, so on curved boundaries up to O(h_coarse^2).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 
+from adaptmg.compiled import kernel
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.transfer.box_tree import BoxTree
 from adaptmg.transfer.rows import csr_from_weights
@@ -68,7 +68,7 @@ def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_
     return csr_from_weights(facets[facet], weights, coarse.n_nodes)
 
 
-@njit(cache=True)
+@kernel
 def _merge(row_of, p_indptr, p_indices, p, r_indptr, r_indices, r, indptr, indices, data):
     """Rows of P, or row ``row_of`` of R where that is not negative."""
     for i in range(len(row_of)):

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.transfer.box_tree import STACK, box_overlaps, leaf_range
 from adaptmg.transfer.clipping import PIECES, SNAP, common_moments
 
 __all__ = ["clip_elements", "count_rows", "fill_rows"]
 
 
-@njit(cache=True)
+@kernel
 def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_points, coarse, maps, boxes, marker, covered,
                   element, columns, values):
     """Integrals over the ``chosen`` fine elements from the one numbered ``done`` on, each scaled to volume 1.
@@ -54,7 +54,7 @@ def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_point
     return len(chosen), count
 
 
-@njit(cache=True)
+@inner_kernel
 def _bounding_box(points, corners, box):
     dim = len(corners) - 1
     for c in range(dim):
@@ -63,7 +63,7 @@ def _bounding_box(points, corners, box):
             box[c], box[dim + c] = min(box[c], points[v, c]), max(box[dim + c], points[v, c])
 
 
-@njit(cache=True)
+@inner_kernel
 def _overlapping(boxes, box, points, simplices, stack, candidates):
     """Write the positions of all simplices whose bounding box meets ``box``; returns their number."""
     n, k = simplices.shape
@@ -89,7 +89,7 @@ def _overlapping(boxes, box, points, simplices, stack, candidates):
     return count
 
 
-@njit(cache=True)
+@inner_kernel
 def _simplex_meets(points, corners, box, dim):
     """Whether the bounding box of a simplex meets ``box``."""
     for c in range(dim):
@@ -101,7 +101,7 @@ def _simplex_meets(points, corners, box, dim):
     return True
 
 
-@njit(cache=True)
+@kernel
 def _apart(points, corners, maps, e, mu):
     """Whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``.
 
@@ -131,7 +131,7 @@ def _apart(points, corners, maps, e, mu):
     return largest == 0.0
 
 
-@njit(cache=True)
+@inner_kernel
 def _add_entries(coarse_corners, mu, moments, marker, count, columns, values):
     """Add the integrals of lambda_i mu_m = sum_v lambda_i lambda_v mu_m(v)."""
     k = len(coarse_corners)
@@ -152,7 +152,7 @@ def _add_entries(coarse_corners, mu, moments, marker, count, columns, values):
     return count
 
 
-@njit(cache=True)
+@kernel
 def count_rows(node_indptr, node_elements, indptr, columns, marker, counts):
     """Number of distinct coarse nodes in the patch of each fine node i, to ``counts[i + 1]``; ``marker`` is -1."""
     for i in range(len(node_indptr) - 1):
@@ -164,7 +164,7 @@ def count_rows(node_indptr, node_elements, indptr, columns, marker, counts):
                     counts[i + 1] += 1
 
 
-@njit(cache=True)
+@kernel
 def fill_rows(node_indptr, node_elements, coefficients, indptr, columns, values, marker, row_indptr, indices, data):
     """Sum coefficients times integrals over the patch of each fine node; ``marker`` is -1, ``data`` 0."""
     k = coefficients.shape[1]

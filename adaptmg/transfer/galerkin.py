@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 
+from adaptmg.compiled import kernel
 from adaptmg.problem import checks
 from adaptmg.transfer.aggregation import without_fixed
 
@@ -21,7 +21,7 @@ __all__ = ["coarse_spaces", "galerkin_product", "is_galerkin", "seen"]
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
 
 
-@njit(cache=True)
+@kernel
 def _pattern(a_indptr, a_indices, b_indptr, b_indices, marker, indptr):
     """Row pointers of the product of two patterns."""
     marker[:] = -1
@@ -37,7 +37,7 @@ def _pattern(a_indptr, a_indices, b_indptr, b_indices, marker, indptr):
         indptr[i + 1] = indptr[i] + count
 
 
-@njit(cache=True)
+@kernel
 def _block_times_weights(size, a_indptr, a_indices, a, p_indptr, p_indices, weights, place, indptr, indices, data):
     """C = A P for blocks A; ``place`` (columns,) comes as -1."""
     for i in range(len(a_indptr) - 1):
@@ -60,7 +60,7 @@ def _block_times_weights(size, a_indptr, a_indices, a, p_indptr, p_indices, weig
                         data[size * at + c] += weight * a[size * s + c]
 
 
-@njit(cache=True)
+@kernel
 def _weights_times_block(size, r_indptr, r_indices, weights, b_indptr, b_indices, b, place, indptr, indices, data):
     """C = R B for blocks B; ``place`` (columns,) comes as -1."""
     for i in range(len(r_indptr) - 1):

@@ -8,8 +8,8 @@ the gradient of the shape function of corner m. ``maps`` holds :math:`x_0, G_1, 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.transfer.box_tree import STACK, leaf_range, nearest_simplex
 
 __all__ = ["INSIDE", "affine_maps", "locate"]
@@ -18,7 +18,7 @@ INSIDE = 1e-12
 """A point counts as inside an element when no barycentric weight is below minus this."""
 
 
-@njit(cache=True)
+@kernel
 def affine_maps(points, elements, maps):
     """Origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim).
 
@@ -44,7 +44,7 @@ def affine_maps(points, elements, maps):
                 maps[e, dim + m * dim + c] = (v[i] * w[j] - v[j] * w[i]) * scale
 
 
-@njit(cache=True)
+@inner_kernel
 def _coordinates(maps, e, x, y, z, dim):
     """Weights of corners 1, 2 and 3 (2D: 0) of element ``e`` at a point, and of corner 0."""
     if dim == 2:
@@ -58,20 +58,20 @@ def _coordinates(maps, e, x, y, z, dim):
     return first, second, third, 1.0 - (first + second + third)
 
 
-@njit(cache=True)
+@inner_kernel
 def _inside(maps, e, x, y, z, dim):
     first, second, third, rest = _coordinates(maps, e, x, y, z, dim)
     return min(min(first, second), min(third, rest)) >= -INSIDE
 
 
-@njit(cache=True)
+@inner_kernel
 def _box_contains(boxes, node, x, y, z, dim):
     """Whether the closed box of ``node`` contains a point."""
     return (boxes[node, 0] <= x <= boxes[node, dim] and boxes[node, 1] <= y <= boxes[node, dim + 1]
             and (dim == 2 or boxes[node, 2] <= z <= boxes[node, 5]))
 
 
-@njit(cache=True)
+@inner_kernel
 def _inside_below(top, x, y, z, maps, boxes, dim, stack):
     """(element, leaf) below node ``top`` that contains a point, or (-1, -1)."""
     n = len(maps)
@@ -94,7 +94,7 @@ def _inside_below(top, x, y, z, maps, boxes, dim, stack):
     return -1, -1
 
 
-@njit(cache=True)
+@inner_kernel
 def _find(x, y, z, start, maps, boxes, dim, stack):
     """Climb from leaf ``start``: search it, its sibling, its parent's sibling, and so on up to the root."""
     node = start
@@ -106,7 +106,7 @@ def _find(x, y, z, start, maps, boxes, dim, stack):
     return found, leaf
 
 
-@njit(cache=True)
+@kernel
 def locate(queries, sequence, points, elements, maps, boxes, found, weights, distance):
     """Locate ``queries`` (n, 3) in the order ``sequence``; points outside get the closest point of the mesh."""
     k = elements.shape[1]
@@ -132,7 +132,7 @@ def locate(queries, sequence, points, elements, maps, boxes, found, weights, dis
         found[q] = best
 
 
-@njit(cache=True)
+@inner_kernel
 def _take_clipped(maps, e, x, y, z, dim, q, weights):
     """Row q of the weights, clipped at zero and normalised."""
     first, second, third, rest = _coordinates(maps, e, x, y, z, dim)

@@ -7,12 +7,13 @@ interleaved. The order adapts itself to graded meshes: it needs no cell size.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from adaptmg.compiled import inner_kernel, kernel
 
 __all__ = ["morton_order"]
 
 
-@njit(cache=True)
+@inner_kernel
 def _spread2(value):
     """Put a zero bit between the lower 32 bits."""
     x = np.uint64(value)
@@ -24,7 +25,7 @@ def _spread2(value):
     return x
 
 
-@njit(cache=True)
+@inner_kernel
 def _spread3(value):
     """Put two zero bits between the lower 21 bits."""
     x = np.uint64(value)
@@ -36,24 +37,13 @@ def _spread3(value):
     return x
 
 
-@njit(cache=True)
-def _bounds(points):
-    """Lower corner (dim,) and longest side of the bounding box."""
-    n, dim = points.shape
-    low, high = points[0].copy(), points[0].copy()
-    for i in range(n):
-        for c in range(dim):
-            low[c], high[c] = min(low[c], points[i, c]), max(high[c], points[i, c])
-    return low, (high - low).max()
-
-
-@njit(cache=True)
-def _codes(points, low, scale, out):
-    n, dim = points.shape
+@kernel
+def _codes(steps, out):
+    n, dim = steps.shape
     for i in range(n):
         code = np.uint64(0)
         for c in range(dim):
-            step = np.int64((points[i, c] - low[c]) * scale)
+            step = np.int64(steps[i, c])
             code |= (_spread2(step) if dim == 2 else _spread3(step)) << np.uint64(c)
         out[i] = code
 
@@ -70,7 +60,9 @@ def morton_order(points: np.ndarray) -> np.ndarray:
     codes = np.empty(n, dtype=np.uint64)
     if n == 0:
         return np.empty(0, dtype=np.int64)
-    low, extent = _bounds(points)
+    # column by column: several times faster than along an axis of 2 or 3
+    low = np.array([points[:, c].min() for c in range(dim)])
+    extent = max(points[:, c].max() - low[c] for c in range(dim))
     steps = 2.0 ** (31 if dim == 2 else 21) - 1
-    _codes(points, low, steps / extent if extent > 0 else 0.0, codes)
+    _codes((points - low) * (steps / extent if extent > 0 else 0.0), codes)
     return np.argsort(codes, kind="stable")

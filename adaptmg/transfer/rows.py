@@ -11,8 +11,9 @@ squares) that restores the sum and, where asked for, the first moments :math:`m`
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy import sparse
+
+from adaptmg.compiled import kernel
 
 __all__ = ["CLIP", "clipped_rows", "csr_from_weights", "dropped", "normalised"]
 
@@ -20,7 +21,7 @@ CLIP = 1e-8
 """Weights smaller than this are removed: they would put spurious nodes into minima over the support of P."""
 
 
-@njit(cache=True)
+@kernel
 def _fill_rows(columns, weights, clip, indptr, indices, data):
     """Rows in column order without entries below ``clip``, normalised; returns the number of entries."""
     n, k = columns.shape
@@ -67,7 +68,7 @@ def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -
     return sparse.csr_array((data[:count].copy(), indices[:count].copy(), indptr), shape=(n, n_columns))
 
 
-@njit(cache=True)
+@kernel
 def _drop(indptr, indices, data, tolerance, new_indptr, new_indices, new_data):
     count = 0
     for i in range(len(indptr) - 1):
@@ -97,7 +98,7 @@ def normalised(matrix: sparse.csr_array) -> sparse.csr_array:
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
-@njit(cache=True)
+@kernel
 def _moment_systems(indptr, indices, data, points, centres, target, gram, defect, scale):
     """Gram matrices G and moment defects of every row, in coordinates relative to its centre and extent."""
     dim = points.shape[1]
@@ -121,7 +122,7 @@ def _moment_systems(indptr, indices, data, points, centres, target, gram, defect
                     gram[i, r, s] += q[r] * q[s]
 
 
-@njit(cache=True)
+@kernel
 def _add_corrections(indptr, indices, data, points, centres, multiplier, scale):
     dim = points.shape[1]
     for i in range(len(indptr) - 1):

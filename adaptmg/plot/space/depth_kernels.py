@@ -7,12 +7,12 @@ The distance to the edge opposite corner k is :math:`w_k \cdot 2A / \ell_k`.
 
 from __future__ import annotations
 
-from numba import njit
+from adaptmg.compiled import kernel
 
 __all__ = ["raster_segments", "raster_triangles"]
 
 
-@njit(cache=True)
+@kernel
 def raster_triangles(corners, colors, ink, width, image, depth):
     """Draw triangles.
 
@@ -58,7 +58,7 @@ def raster_triangles(corners, colors, ink, width, image, depth):
                 image[i, j, 3] = 1.0
 
 
-@njit(cache=True)
+@kernel
 def raster_segments(ends, ink, width, dash, space, bias, image, depth):
     """Draw the parts of segments that nothing hides.
 

