@@ -15,19 +15,24 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg.coupling import Coupling
+from adaptmg.on_demand import OnDemand, made_on_demand
 from adaptmg.problem.laws import Law
 
 __all__ = ["ContactNodes", "DiscreteProblem"]
 
 
 def _array(name: str, value: object, shape: tuple[int | None, ...], dtype: type = np.float64) -> np.ndarray:
-    """A read-only copy of the wanted shape (None: any) and type, finite."""
-    result = np.array(value, dtype=dtype, order="C")
+    """A read-only copy of the wanted shape (None: any) and type, finite; of read-only arrays themselves."""
+    if type(value) is np.ndarray and value.dtype == dtype and value.base is None and not value.flags.writeable:
+        result = np.ascontiguousarray(value)
+    else:
+        result = np.array(value, dtype=dtype, order="C")
     if len(result.shape) != len(shape) or any(w is not None and w != g
                                               for w, g in zip(shape, result.shape, strict=True)):
         wanted = "(" + ", ".join("n" if w is None else str(w) for w in shape) + ")"
@@ -169,6 +174,18 @@ class DiscreteProblem:
     bodies: Mapping[str, np.ndarray] | None = None
 
     @classmethod
+    def assembled(cls, **parts: Any) -> DiscreteProblem:
+        """From a matrix of this package's own assembly, which is not searched for what a stranger's may have wrong.
+
+        Parameters as of the class. The matrix, in dim x dim blocks with sorted columns and symmetric, is kept without
+        a copy; ``near_nullspace`` may be :class:`~adaptmg.on_demand.OnDemand`.
+        """
+        result = cls.__new__(cls)
+        object.__setattr__(result, "_assembled", True)
+        result.__init__(**parts)
+        return result
+
+    @classmethod
     def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law,
                 contact: ContactNodes, weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
                 coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | None = None,
@@ -250,10 +267,12 @@ class DiscreteProblem:
                   "fixed": _array("fixed", fixed, (n,), bool), "fixed_values": _array("fixed_values", values, (n,))}
         if self.coordinates is not None:
             arrays["coordinates"] = _array("coordinates", self.coordinates, (n // dim, dim))
-        if self.near_nullspace is not None:
-            arrays["near_nullspace"] = _array("near_nullspace", self.near_nullspace, (n, None))
-        elif self.coordinates is not None:
-            arrays["near_nullspace"] = rigid_body_modes(arrays["coordinates"])
+        modes = self.__dict__["near_nullspace"]
+        if modes is None and self.coordinates is not None:
+            modes = OnDemand(_own_modes)
+        if modes is not None and not isinstance(modes, OnDemand):
+            modes = _array("near_nullspace", modes, (n, None))
+        arrays["near_nullspace"] = modes
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
         if self.coupling is not None and not np.array_equal(self.coupling.fixed, arrays["fixed"]):
@@ -274,6 +293,8 @@ class DiscreteProblem:
             matrix = matrix.astype(np.float64)
         if not matrix.has_sorted_indices:
             matrix = matrix.sorted_indices()
+        if self.__dict__.get("_assembled"):
+            return self._with_positive_diagonal(matrix)
         if not np.isfinite(matrix.data).all():
             raise ValueError("matrix must be finite")
         scale = np.abs(matrix.data).max(initial=0.0)
@@ -282,7 +303,10 @@ class DiscreteProblem:
         asymmetry = abs(matrix - matrix.T).max()
         if asymmetry > 1e-8 * scale:
             raise ValueError(f"matrix must be symmetric; |A - A'| reaches {asymmetry / scale:.2g} of its largest entry")
-        diagonal = matrix.diagonal()
+        return self._with_positive_diagonal(matrix)
+
+    def _with_positive_diagonal(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
+        diagonal, dim = matrix.diagonal(), matrix.blocksize[0]
         if not (diagonal > 0).all():
             i = int(np.argmin(diagonal))
             raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
@@ -312,6 +336,13 @@ class DiscreteProblem:
     def n_nodes(self) -> int:
         """Number of nodes."""
         return self.n_dofs // self.dim
+
+
+def _own_modes(problem: DiscreteProblem) -> np.ndarray:
+    return rigid_body_modes(problem.coordinates)
+
+
+DiscreteProblem.near_nullspace = made_on_demand("near_nullspace", "Rigid-body modes (n_dofs, k), or None.")
 
 
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:

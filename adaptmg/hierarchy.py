@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.on_demand import OnDemand, made_on_demand
 from adaptmg.problem import ContactProblem, checks
 
 if TYPE_CHECKING:
@@ -34,7 +36,7 @@ class Level:
         Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse spaces, its dofs
         (n_dofs, n_dofs coarse); None on the coarsest.
     mesh_ratio : float
-        Largest local ratio of mesh sizes, next coarser over this; NaN if unknown.
+        Largest local ratio of mesh sizes, next coarser over this; NaN if unknown. Found when first read.
     galerkin : bsr_array or None
         The matrix of a coarse space without a discrete problem.
     surface_prolongation : csr_array or None
@@ -65,12 +67,30 @@ class Level:
         return self.matrix.shape[0] // self.matrix.blocksize[0]
 
 
+Level.mesh_ratio = made_on_demand("mesh_ratio", "Largest local ratio of mesh sizes, next coarser over this; or NaN.")
+
+
+def _ratio_to(coarse: MeshArrays, level: Level) -> float:
+    from adaptmg.transfer import mesh_ratio
+
+    return mesh_ratio(coarse, level.mesh)
+
+
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
     """Levels, coarsest first, and how they were made. Printing it shows a table.
 
     Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`,
     :meth:`from_prolongations`, :meth:`algebraic`, :meth:`single`.
+
+    Attributes
+    ----------
+    levels : tuple of Level
+    problem : ContactProblem or None
+    origin : str
+        How they were made, in words.
+    timings : dict of str to float
+        Wall time of making them by phase, s: "mesh", "assembly", "transfer". They add up to the whole.
     """
 
     levels: tuple[Level, ...]
@@ -146,13 +166,12 @@ class Hierarchy:
         diagonal : {"right", "left", "alternating"}
             How squares are cut (2D).
         """
+        begin = time.perf_counter()
         from adaptmg.mesh import structured
 
         _need_domain(problem)
-        begin = time.perf_counter()
         meshes = [structured(problem.domain, n, diagonal=diagonal) for n in divisions]
-        seconds = time.perf_counter() - begin
-        return cls._build(problem, meshes, None, f"uniform {', '.join(map(_label, divisions))}", seconds)
+        return cls._build(problem, meshes, None, f"uniform {', '.join(map(_label, divisions))}", begin)
 
     @classmethod
     def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]],
@@ -173,14 +192,13 @@ class Hierarchy:
         contact_rows : bool
             See :meth:`from_meshes`.
         """
+        begin = time.perf_counter()
         from adaptmg.mesh import graded
 
         _need_domain(problem)
-        begin = time.perf_counter()
         meshes = [graded(problem.domain, size, problem.pair_boundaries, contact_ratio) for size in sizes]
-        seconds = time.perf_counter() - begin
         origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
-        return cls._build(problem, meshes, transfer, origin, seconds, contact_rows)
+        return cls._build(problem, meshes, transfer, origin, begin, contact_rows)
 
     @classmethod
     def bisected(cls, problem: ContactProblem, coarsest: Any, levels: int) -> Hierarchy:
@@ -193,14 +211,13 @@ class Hierarchy:
         levels : int
             Number of refinements, >= 1.
         """
+        begin = time.perf_counter()
         from adaptmg.mesh import as_mesh, refine_near
 
-        begin = time.perf_counter()
         first = as_mesh(coarsest)
         problem.check_boundaries(first.boundaries)
         meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
-        seconds = time.perf_counter() - begin
-        return cls._build(problem, meshes, None, f"bisected near contact {levels} times", seconds)
+        return cls._build(problem, meshes, None, f"bisected near contact {levels} times", begin)
 
     @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
@@ -218,11 +235,11 @@ class Hierarchy:
             Replace the rows of fine contact nodes by linear interpolation along the coarse contact boundary, whatever
             the transfer does elsewhere: the monotone correction is proven only so (or where the transfer does it).
         """
+        begin = time.perf_counter()
         from adaptmg.mesh import as_mesh
 
-        begin = time.perf_counter()
         arrays = [as_mesh(mesh) for mesh in meshes]
-        return cls._build(problem, arrays, transfer, "given meshes", time.perf_counter() - begin, contact_rows)
+        return cls._build(problem, arrays, transfer, "given meshes", begin, contact_rows)
 
     @classmethod
     def from_prolongations(cls, discrete: DiscreteProblem, prolongations: Sequence[Any]) -> Hierarchy:
@@ -276,9 +293,9 @@ class Hierarchy:
 
     @classmethod
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
-               mesh_seconds: float, contact_rows: bool = True) -> Hierarchy:
+               begin: float, contact_rows: bool = True) -> Hierarchy:
         from adaptmg.discretisation.discretise import discretise
-        from adaptmg.transfer import Interpolation, mesh_ratio
+        from adaptmg.transfer import Interpolation
         from adaptmg.transfer.between_levels import between_levels
 
         if not meshes:
@@ -287,17 +304,15 @@ class Hierarchy:
         if not callable(getattr(transfer, "build", None)):
             raise TypeError(f"transfer must offer build(coarse, fine) -> sparse matrix, got {transfer!r}")
         _check_coarse_to_fine(meshes)
-        begin = time.perf_counter()
+        meshed = time.perf_counter()
         discretes = [discretise(problem, mesh) for mesh in meshes]
         assembled = time.perf_counter()
         levels = [Level(discretes[0], meshes[0])]
         for k in range(1, len(meshes)):
             found = between_levels(transfer, meshes[k - 1], meshes[k], discretes[k - 1], discretes[k], contact_rows)
-            levels.append(Level(discretes[k], meshes[k], found.prolongation, surface_prolongation=found.surface))
-        transferred = time.perf_counter()
-        levels[1:] = [replace(fine, mesh_ratio=mesh_ratio(coarse.mesh, fine.mesh)) for coarse, fine in pairwise(levels)]
-        timings = {"mesh": mesh_seconds, "assembly": assembled - begin, "transfer": transferred - assembled,
-                   "mesh ratios": time.perf_counter() - transferred}
+            ratio = OnDemand(partial(_ratio_to, meshes[k - 1]))
+            levels.append(Level(discretes[k], meshes[k], found.prolongation, ratio, surface_prolongation=found.surface))
+        timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
         return cls(tuple(levels), problem, origin, timings)
 
     # -- what it is ---------------------------------------------------------------------------------------------

@@ -5,6 +5,8 @@ Bodies that touch each other are coupled by relative coordinates (:mod:`adaptmg.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
@@ -14,6 +16,7 @@ from adaptmg.discretisation.loads import load_vector
 from adaptmg.discretisation.rigid_motions import rigid_motions
 from adaptmg.discretisation.supports import fixed_dofs
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.on_demand import OnDemand
 from adaptmg.problem.contact_problem import ContactProblem
 
 __all__ = ["discretise"]
@@ -61,23 +64,36 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     parts = {"matrix": stiffness(mesh, problem.material), "load": load_vector(mesh, problem.loads, problem.material),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
-             "near_nullspace": rigid_motions(mesh, problem.axisymmetric),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if weights is None:
-        return DiscreteProblem(**parts)
-    return DiscreteProblem.coupled(**parts, weights=weights)
+        motions = OnDemand(partial(_motions, mesh, problem.axisymmetric))
+        return DiscreteProblem.assembled(**parts, near_nullspace=motions)
+    return DiscreteProblem.coupled(**parts, near_nullspace=rigid_motions(mesh, problem.axisymmetric), weights=weights)
+
+
+def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) -> np.ndarray:
+    motions = rigid_motions(mesh, axisymmetric)
+    motions.flags.writeable = False
+    return motions
 
 
 def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
     """Nodes of each body."""
-    return {name: np.unique(mesh.elements[mesh.element_body == k]) for k, name in enumerate(mesh.bodies)}
+    result = {}
+    for k, name in enumerate(mesh.bodies):
+        used = np.zeros(mesh.n_nodes, dtype=bool)
+        used[mesh.elements if len(mesh.bodies) == 1 else mesh.elements[mesh.element_body == k]] = True
+        result[name] = np.flatnonzero(used)
+    return result
 
 
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
     """Raise ValueError if a body has neither a support nor a surface in contact."""
     holding = [*problem.pair_boundaries, *(support.boundary for support in problem.supports)]
-    held = np.unique(np.concatenate([mesh.boundary_nodes(name) for name in holding]))
+    held = np.zeros(mesh.n_nodes, dtype=bool)
+    for name in holding:
+        held[mesh.boundary_facets(name)] = True
     for name, nodes in bodies.items():
-        if not np.isin(nodes, held).any():
+        if not held[nodes].any():
             raise ValueError(f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
                              "support or a contact pair, or leave it out")

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-__all__ = ["MeshArrays"]
+from adaptmg.on_demand import made_on_demand
+
+__all__ = ["MeshArrays", "trusted"]
 
 
 def _frozen(array: np.ndarray, dtype: type) -> np.ndarray:
+    """A read-only copy; the array itself if it is read-only already and no view of another."""
+    if (type(array) is np.ndarray and array.dtype == dtype and array.base is None and array.flags.c_contiguous
+            and not array.flags.writeable):
+        return array
     result = np.array(array, dtype=dtype, order="C")
     result.flags.writeable = False
     return result
@@ -40,7 +47,13 @@ class MeshArrays:
         Names of the bodies.
     source : ngsolve.Mesh, optional
         A straight ngsolve.Mesh of these arrays, with the same node and element numbers, for work in
-        NGSolve. Not saved.
+        NGSolve. Not saved. Meshes made by adaptmg build it when it is first read.
+
+    Attributes
+    ----------
+    sound : bool
+        Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction: the arrays are
+        frozen, so that it need not be checked again.
     """
 
     points: np.ndarray
@@ -51,12 +64,13 @@ class MeshArrays:
     element_body: np.ndarray | None = None
     bodies: tuple[str, ...] = ("body",)
     source: Any = field(default=None, repr=False)
+    sound: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
                             ("facet_labels", np.int32)):
             object.__setattr__(self, name, _frozen(getattr(self, name), dtype))
-        body = np.zeros(len(self.elements)) if self.element_body is None else self.element_body
+        body = np.zeros(len(self.elements), dtype=np.int32) if self.element_body is None else self.element_body
         object.__setattr__(self, "element_body", _frozen(body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
@@ -95,3 +109,13 @@ class MeshArrays:
         corners = self.points[self.elements]
         edges = corners[:, 1:] - corners[:, :1]
         return np.linalg.det(edges) / (2 if self.dim == 2 else 6)
+
+
+def trusted(mesh: MeshArrays, source: Any) -> MeshArrays:
+    """The same arrays, not copied, as a mesh that is known to be sound, with another source."""
+    result = copy.copy(mesh)
+    result.__dict__.update(source=source, sound=True)
+    return result
+
+
+MeshArrays.source = made_on_demand("source", "A straight ngsolve.Mesh of these arrays, or None.")

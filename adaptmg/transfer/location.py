@@ -112,6 +112,8 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float,
         found = locator.locate(fine.points[nodes])
         element[nodes], weights[nodes], distance[nodes] = found.element, found.weights, found.distance
     outside = np.flatnonzero(distance > 0)
+    if not len(outside):
+        return Location(element=element, weights=weights, distance=distance)
     relative = distance[outside] / coarse.element_sizes[element[outside]]
     if (relative > outside_tolerance).any():
         worst = int(np.argmax(relative))
