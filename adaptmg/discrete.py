@@ -20,114 +20,14 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
+from adaptmg.contact_nodes import ContactNodes, frozen_array
 from adaptmg.coupling import Coupling
+from adaptmg.exchange import NEGLIGIBLE, Exchange, exchanged, facing_part
+from adaptmg.geometry.rigid_modes import rigid_body_modes
 from adaptmg.on_demand import OnDemand, made_on_demand
 from adaptmg.problem.laws import Law
 
-__all__ = ["ContactNodes", "DiscreteProblem"]
-
-
-def _array(name: str, value: object, shape: tuple[int | None, ...], dtype: type = np.float64) -> np.ndarray:
-    """A read-only copy of the wanted shape (None: any) and type, finite; of read-only arrays themselves."""
-    if type(value) is np.ndarray and value.dtype == dtype and value.base is None and not value.flags.writeable:
-        result = np.ascontiguousarray(value)
-    else:
-        result = np.array(value, dtype=dtype, order="C")
-    if len(result.shape) != len(shape) or any(w is not None and w != g
-                                              for w, g in zip(shape, result.shape, strict=True)):
-        wanted = "(" + ", ".join("n" if w is None else str(w) for w in shape) + ")"
-        raise ValueError(f"{name} must have shape {wanted}, got {result.shape}")
-    if dtype is np.float64 and not np.isfinite(result).all():
-        raise ValueError(f"{name} must be finite; {np.count_nonzero(~np.isfinite(result))} entries are not")
-    result.flags.writeable = False
-    return result
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ContactNodes:
-    """Nodes that may touch an obstacle.
-
-    Parameters
-    ----------
-    nodes : (n_contact,) array of int
-        Node numbers, each once.
-    normals : (n_contact, dim) array
-        Unit normals, out of the body.
-    gaps : (n_contact,) array
-        Initial gap g0 along the normal, m; >= 0 unless ``allow_interference``.
-    weights : (n_contact,) array, optional
-        Lumped boundary mass (m in 2D, m^2 in 3D), to turn nodal forces into tractions. Default 1.
-    slip_reference : (n_contact, dim) array, optional
-        Displacement against which slip is measured, m (only its tangential part counts). Default 0.
-    allow_interference : bool
-        Accept negative gaps.
-    boundary : (n_contact,) array of int, optional
-        Index of the contact boundary of each node, for resultants; default 0.
-    names : tuple of str
-        Names of the contact boundaries.
-    masters : tuple of str, optional
-        For each of ``names`` the boundary of another body that it may touch; "" (the default) is a rigid obstacle.
-    """
-
-    nodes: np.ndarray
-    normals: np.ndarray
-    gaps: np.ndarray
-    weights: np.ndarray | None = None
-    slip_reference: np.ndarray | None = None
-    allow_interference: bool = False
-    boundary: np.ndarray | None = None
-    names: tuple[str, ...] = ("contact",)
-    masters: tuple[str, ...] | None = None
-
-    def __post_init__(self) -> None:
-        nodes = np.asarray(self.nodes)
-        if nodes.dtype.kind not in "iu":
-            raise TypeError(f"nodes must be integers, got {nodes.dtype}")
-        nodes = _array("nodes", nodes, (None,), np.int64)
-        n = len(nodes)
-        if n == 0:
-            raise ValueError("nodes is empty: a contact problem needs at least one contact node")
-        if len(np.unique(nodes)) < n or nodes.min() < 0:
-            raise ValueError("nodes must be distinct and >= 0")
-        normals = _array("normals", self.normals, (n, None))
-        if normals.shape[1] not in (2, 3):
-            raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
-        lengths = np.linalg.norm(normals, axis=1)
-        if np.abs(lengths - 1).max() > 1e-6:
-            i = int(np.argmax(np.abs(lengths - 1)))
-            raise ValueError(f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}")
-        normals = normals / lengths[:, None]
-        normals.flags.writeable = False
-        gaps = _array("gaps", self.gaps, (n,))
-        if not self.allow_interference and gaps.min() < 0:
-            i = int(np.argmin(gaps))
-            raise ValueError(f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
-                             "for an interference fit say allow_interference=True")
-        weights = _array("weights", np.ones(n) if self.weights is None else self.weights, (n,))
-        if not weights.min() > 0:
-            raise ValueError(f"weights must be > 0, got {weights.min():.6g}")
-        reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
-        reference = _array("slip_reference", reference, normals.shape)
-        boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
-        boundary = _array("boundary", boundary, (n,), np.int64)
-        if boundary.min() < 0 or boundary.max() >= len(self.names):
-            raise ValueError(f"boundary must index names ({len(self.names)} given), got {boundary.max()}")
-        names = tuple(self.names)
-        masters = ("",) * len(names) if self.masters is None else tuple(self.masters)
-        if len(masters) != len(names):
-            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
-        for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
-                            ("slip_reference", reference), ("boundary", boundary), ("names", names),
-                            ("masters", masters)):
-            object.__setattr__(self, name, value)
-
-    def __len__(self) -> int:
-        return len(self.nodes)
-
-    @property
-    def dim(self) -> int:
-        """Space dimension."""
-        return self.normals.shape[1]
+__all__ = ["ContactNodes", "DiscreteProblem", "rigid_body_modes"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,6 +59,8 @@ class DiscreteProblem:
         Says that all of the above is in relative coordinates; see :meth:`coupled`.
     bodies : mapping of str to (n,) int arrays, optional
         Nodes of each body by name, for messages.
+    exchange : Exchange, optional
+        Contact as it was posed where slave and master were exchanged at single nodes (:mod:`adaptmg.exchange`).
     """
 
     matrix: sparse.bsr_array
@@ -172,6 +74,7 @@ class DiscreteProblem:
     name: str = "discrete problem"
     coupling: Coupling | None = None
     bodies: Mapping[str, np.ndarray] | None = None
+    exchange: Exchange | None = None
 
     @classmethod
     def assembled(cls, **parts: Any) -> DiscreteProblem:
@@ -207,13 +110,14 @@ class DiscreteProblem:
         DiscreteProblem
             In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
         """
+        contact, weights, law, exchange = exchanged(contact, weights, np.asarray(fixed), law)
         coupling = Coupling(weights, np.asarray(fixed))
         if near_nullspace is None and coordinates is not None:
             near_nullspace = rigid_body_modes(np.asarray(coordinates, dtype=np.float64))
         blocks = sparse.bsr_array(matrix, blocksize=(coupling.dim, coupling.dim))
         return cls(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
                    load=coupling.relative_forces(np.asarray(load, dtype=np.float64)), fixed_values=fixed_values,
-                   coordinates=coordinates, name=name, coupling=coupling, bodies=bodies,
+                   coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
                    near_nullspace=None if near_nullspace is None else coupling.relative(near_nullspace))
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:
@@ -226,6 +130,39 @@ class DiscreteProblem:
         flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
         return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(-1, self.dim)
 
+    def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
+        """Displacement (n_contact, dim) of the contact nodes relative to what they face, m.
+
+        Of the unknowns; between bodies that both are held, relative to what holds the other one.
+        """
+        nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
+        nodes = self.contact.nodes
+        result, own = nodal[nodes], self.fixed.reshape(-1, self.dim)[nodes]
+        if self.coupling is not None and own.any():
+            # such components are no relative coordinates
+            moved = self.physical(nodal)
+            result = np.where(own, moved[nodes] - self.coupling.weights[nodes] @ moved, result)
+            for at, weights, c in self.held_together():
+                result[at, c] = moved[nodes[at], c] - weights @ moved[:, c]
+        return result
+
+    def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
+        """For each component the contact nodes at which it is fixed and faces fixed ones, and the weights of these.
+
+        Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component.
+        """
+        if self.coupling is None:
+            return []
+        rows, fixed, result = self.coupling.weights[self.contact.nodes], self.fixed.reshape(-1, self.dim), []
+        for c in range(self.dim):
+            held = np.flatnonzero(fixed[self.contact.nodes, c])
+            weights = sparse.csr_array(facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float)))
+            total = np.asarray(weights.sum(axis=1)).ravel()
+            kept = total > NEGLIGIBLE
+            scale = sparse.diags_array(1 / total[kept], format="csr")
+            result.append((held[kept], sparse.csr_array(scale @ weights[kept]), c))
+        return result
+
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.
 
@@ -234,14 +171,14 @@ class DiscreteProblem:
         load, fixed_values : (n_dofs,) arrays
             N and m, in the coordinates of this problem (with a coupling relative ones).
         slip_reference : (n_contact, dim) array
-            Displacement against which slip is measured, m; between bodies relative to the other body.
+            Displacement of the contact nodes against which slip is measured, as :meth:`at_contact` has it, m.
         """
         contact, result = copy.copy(self.contact), copy.copy(self)
-        reference = _array("slip_reference", slip_reference, contact.normals.shape)
+        reference = frozen_array("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
-        values = _array("fixed_values", fixed_values, (self.n_dofs,))
-        values = _array("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
-        for name, value in (("load", _array("load", load, (self.n_dofs,))), ("fixed_values", values),
+        values = frozen_array("fixed_values", fixed_values, (self.n_dofs,))
+        values = frozen_array("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
+        for name, value in (("load", frozen_array("load", load, (self.n_dofs,))), ("fixed_values", values),
                             ("contact", contact)):
             object.__setattr__(result, name, value)
         return result
@@ -263,15 +200,16 @@ class DiscreteProblem:
             raise TypeError(f"fixed must be a boolean mask over the {n} dofs, got {fixed.dtype}")
         values = np.zeros(n) if self.fixed_values is None else self.fixed_values
         values = np.where(fixed, values, 0.0) if np.shape(values) == fixed.shape else values
-        arrays = {"matrix": matrix, "load": _array("load", self.load, (n,)),
-                  "fixed": _array("fixed", fixed, (n,), bool), "fixed_values": _array("fixed_values", values, (n,))}
+        arrays = {"matrix": matrix, "load": frozen_array("load", self.load, (n,)),
+                  "fixed": frozen_array("fixed", fixed, (n,), bool),
+                  "fixed_values": frozen_array("fixed_values", values, (n,))}
         if self.coordinates is not None:
-            arrays["coordinates"] = _array("coordinates", self.coordinates, (n // dim, dim))
+            arrays["coordinates"] = frozen_array("coordinates", self.coordinates, (n // dim, dim))
         modes = self.__dict__["near_nullspace"]
         if modes is None and self.coordinates is not None:
             modes = OnDemand(_own_modes)
         if modes is not None and not isinstance(modes, OnDemand):
-            modes = _array("near_nullspace", modes, (n, None))
+            modes = frozen_array("near_nullspace", modes, (n, None))
         arrays["near_nullspace"] = modes
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
@@ -343,29 +281,3 @@ def _own_modes(problem: DiscreteProblem) -> np.ndarray:
 
 
 DiscreteProblem.near_nullspace = made_on_demand("near_nullspace", "Rigid-body modes (n_dofs, k), or None.")
-
-
-def rigid_body_modes(points: np.ndarray) -> np.ndarray:
-    """Rigid-body modes about the centroid, orthonormal.
-
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
-
-    Returns
-    -------
-    (n_nodes * dim, 3 or 6) array
-        Translations, then rotations; orthonormalised.
-    """
-    n, dim = points.shape
-    x = points - points.mean(axis=0)
-    modes = np.zeros((n, dim, 3 if dim == 2 else 6))
-    for k in range(dim):
-        modes[:, k, k] = 1.0
-    if dim == 2:
-        modes[:, 0, 2], modes[:, 1, 2] = -x[:, 1], x[:, 0]
-    else:
-        for k, (a, b) in enumerate(((0, 1), (1, 2), (2, 0))):
-            modes[:, a, 3 + k], modes[:, b, 3 + k] = -x[:, b], x[:, a]
-    return np.linalg.qr(modes.reshape(n * dim, -1))[0]

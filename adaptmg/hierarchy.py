@@ -10,70 +10,17 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.level import Level, ratio_to
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.on_demand import OnDemand, made_on_demand
+from adaptmg.on_demand import OnDemand
 from adaptmg.problem import ContactProblem, checks
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
 __all__ = ["Hierarchy", "Level"]
-
-
-@dataclass(frozen=True, eq=False)
-class Level:
-    """One grid.
-
-    Attributes
-    ----------
-    discrete : DiscreteProblem or None
-        The problem discretised on this grid; None where only a coarse space is known.
-    mesh : MeshArrays or None
-    prolongation : csr_array or None
-        Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse spaces, its dofs
-        (n_dofs, n_dofs coarse); None on the coarsest.
-    mesh_ratio : float
-        Largest local ratio of mesh sizes, next coarser over this; NaN if unknown. Found when first read.
-    galerkin : bsr_array or None
-        The matrix of a coarse space without a discrete problem.
-    surface_prolongation : csr_array or None
-        With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for corrections that need
-        it (:mod:`adaptmg.transfer.between_levels`).
-    """
-
-    discrete: DiscreteProblem | None
-    mesh: MeshArrays | None = None
-    prolongation: sparse.csr_array | None = None
-    mesh_ratio: float = float("nan")
-    galerkin: sparse.bsr_array | None = None
-    surface_prolongation: sparse.csr_array | None = None
-
-    @property
-    def contact_prolongation(self) -> sparse.csr_array | None:
-        """The form of the prolongation for corrections that carry constraints to the coarse contact nodes."""
-        return self.prolongation if self.surface_prolongation is None else self.surface_prolongation
-
-    @property
-    def matrix(self) -> sparse.bsr_array:
-        """The discretised matrix, or the Galerkin one of a coarse space."""
-        return self.galerkin if self.discrete is None else self.discrete.matrix
-
-    @property
-    def n_nodes(self) -> int:
-        """Nodes; of a coarse space the rows of blocks of its matrix."""
-        return self.matrix.shape[0] // self.matrix.blocksize[0]
-
-
-Level.mesh_ratio = made_on_demand("mesh_ratio", "Largest local ratio of mesh sizes, next coarser over this; or NaN.")
-
-
-def _ratio_to(coarse: MeshArrays, level: Level) -> float:
-    from adaptmg.transfer import mesh_ratio
-
-    return mesh_ratio(coarse, level.mesh)
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +257,7 @@ class Hierarchy:
         levels = [Level(discretes[0], meshes[0])]
         for k in range(1, len(meshes)):
             found = between_levels(transfer, meshes[k - 1], meshes[k], discretes[k - 1], discretes[k], contact_rows)
-            ratio = OnDemand(partial(_ratio_to, meshes[k - 1]))
+            ratio = OnDemand(partial(ratio_to, meshes[k - 1]))
             levels.append(Level(discretes[k], meshes[k], found.prolongation, ratio, surface_prolongation=found.surface))
         timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
         return cls(tuple(levels), problem, origin, timings)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from adaptmg.discretisation.contact_nodes import contact_data
+import adaptmg as am
 from adaptmg.discretisation.elasticity import stiffness
 from adaptmg.discretisation.loads import load_vector
 from adaptmg.discretisation.supports import fixed_dofs
@@ -35,9 +35,15 @@ class Parts:
 
     @classmethod
     def of(cls, problem, mesh, slip_reference=None):
-        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference)
-        if weights is None:
-            weights = sparse.csr_array((mesh.n_nodes, mesh.n_nodes))
+        discrete = am.discretise(problem, mesh, slip_reference=slip_reference)
+        posed, n = discrete.exchange, mesh.n_nodes
+        contact = discrete.contact if posed is None else posed.contact
+        weights = sparse.csr_array((n, n))
+        if discrete.coupling is not None:
+            rows = discrete.coupling.weights[contact.nodes] if posed is None else posed.weights
+            place = sparse.csr_array((np.ones(len(contact)), (contact.nodes, np.arange(len(contact)))),
+                                     shape=(n, len(contact)))
+            weights = sparse.csr_array(place @ rows)
         return cls(sparse.csr_array(stiffness(mesh, problem.material)),
                    load_vector(mesh, problem.loads, problem.material), *fixed_dofs(mesh, problem.supports), contact,
                    weights, problem.law.at_nodes(mesh.points[contact.nodes], contact.weights), problem.axisymmetric)
@@ -67,14 +73,22 @@ def relative_rows(parts, directions, rows):
     return sparse.csr_array((value, (row, column)), shape=(len(rows), dim * n_nodes))
 
 
+def held_alike(parts):
+    """(n, dim): fixed components of contact nodes that face fixed ones, or an obstacle."""
+    nodes, dim = parts.contact.nodes, parts.contact.dim
+    fixed = parts.fixed.reshape(-1, dim)
+    alike = parts.weights[nodes].maximum(0.0) @ fixed.astype(float)
+    return fixed[nodes] & ((alike > 1e-6) | (np.diff(parts.weights.indptr)[nodes] == 0)[:, None])
+
+
 def solve_saddle(parts, steps=80):
     """Displacement (n_nodes, dim), and the forces on the slaves, normal p >= 0 (n,) and Cartesian (n, dim)."""
     contact = parts.contact
     n, dim = contact.normals.shape
     limit, friction = parts.law.bounds(n)
     t = tangents(contact.normals)
-    held = parts.fixed.reshape(-1, dim)[contact.nodes]
-    # tangents along fixed components carry no force; they are fixed components or free of them
+    # tangents along fixed components carry no force where what they face is held likewise, or nothing
+    held = held_alike(parts)
     loose = np.array([[not held[i][np.abs(e) > 1e-8].any() for e in t[i]] for i in range(n)])
     every = np.arange(n)
     Cn = relative_rows(parts, contact.normals, every)

@@ -51,8 +51,8 @@ def contact_nodes(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: 
     return contact_data(problem, mesh, slip_reference=slip_reference)[0]
 
 
-def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
-                 ) -> tuple[ContactNodes, sparse.csr_array | None]:
+def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
+                 excluded: np.ndarray | None = None) -> tuple[ContactNodes, sparse.csr_array | None]:
     """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow.
 
     Parameters
@@ -62,6 +62,8 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     slip_reference : (n_nodes, dim) array, optional
         Displacement of all nodes against which slip is measured (the previous load step), m. Between bodies relative
         to the other body. Default 0.
+    excluded : (n,) int array, optional
+        Further slave nodes that carry no multiplier; their neighbours take their part.
 
     Returns
     -------
@@ -93,7 +95,10 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
             mine = np.unique(facets[k])
-            found = pair_interface(mesh, contact, fixed=fixed, excluded=mine[owner[mine] != k],
+            without = mine[owner[mine] != k]
+            if excluded is not None:
+                without = np.union1d(without, excluded)
+            found = pair_interface(mesh, contact, fixed=fixed, excluded=without,
                                    axisymmetric=problem.axisymmetric)
             parts.append(_Part(found.nodes, found.normals, found.weights, found.gaps, found.coupling))
         else:

@@ -5,21 +5,26 @@ Bodies that touch each other are coupled by relative coordinates (:mod:`adaptmg.
 
 from __future__ import annotations
 
+import logging
 from functools import partial
 
 import numpy as np
+from scipy import sparse
 
-from adaptmg.discrete import DiscreteProblem
+from adaptmg.discrete import ContactNodes, DiscreteProblem
 from adaptmg.discretisation.contact_nodes import contact_data
 from adaptmg.discretisation.elasticity import stiffness
 from adaptmg.discretisation.loads import load_vector
 from adaptmg.discretisation.rigid_motions import rigid_motions
 from adaptmg.discretisation.supports import fixed_dofs
+from adaptmg.exchange import find_carriers
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.on_demand import OnDemand
 from adaptmg.problem.contact_problem import ContactProblem
 
 __all__ = ["discretise"]
+
+_LOG = logging.getLogger(__name__)
 
 
 def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
@@ -56,11 +61,11 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     problem.check_bodies(mesh.bodies)
     bodies = _bodies(mesh)
     _check_held(problem, mesh, bodies)
-    contact, weights = contact_data(problem, mesh, slip_reference=slip_reference)
+    fixed, values = fixed_dofs(mesh, problem.supports)
+    contact, weights = _contact(problem, mesh, slip_reference, fixed)
     if len(contact) <= mesh.dim:
         raise ValueError(f"mesh too coarse: {len(contact)} contact nodes on {', '.join(problem.contact_boundaries)}, "
                          f"at least {mesh.dim + 1} are needed; refine the mesh there")
-    fixed, values = fixed_dofs(mesh, problem.supports)
     parts = {"matrix": stiffness(mesh, problem.material), "load": load_vector(mesh, problem.loads, problem.material),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
@@ -75,6 +80,23 @@ def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) ->
     motions = rigid_motions(mesh, axisymmetric)
     motions.flags.writeable = False
     return motions
+
+
+def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, fixed: np.ndarray
+             ) -> tuple[ContactNodes, sparse.csr_array | None]:
+    """Contact nodes and what they face; without slave nodes that should be exchanged for others and cannot."""
+    excluded = np.empty(0, dtype=np.int64)
+    while True:
+        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded)
+        if weights is None:
+            return contact, None
+        law = problem.law.at_nodes(mesh.points[contact.nodes], contact.weights)
+        unmatched = find_carriers(contact.nodes, weights, fixed, law)[2]
+        if not len(unmatched):
+            return contact, weights
+        excluded = np.union1d(excluded, contact.nodes[unmatched])
+        _LOG.info("%d slave nodes of %r with a supported tangential component carry no multiplier: the master is too "
+                  "coarse there", len(unmatched), problem.name)
 
 
 def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:

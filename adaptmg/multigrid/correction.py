@@ -92,7 +92,10 @@ def correction_contact(correction: Correction, reach: Supports, system: LocalSys
                        initial: InitialContact | None) -> NodalContact:
     """The contact data of the coarse correction problem at a fine iterate."""
     values = unknowns.reshape(-1, system.dim)[system.nodes]
-    gap, slip, limit = correction.transport(reach, contact.gap - values[:, 0], values[:, 1:] - contact.slip_reference,
+    fine_slip = values[:, 1:] - contact.slip_reference
+    # |E| is a bound of what a correction changes in a slip that is held along one tangent
+    fine_slip[contact.driven] = 0.0
+    gap, slip, limit = correction.transport(reach, contact.gap - values[:, 0], fine_slip,
                                             sliding_limit(system, contact, residual), initial)
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
     return NodalContact(gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit))

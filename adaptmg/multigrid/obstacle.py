@@ -10,7 +10,7 @@ import numpy as np
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.multigrid import contact_loops, contact_status_2d, contact_status_3d
 from adaptmg.multigrid.halves import Halves
-from adaptmg.smoother.system import local_contact
+from adaptmg.smoother.system import NodalContact, local_contact, turn_held
 
 __all__ = ["Obstacle", "Status"]
 
@@ -58,6 +58,8 @@ class Obstacle:
         p >= 0, N.
     direction, hessian : (n_contact * (dim - 1),), (n_contact * (dim - 1)^2,) arrays
         Of the slip, as the matrices have them.
+    driven : (k,) int array
+        Nodes that slip along a first tangent which a support holds.
     """
 
     #: share of the contact nodes that a recombination may cut
@@ -78,6 +80,7 @@ class Obstacle:
     pressure: np.ndarray
     direction: np.ndarray
     hessian: np.ndarray
+    driven: np.ndarray
 
     @classmethod
     def of(cls, problem: DiscreteProblem, level: Halves) -> Obstacle:
@@ -88,12 +91,18 @@ class Obstacle:
         contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
         diagonal = level.diagonal.reshape(-1, dim, dim)[nodes]
         local = np.einsum("nij,njk,nlk->nil", frames, diagonal, frames)
+        turn_held(local, np.arange(len(nodes)), contact)
         row, column = np.triu_indices(dim)
         n = len(nodes)
         return cls(dim, nodes, contact_of, np.ascontiguousarray(frames).reshape(-1), diagonal.reshape(-1),
                    np.ascontiguousarray(local[:, row, column]).reshape(-1), contact.gap,
                    contact.slip_reference.reshape(-1), contact.limit, contact.friction, np.zeros(n * dim),
-                   np.full(n, -1, dtype=np.int8), np.zeros(n), np.zeros(n * (dim - 1)), np.zeros(n * (dim - 1) ** 2))
+                   np.full(n, -1, dtype=np.int8), np.zeros(n), np.zeros(n * (dim - 1)), np.zeros(n * (dim - 1) ** 2),
+                   contact.driven)
+
+    def take(self, contact: NodalContact) -> None:
+        """Take over gaps and slips of another load step."""
+        self.gap, self.reference, self.driven = contact.gap, contact.slip_reference.reshape(-1), contact.driven
 
     @property
     def node_data(self) -> tuple[np.ndarray, ...]:
@@ -120,16 +129,35 @@ class Obstacle:
         """Take the slip directions (3D: and the Hessian) from the present unknowns."""
         contact_loops.directions(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference,
                                  self.values, self.direction, self.hessian)
+        if len(self.driven):
+            self.direction.reshape(-1, 2)[self.driven, 0] = 0.0
+            hessian = self.hessian.reshape(-1, 2, 2)
+            hessian[self.driven, 0] = 0.0
+            hessian[self.driven, :, 0] = 0.0
 
     def truncate(self, defect: np.ndarray) -> float:
         """Make f - A u the truncated residual, in place; returns its sum of squares at the contact nodes."""
-        return contact_loops.truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction,
-                                      self.reference, self.values, defect)
+        squares = contact_loops.truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction,
+                                         self.reference, self.values, defect)
+        # the support takes the friction along what it holds
+        return squares - self._clear(defect)
+
+    def _clear(self, vector: np.ndarray) -> float:
+        """Set held tangents of driven nodes to zero in a vector (n_dofs,), in place; returns the squares lost."""
+        if not len(self.driven):
+            return 0.0
+        at, tangents = vector.reshape(-1, 3), self.frames.reshape(-1, 3, 3)[self.driven, 1]
+        along = np.einsum("nd,nd->n", tangents, at[self.nodes[self.driven]])
+        at[self.nodes[self.driven]] -= along[:, None] * tangents
+        return float(np.sum(along**2))
 
     def project(self, unknowns: np.ndarray) -> int:
         """Make a corrected iterate admissible, in place; returns the number of nodes that had to be cut."""
-        return contact_loops.project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
-                                     self.values, unknowns)
+        cut = contact_loops.project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
+                                    self.values, unknowns)
+        self._clear(unknowns)
+        self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
+        return cut
 
     def admits(self, unknowns: np.ndarray, first: np.ndarray, second: np.ndarray, alpha: tuple[float, float]) -> bool:
         """Whether the recombination closes an open node or reverses a slip at a few nodes at most.

@@ -21,6 +21,10 @@ zero slip: stick if :math:`|c_t| \le s + \mu p_0`, else slip in
   inside a bracket. With B diagonalised a step costs a few operations; f is linear in :math:`\theta` when B is a
   multiple of the identity, and concave when mu = 0, so that Newton from zero rises monotonically to the root.
 
+A support may hold the first tangent of a node in 3D, which then slips by a given :math:`\tau_1`: M must be decoupled
+there, and its entry :math:`M_{11}` is given with the sign turned. What is left is one equation for :math:`\tau_2`,
+with the friction :math:`(s + \mu p)\,\tau_2/\sqrt{\tau_1^2 + \tau_2^2}`, which has one root.
+
 The bound is never lagged: p is p of the solution. A solution exists for every mu >= 0; in 2D it is unique if
 :math:`\mu|a| < b`. Where several exist the first of open, stick, slip is taken (in 3D the slip found by the same
 deterministic iteration). If open is rejected, every root of the closed problem with :math:`\max(0, p)` in place of p
@@ -107,7 +111,7 @@ def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_
     Parameters
     ----------
     m_nn, m_n1, m_n2, m_11, m_12, m_22 : float
-        The block M, N/m.
+        The block M, N/m; m_11 < 0 where the first tangent is held, which must be decoupled.
     c_n, c_1, c_2 : float
         The force c, N.
     gap : float
@@ -122,6 +126,12 @@ def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_
     w_n, w_1, w_2 : float
         m.
     """
+    if m_11 < 0.0:
+        if reference_1 == 0.0:
+            w_n, w_2 = solve_2d(m_nn, m_n2, m_22, c_n, c_2, gap, reference_2, limit, friction)
+        else:
+            w_n, w_2 = _solve_beside(m_nn, m_n2, m_22, c_n, c_2, gap, reference_1, reference_2, limit, friction)
+        return w_n, 0.0, w_2
     c_n -= m_n1 * reference_1 + m_n2 * reference_2
     c_1 -= m_11 * reference_1 + m_12 * reference_2
     c_2 -= m_12 * reference_1 + m_22 * reference_2
@@ -134,6 +144,52 @@ def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_
         slip_1, slip_2 = slip_3d(m_11, m_12, m_22, c_1 - m_n1 * gap, c_2 - m_n2 * gap, m_n1, m_n2,
                                  c_n - m_nn * gap, limit, friction)
     return w_n, reference_1 + slip_1, reference_2 + slip_2
+
+
+@njit(cache=True)
+def _solve_beside(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap: float, held: float,
+                  reference: float, limit: float, friction: float) -> tuple[float, float]:
+    """:func:`solve_2d` of a node that slips by ``held`` along a further tangent."""
+    c_n -= m_nt * reference
+    c_t -= m_tt * reference
+    ratio = m_nt / m_nn
+    slip = _slip_beside(m_tt - ratio * m_nt, c_t - ratio * c_n, 0.0, 0.0, held, limit, 0.0)
+    w_n = c_n / m_nn - ratio * slip
+    if not w_n <= gap:
+        w_n = gap
+        slip = _slip_beside(m_tt, c_t - m_nt * gap, m_nt, c_n - m_nn * gap, held, limit, friction)
+    return w_n, reference + slip
+
+
+@njit(cache=True)
+def _slip_beside(b: float, c: float, a: float, p_stick: float, held: float, limit: float, friction: float) -> float:
+    """The root of c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held^2 + x^2): it lies from 0 to c / b.
+
+    Newton's method inside a bracket.
+    """
+    low, high = min(0.0, c / b), max(0.0, c / b)
+    slip = 0.0
+    for _ in range(MAX_STEPS):
+        size = math.hypot(held, slip)
+        p = p_stick - a * slip
+        bound = limit + friction * max(p, 0.0)
+        value = c - b * slip - bound * slip / size
+        if abs(value) <= EPSILON * (abs(c) + b * abs(slip)):
+            break
+        if value > 0.0:
+            low = slip
+        else:
+            high = slip
+        slope = b + bound * (held / size) ** 2 / size
+        if p > 0.0:
+            slope -= friction * a * slip / size
+        following = slip + value / slope if slope > 0.0 else low
+        if not low < following < high:
+            following = 0.5 * (low + high)
+        if following == slip or high - low <= EPSILON * max(abs(low), abs(high)):
+            break
+        slip = following
+    return slip
 
 
 @njit(cache=True)

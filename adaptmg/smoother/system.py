@@ -61,12 +61,22 @@ class NodalContact:
         Tangential displacement of zero slip, m.
     limit, friction : (n_contact,) arrays
         Nodal Tresca limit, N, and Coulomb coefficient.
+    held : (n_contact,) bool array, optional
+        3D: nodes whose first tangent alone is held by a support; minus its slip_reference is the slip along it. Their
+        diagonal blocks have that entry with the sign turned (:mod:`adaptmg.smoother.node_solve`).
     """
 
     gap: np.ndarray
     slip_reference: np.ndarray
     limit: np.ndarray
     friction: np.ndarray
+    held: np.ndarray | None = None
+
+    @property
+    def driven(self) -> np.ndarray:
+        """Contact nodes (k,) that slip along a held tangent, indices."""
+        return np.empty(0, dtype=np.int64) if self.held is None else np.flatnonzero(
+            self.held & (self.slip_reference[:, 0] != 0))
 
     def frozen(self, normal_force: np.ndarray) -> NodalContact:
         """The Tresca problem with the limit held at limit + friction * normal_force (n_contact,), N."""
@@ -209,6 +219,7 @@ def local_system(problem: DiscreteProblem) -> LocalProblem:
     load[fixed] = 0.0
     system = LocalSystem.from_matrix(matrix, fixed, contact.nodes)
     nodal = _nodal_contact(problem, frames, fixed)
+    turn_held(system.diagonal, system.nodes, nodal)
     return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
 
 
@@ -222,9 +233,25 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
     lifted = contact_lift(problem, frames)
     limit, friction = problem.law.bounds(len(problem.contact))
     reference = np.einsum("nij,nj->ni", frames, problem.contact.slip_reference)[:, 1:] - lifted[:, 1:]
-    reference[fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]] = 0.0
+    held = fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]
+    reference[held] = 0.0
+    alone = None
+    if problem.dim == 3 and (held[:, 0] & ~held[:, 1]).any():
+        alone = held[:, 0] & ~held[:, 1]
+        u = np.einsum("nij,nj->ni", frames, problem.at_contact(problem.fixed_values))
+        slip = u[:, 1] - np.einsum("nj,nj->n", frames[:, 1], problem.contact.slip_reference)
+        reference[alone, 0] = -slip[alone]
     return NodalContact(gap=problem.contact.gaps - lifted[:, 0], slip_reference=np.ascontiguousarray(reference),
-                        limit=np.array(limit, dtype=np.float64), friction=np.array(friction, dtype=np.float64))
+                        limit=np.array(limit, dtype=np.float64), friction=np.array(friction, dtype=np.float64),
+                        held=alone)
+
+
+def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) -> None:
+    """Turn the sign of the entries of held tangents in flat diagonal blocks of all nodes, in place; see node_solve."""
+    if contact.held is not None:
+        blocks = diagonal.reshape(-1, 3, 3)
+        at = nodes[contact.held]
+        blocks[at, 1, 1] = -np.abs(blocks[at, 1, 1])
 
 
 def contact_lift(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:

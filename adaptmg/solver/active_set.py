@@ -11,7 +11,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver.convergence import Convergence, energy_norm
+from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.linear import Direct, LinearSolver
 from adaptmg.solver.newton_state import Linearised, hold_all, linearise
 from adaptmg.solver.newton_steps import CondensedSteps, SparseSteps, Steps
@@ -157,7 +157,7 @@ class _Iteration:
     def _check(self, defect: np.ndarray) -> bool:
         watch, rtol = self.watch, self.options.rtol
         watch.check(self.unknowns, defect)
-        size = energy_norm(self.unknowns, self.local.load - defect)
+        size = watch.norm
         if self.steps:
             self.error_estimate = watch.change / size if size > 0 else (0.0 if watch.change == 0 else np.inf)
         return self.error_estimate <= rtol and watch.residual <= watch.RESIDUAL_FACTOR * rtol

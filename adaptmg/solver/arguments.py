@@ -45,8 +45,10 @@ def warn_of_large_friction(local: LocalProblem) -> None:
     """Say where even the problem of one node, all others held, may have several solutions: mu |a_nt| >= a_tt."""
     system, dim = local.system, local.system.dim
     blocks = system.diagonal.reshape(-1, dim, dim)[system.nodes]
+    tangential = blocks[:, 1:, 1:].copy()
+    tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
     coupling = local.contact.friction * np.linalg.norm(blocks[:, 0, 1:], axis=1)
-    beyond = coupling >= np.linalg.eigvalsh(blocks[:, 1:, 1:])[:, 0]
+    beyond = coupling >= np.linalg.eigvalsh(tangential)[:, 0]
     if beyond.any():
         i = int(np.argmax(beyond))
         warnings.warn(f"friction {local.contact.friction[i]:g} is so large that the solution may not be unique "

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from adaptmg.smoother.system import LocalProblem, LocalSystem
+from adaptmg.smoother.system import LocalProblem, LocalSystem, turn_held
 from adaptmg.solver.dissection import nested_dissection, node_graph
 
 __all__ = ["Condensed", "condense"]
@@ -178,6 +178,7 @@ def condense(local: LocalProblem) -> Condensed:
     fixed = system.fixed[contact]
     n = len(system.nodes)
     dense = LocalSystem.from_matrix(sparse.bsr_array(_blocks(schur, dim), shape=schur.shape), fixed, np.arange(n))
+    turn_held(dense.diagonal, dense.nodes, local.contact)
     problem = LocalProblem(system=dense, load=np.zeros(len(contact)), contact=local.contact, frames=local.frames,
                            discrete=local.discrete)
     condensed = Condensed(problem, local, Interior(factors, order, contact, schur, shift))

@@ -13,21 +13,10 @@ import numpy as np
 
 from adaptmg.smoother.residuals import natural_residual
 from adaptmg.smoother.system import LocalProblem
-from adaptmg.solver.finish import force_scale
 from adaptmg.solver.run import Run
+from adaptmg.solver.sizes import Sizes, displacement_norm, energy_norm, euclidean_norm
 
-__all__ = ["Convergence", "energy_norm", "euclidean_norm"]
-
-
-def energy_norm(unknowns: np.ndarray, forces: np.ndarray) -> float:
-    """sqrt(w' A w) from w and A w, 0 where rounding makes it negative."""
-    # not through BLAS: its threads cost more than a short dot product gains, several times over on a busy machine
-    return float(np.sqrt(max(float(np.einsum("i,i->", unknowns, forces)), 0.0)))
-
-
-def euclidean_norm(vector: np.ndarray) -> float:
-    """|v| of a flat vector, on one thread."""
-    return energy_norm(vector, vector)
+__all__ = ["Convergence"]
 
 
 @dataclass(eq=False)
@@ -43,21 +32,20 @@ class Convergence:
         Where the time of comparisons with the reference is excluded.
     reference : (n_dofs,) array, optional
         The exact discrete solution in local components, for the true error in :meth:`measures`.
-    hidden_energy : float
-        Energy w'Aw of a condensed solution that its Schur complement does not see: errors are relative to all of it.
+    sizes : Sizes, optional
+        What errors and residuals refer to, where ``local`` is condensed; by default that of ``local``.
     """
 
     local: LocalProblem
     rtol: float
     run: Run | None = None
     reference: np.ndarray | None = None
-    hidden_energy: float = 0.0
+    sizes: Sizes | None = None
     changes: list[float] = field(default_factory=list)
     error_estimate: float = np.inf
     residual: float = np.inf
     _unknowns: np.ndarray | None = None
     _defect: np.ndarray | None = None
-    _scale: float = 0.0
     _norm: float = 0.0
 
     #: the natural residual must fall below this multiple of rtol
@@ -70,7 +58,8 @@ class Convergence:
     PATIENCE = 60
 
     def __post_init__(self) -> None:
-        self._scale = force_scale(self.local)
+        if self.sizes is None:
+            self.sizes = Sizes(self.local.discrete, self.local.frames)
         blocks = self.local.system.diagonal.reshape(-1, self.local.system.dim, self.local.system.dim)
         self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
 
@@ -79,10 +68,11 @@ class Convergence:
         system = self.local.system
         vector = natural_residual(system, self.local.contact, self.local.load, unknowns, defect)
         reactions = defect.reshape(-1, system.dim)[system.nodes]
-        scale = max(self._scale, euclidean_norm(reactions.reshape(-1)))
+        scale = self.sizes.forces(unknowns, euclidean_norm(reactions.reshape(-1)))
         size = euclidean_norm(vector)
         self.residual = 0.0 if size == 0 else size / (scale or size)  # an interference fit begins without forces
-        self._norm = float(np.hypot(energy_norm(unknowns, self.local.load - defect), np.sqrt(self.hidden_energy)))
+        energy = float(np.einsum("i,i->", unknowns, self.local.load - defect))
+        self._norm = self.sizes.norm(unknowns, energy)
         if self._unknowns is not None:
             self.changes.append(energy_norm(unknowns - self._unknowns, self._defect - defect))
             self.error_estimate = self._estimate()
@@ -103,8 +93,7 @@ class Convergence:
             with self.run.untimed():
                 matrix = self.local.system.matrix
                 error = self._unknowns - self.reference
-                seen = energy_norm(self.reference, matrix @ self.reference)
-                size = float(np.hypot(seen, np.sqrt(self.hidden_energy)))
+                size = displacement_norm(self.local.discrete, self.run.reference)
                 values["true_error"] = energy_norm(error, matrix @ error) / size if size > 0 else np.nan
         return values
 
@@ -113,6 +102,11 @@ class Convergence:
         if not rate < 1:
             return np.inf
         return self.changes[-1] * rate / (1 - rate) / self._norm if self._norm > 0 else np.inf
+
+    @property
+    def norm(self) -> float:
+        """||u||_A at the last iterate."""
+        return self._norm
 
     @property
     def change(self) -> float:

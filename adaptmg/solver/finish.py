@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.smoother.residuals import contact_state, natural_residual, residual
+from adaptmg.smoother.state import ContactState
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.result import ContactResult
+from adaptmg.solver.sizes import Sizes, euclidean_norm
 
-__all__ = ["contact_result", "force_scale", "relative_residual"]
-
-
-def force_scale(local: LocalProblem) -> float:
-    """Scale of the natural residual without reactions: max(|b|, |A u_fixed|), N."""
-    discrete = local.discrete
-    lifted = float(np.linalg.norm(discrete.matrix @ discrete.fixed_values)) if discrete.fixed_values.any() else 0.0
-    return max(float(np.linalg.norm(discrete.load)), lifted)
+__all__ = ["contact_result", "relative_residual"]
 
 
 def relative_residual(local: LocalProblem, unknowns: np.ndarray) -> float:
-    """Natural residual over max(|b|, |A u_fixed|, |reactions|), Euclidean norms; 1 if it is all there is.
+    """Natural residual over the largest of load, contact forces and, where displacements are prescribed, reactions.
+
+    Euclidean norms (:mod:`adaptmg.solver.sizes`); 1 if it is all there is.
 
     Parameters
     ----------
@@ -30,13 +28,16 @@ def relative_residual(local: LocalProblem, unknowns: np.ndarray) -> float:
     """
     vector = natural_residual(local.system, local.contact, local.load, unknowns)
     reactions = residual(local.system, local.load, unknowns).reshape(-1, local.system.dim)[local.system.nodes]
-    scale = max(force_scale(local), float(np.linalg.norm(reactions)))
-    size = float(np.linalg.norm(vector))
+    scale = Sizes(local.discrete, local.frames).forces(unknowns, euclidean_norm(reactions.reshape(-1)))
+    size = euclidean_norm(vector)
     return 0.0 if size == 0.0 else size / (scale or size)
 
 
 def contact_result(local: LocalProblem, unknowns: np.ndarray, solved: np.ndarray) -> ContactResult:
     """Contact quantities at a solution.
+
+    Where a support holds a tangential component, the equations do not tell friction from the reaction of the support:
+    there it is what the law says for the slip, and nothing if nothing slips.
 
     Parameters
     ----------
@@ -46,24 +47,52 @@ def contact_result(local: LocalProblem, unknowns: np.ndarray, solved: np.ndarray
     solved : (n_nodes, dim) array
         Cartesian, m; between bodies in relative coordinates.
     """
-    discrete, contact = local.discrete, local.discrete.contact
-    u = np.einsum("nij,nj->ni", local.frames, solved[contact.nodes])
+    discrete, contact, frames = local.discrete, local.discrete.contact, local.frames
+    u = np.einsum("nij,nj->ni", frames, discrete.at_contact(solved))
+    slip = u[:, 1:] - np.einsum("nij,nj->ni", frames, contact.slip_reference)[:, 1:]
     force = -residual(local.system, local.load, unknowns).reshape(-1, discrete.dim)[contact.nodes]
-    force_n = np.maximum(-force[:, 0], 0.0)
-    reference = np.einsum("nij,nj->ni", local.frames, contact.slip_reference)[:, 1:]
-    x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[contact.nodes]
-    carried = np.einsum("nk,nkd->nd", np.column_stack([-force_n, force[:, 1:]]), local.frames)
-    boundary, node, on_masters = _on_followed(discrete, carried)
-    return ContactResult(node=contact.nodes, x=x, frames=local.frames, gap=contact.gaps - u[:, 0], u_n=u[:, 0],
-                         u_t=u[:, 1:], slip=u[:, 1:] - reference, force_n=force_n, force_t=force[:, 1:],
-                         weights=contact.weights, limit=local.contact.limit + local.contact.friction * force_n,
-                         state=contact_state(local.system, local.contact, local.load, unknowns),
-                         boundary=contact.boundary, names=contact.names, masters=contact.masters, master_node=node,
+    force_n, force_t = np.maximum(-force[:, 0], 0.0), force[:, 1:].copy()
+    limit = local.contact.limit + local.contact.friction * force_n
+    state = contact_state(local.system, local.contact, local.load, unknowns)
+    held = local.system.fixed.reshape(-1, discrete.dim)[contact.nodes, 1:]
+    _friction_at_supports(held, slip, limit, 1e-12 * np.abs(solved).max(initial=0.0), force_t, state)
+    posed, weights, size = contact, None, np.ones(len(contact))
+    if discrete.coupling is not None:
+        weights = discrete.coupling.weights[contact.nodes]
+    if discrete.exchange is not None:
+        posed, weights, size = discrete.exchange.contact, discrete.exchange.weights, np.abs(discrete.exchange.sigma)
+        frames = frames * np.sign(discrete.exchange.sigma)[:, None, None]
+        if discrete.dim == 3:  # right-handed again
+            back = np.where(discrete.exchange.sigma < 0, -1.0, 1.0)
+            frames[:, 2] *= back[:, None]
+            for values in (u[:, 1:], slip, force_t):
+                values[:, 1] *= back
+    u, slip, gap = u * size[:, None], slip * size[:, None], (contact.gaps - u[:, 0]) * size
+    force_n, force_t, limit = force_n / size, force_t / size[:, None], limit / size
+    x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[posed.nodes]
+    carried = np.einsum("nk,nkd->nd", np.column_stack([-force_n, force_t]), frames)
+    boundary, node, on_masters = _on_followed(discrete, posed.boundary, weights, carried)
+    return ContactResult(node=posed.nodes, x=x, frames=frames, gap=gap, u_n=u[:, 0], u_t=u[:, 1:], slip=slip,
+                         force_n=force_n, force_t=force_t, weights=posed.weights, limit=limit, state=state,
+                         boundary=posed.boundary, names=posed.names, masters=posed.masters, master_node=node,
                          master_force=on_masters, master_boundary=boundary)
 
 
-def _on_followed(discrete: DiscreteProblem, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _friction_at_supports(held: np.ndarray, slip: np.ndarray, limit: np.ndarray, small: float, force_t: np.ndarray,
+                          state: np.ndarray) -> None:
+    """Friction along held tangents (n, dim - 1) and the states of their nodes, in place."""
+    size = np.linalg.norm(slip, axis=1)
+    slides = held.any(axis=1) & (size > small)
+    direction = np.divide(slip, size[:, None], out=np.zeros_like(slip), where=slides[:, None])
+    force_t[held] = (-limit[:, None] * direction)[held]
+    state[slides & (state == ContactState.STICK)] = ContactState.SLIP
+
+
+def _on_followed(discrete: DiscreteProblem, boundary: np.ndarray, rows: sparse.csr_array | None, forces: np.ndarray
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What contact forces (n_contact, dim) exert on the nodes that slave nodes follow, -W' times them, by boundary.
+
+    ``rows`` (n_contact, n_nodes) are the weights W. Where both bodies are held, held nodes of the other one take all.
 
     Returns
     -------
@@ -71,14 +100,23 @@ def _on_followed(discrete: DiscreteProblem, forces: np.ndarray) -> tuple[np.ndar
     force : (m, dim) array
         N.
     """
-    dim, coupling, contact = discrete.dim, discrete.coupling, discrete.contact
-    if coupling is None:
+    dim, n = discrete.dim, discrete.n_nodes
+    if rows is None:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, dim))
-    rows = coupling.weights[contact.nodes]
-    at = np.repeat(np.arange(len(contact)), np.diff(rows.indptr))
-    # components of slave nodes that are fixed are not relative
-    free = ~coupling.fixed.reshape(-1, dim)[contact.nodes]
-    parts = -rows.data[:, None] * (free * forces)[at]
-    key, place = np.unique(contact.boundary[at] * discrete.n_nodes + rows.indices, return_inverse=True)
-    total = np.column_stack([np.bincount(place, part, minlength=len(key)) for part in parts.T])
-    return key // discrete.n_nodes, key % discrete.n_nodes, total
+    keys, parts = [], []
+    held = {c: (at, weights) for at, weights, c in discrete.held_together()}
+    for c in range(dim):
+        weights, (at, instead) = rows, held[c]
+        if len(at):
+            others = np.ones(len(boundary))
+            others[at] = 0.0
+            place = sparse.csr_array((np.ones(len(at)), (at, np.arange(len(at)))), shape=(len(boundary), len(at)))
+            weights = sparse.csr_array(sparse.diags_array(others, format="csr") @ rows + place @ instead)
+        of = np.repeat(np.arange(len(boundary)), np.diff(weights.indptr))
+        keys.append(boundary[of] * n + weights.indices)
+        part = np.zeros((len(of), dim))
+        part[:, c] = -weights.data * forces[of, c]
+        parts.append(part)
+    key, place = np.unique(np.concatenate(keys), return_inverse=True)
+    total = np.column_stack([np.bincount(place, part, minlength=len(key)) for part in np.concatenate(parts).T])
+    return key // n, key % n, total

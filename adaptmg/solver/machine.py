@@ -15,8 +15,9 @@ from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prol
 from adaptmg.multigrid.stack import build_stack
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
 from adaptmg.solver.condensation import Condensed, condense
-from adaptmg.solver.convergence import Convergence, euclidean_norm
+from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.sizes import euclidean_norm
 from adaptmg.solver.status import Status
 
 if TYPE_CHECKING:

@@ -105,7 +105,29 @@ def linearise(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray,
     trial = residual[:, 1:] + tangential[:, None] * tau
     size = np.linalg.norm(trial, axis=1)
     slip = ~((size <= bound) & (bound > 0))
-    return _equations(contact, unknowns, residual, active, slip, trial, size, bound, tangential)
+    slip[contact.driven] = True
+    equations = _equations(contact, unknowns, residual, active, slip, trial, size, bound, tangential)
+    return _beside_held(contact, tau, residual, equations)
+
+
+def _beside_held(contact: NodalContact, tau: np.ndarray, residual: np.ndarray, equations: Linearised) -> Linearised:
+    r"""The equations, in place, of nodes that slip along a held tangent: there |tau| > 0, and the second tangent has
+
+    .. math:: q_2 = (s + \mu p)\,\tau_2/|\tau|,\qquad \kappa = (s + \mu p)\,\tau_1^2/|\tau|^3 .
+    """
+    at = contact.driven
+    if len(at):
+        size = np.linalg.norm(tau[at], axis=1)
+        z = tau[at, 1] / size
+        mu = np.where(equations.active[at], contact.friction[at], 0.0)
+        bound = contact.limit[at] + mu * np.maximum(residual[at, 0], 0.0)
+        equations.direction[at] = np.column_stack([np.zeros_like(z), z])
+        equations.coupling[at] = mu
+        equations.curvature[at] = 0.0
+        equations.curvature[at, 1, 1] = bound * (1 - z**2) / size
+        equations.force[at, 1] = 0.0
+        equations.force[at, 2] = residual[at, 2] - z * (contact.limit[at] + mu * residual[at, 0])
+    return equations
 
 
 def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) -> Linearised:
@@ -113,7 +135,9 @@ def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) 
     active = np.isfinite(contact.gap)
     slip = ~((contact.limit > 0) | (active & (contact.friction > 0)))
     zero = np.zeros(len(active))
-    return _equations(contact, unknowns, residual, active, slip, np.zeros_like(unknowns[:, 1:]), zero, zero, zero)
+    equations = _equations(contact, unknowns, residual, active, slip, np.zeros_like(unknowns[:, 1:]), zero, zero, zero)
+    equations.change[contact.driven, 1] = 0.0
+    return equations
 
 
 def _equations(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, active: np.ndarray,

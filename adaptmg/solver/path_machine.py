@@ -111,7 +111,7 @@ class PathMachine(TruncatedMachine):
         with self.run.phase("setup"):
             contact, _ = local_contact(problem)
             obstacle, load = runner.obstacle, lifted_load(problem)
-            obstacle.gap, obstacle.reference = contact.gap, contact.slip_reference.reshape(-1)
+            obstacle.take(contact)
             obstacle.place(unknowns)
             runner.load, runner.unknowns = load, unknowns
             runner.motions = RigidMotions.of(problem, obstacle, load)

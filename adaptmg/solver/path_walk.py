@@ -137,8 +137,7 @@ class PathWalk:
             if loads is not None and number >= offset:
                 problem, reference = level.discrete, level.discrete.contact.slip_reference
                 if self.past.given:
-                    before = self.past.levels[number - offset].reshape(problem.n_nodes, problem.dim)
-                    reference = before[problem.contact.nodes]
+                    reference = problem.at_contact(self.past.levels[number - offset])
                 step = problem.with_step(loads.load(factors), loads.fixed_values(factors), reference)
                 level = replace(level, discrete=step)
             levels.append(level)

@@ -141,7 +141,8 @@ class Result:
         Passes over matrices weighted by nonzeros over those of the finest.
     residual : float
         Natural residual |D (prox_D(u - D^-1 (A u - b)) - u)| of this displacement, over
-        max(|b|, |A u_fixed|, |reactions|), Euclidean norms of nodal forces.
+        the largest of loads, contact forces and (with prescribed displacements) reactions, Euclidean norms of nodal
+        forces.
     error_estimate : float
         Estimated ||u - u_h||_A / ||u_h||_A against the exact discrete solution; NaN if the solver has none.
     rate : float

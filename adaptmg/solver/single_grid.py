@@ -13,8 +13,10 @@ from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact, local_system
-from adaptmg.solver.convergence import Convergence, euclidean_norm
+from adaptmg.solver.condensation import Condensed, condense
+from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.sizes import Sizes, euclidean_norm
 from adaptmg.solver.status import Status
 
 __all__ = ["SingleGrid"]
@@ -72,8 +74,6 @@ class SingleGrid:
             local = local_system(hierarchy.finest.discrete)
         problem, recover = local, None
         if self.condensed:
-            from adaptmg.solver.condensation import condense
-
             with run.phase("factorise"):
                 condensed = condense(local)
             problem, recover = condensed.problem, condensed.recover
@@ -85,10 +85,8 @@ class SingleGrid:
         if self.condensed and reference is not None:
             # the Schur complement measures the energy of the error of the recovered solution
             reference = condensed.restrict(reference)
-        iterate = _Iteration(self, problem, run, unknowns, reference)
-        if self.condensed:
-            hidden = recover(np.zeros_like(unknowns))
-            iterate.hidden_energy = float(hidden @ (local.system.matrix @ hidden))
+        sizes = _CondensedSizes(condensed) if self.condensed else Sizes(local.discrete, local.frames)
+        iterate = _Iteration(self, problem, run, unknowns, reference, sizes)
         with run.phase("sweeps"):
             status = iterate.fixed_point() if self.friction == "fixed point" else iterate.sweep_until_done()
         run.visit(len(hierarchy) - 1, "smooth", iterate.sweeps)
@@ -97,6 +95,27 @@ class SingleGrid:
                 unknowns = recover(unknowns)
         return Outcome(local.to_cartesian(unknowns), status, iterate.sweeps, self.rtol, iterate.error_estimate,
                        iterate.rate)
+
+
+class _CondensedSizes(Sizes):
+    """Sizes of the whole solution, from the unknowns at the contact nodes alone."""
+
+    def __init__(self, condensed: Condensed) -> None:
+        full = condensed.full
+        super().__init__(full.discrete, full.frames)
+        self._condensed = condensed
+        hidden = condensed.recover(np.zeros(condensed.problem.system.n_dofs))
+        # the energy that the Schur complement does not see
+        self._hidden = float(np.einsum("i,i->", hidden, full.system.matrix @ hidden))
+        if self.prescribed:
+            self._jump += 2 * float(np.einsum("i,i->", hidden, self._lift))
+            self._lift = condensed.reduce(self._lift)[1]
+
+    def norm(self, unknowns: np.ndarray, energy: float) -> float:
+        return super().norm(unknowns, energy + self._hidden)
+
+    def forces(self, unknowns: np.ndarray, contact: float) -> float:
+        return super().forces(self._condensed.recover(unknowns) if self.prescribed else unknowns, contact)
 
 
 class _Iteration:
@@ -108,9 +127,9 @@ class _Iteration:
     FIXED_POINT_LIMIT, INNER = 200, 0.1
 
     def __init__(self, options: SingleGrid, problem: LocalProblem, run: Run, unknowns: np.ndarray,
-                 reference: np.ndarray | None) -> None:
+                 reference: np.ndarray | None, sizes: Sizes) -> None:
         self.options, self.problem, self.run, self.unknowns = options, problem, run, unknowns
-        self.reference, self.hidden_energy = reference, 0.0
+        self.reference, self.sizes = reference, sizes
         self.system: LocalSystem = problem.system
         self.smoother = options.smoother()
         self.sweeps, self.error_estimate, self.rate = 0, np.inf, np.nan
@@ -130,7 +149,7 @@ class _Iteration:
     def _by_error(self, contact: NodalContact, rtol: float, stop: str, limit: int | None = None) -> Status:
         limit = self.options.max_sweeps if limit is None else limit
         problem = LocalProblem(self.system, self.problem.load, contact, self.problem.frames, self.problem.discrete)
-        watch = Convergence(problem, rtol, self.run, self.reference, self.hidden_energy)
+        watch = Convergence(problem, rtol, self.run, self.reference, self.sizes)
         done, first = 0, self.sweeps
         while True:
             if stop == "change":
@@ -165,7 +184,7 @@ class _Iteration:
     def fixed_point(self) -> Status:
         """Tresca problems with the limit held; the limit is updated until it changes the solution no more."""
         options, contact = self.options, self.problem.contact
-        watch = Convergence(self.problem, options.rtol, self.run, self.reference, self.hidden_energy)
+        watch = Convergence(self.problem, options.rtol, self.run, self.reference, self.sizes)
         for _ in range(self.FIXED_POINT_LIMIT):
             defect = self.defect()
             met = watch.check(self.unknowns, defect)

@@ -147,8 +147,8 @@ class TruncatedMachine:
         wanted = start.cycles_on(self.problems[number], self.problems[number + 1])
         for cycle in range(max(wanted, self.options.correction.safe_cycles)):
             runner.smooth()
-            look = runner.look(safe=False, trusted=self.TRUSTED * watch.scale)
-            watch.check(look.residual, look.reactions, 0.0)
+            look = runner.look(safe=False, trusted=self.TRUSTED * watch.sizes.forces(runner.unknowns, 0.0))
+            watch.check(look.residual, watch.sizes.forces(runner.unknowns, look.reactions), 0.0)
             runner.correct()
             if cycle + 1 >= wanted and watch.residual <= self.TRUSTED:
                 return
@@ -213,13 +213,12 @@ class TruncatedMachine:
         left = most if cold else 0
         while True:
             runner.smooth()
-            if cycles % 4 == 0:
-                watch.size = max(runner.energy(), 0.0) ** 0.5
+            watch.measure(runner, cycles)
             look = runner.look(safe=left > 0)
             left = left - 1 if left > 0 and look.changed else 0
             # an exact start has no rate to measure, and needs none
             floor = runner.rounding() if cycles < 2 else 0.0
-            met = watch.check(look.residual, look.reactions, floor)
+            met = watch.check(look.residual, watch.sizes.forces(runner.unknowns, look.reactions), floor)
             watch.record(runner, cycles, look.changed)
             if met:
                 return Status.CONVERGED, cycles

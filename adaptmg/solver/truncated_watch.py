@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.solver.convergence import Convergence, energy_norm
+from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.run import Run
+from adaptmg.solver.sizes import Sizes, displacement_norm, energy_norm
 
 if TYPE_CHECKING:
     from adaptmg.multigrid.truncated_cycle import TruncatedCycle
@@ -30,10 +31,10 @@ class TruncatedWatch:
 
     Attributes
     ----------
-    scale : float
-        Norm of the load, N: what residuals are related to unless reactions are larger.
+    sizes : Sizes
+        What residuals and errors are related to.
     size : float
-        A-norm of the unknowns.
+        A-norm of the displacement, as last measured.
     residual, error_estimate : float
         Relative, at the last check.
     """
@@ -54,16 +55,19 @@ class TruncatedWatch:
         self.energies: list[float] = []
         self.residuals: list[float] = []
         self._first = self._last = np.nan
-        lift = problem.matrix @ problem.fixed_values if problem.fixed_values.any() else np.zeros(1)
-        self.scale = max(float(np.linalg.norm(problem.load)), float(np.linalg.norm(lift)))
+        self.sizes = Sizes(problem)
         self._since = 0
 
-    def check(self, residual: float, reactions: float, floor: float) -> bool:
-        """Take the norms of the natural residual and the reactions after a smoothing; True if it is enough.
+    def measure(self, runner: TruncatedCycle, cycle: int) -> None:
+        """Measure the displacement after a smoothing; each cycle only where it has to grow into prescribed values."""
+        if cycle % 4 == 0 or self.sizes.prescribed:
+            self.size = self.sizes.norm(runner.unknowns, runner.energy())
+
+    def check(self, residual: float, scale: float, floor: float) -> bool:
+        """Take the norms of the natural residual and of the acting forces after a smoothing; True if it is enough.
 
         A residual of ``Convergence.ROUNDING`` times ``floor`` cannot be bettered.
         """
-        scale = max(self.scale, reactions)
         self.residual = residual / scale if scale > 0 else (0.0 if residual == 0 else np.inf)
         self.residuals.append(self.residual)
         self._last = residual
@@ -110,9 +114,8 @@ class TruncatedWatch:
 
     def _true_error(self, unknowns: np.ndarray) -> float:
         matrix = self.problem.matrix
-        exact = self.run.reference.reshape(-1) - self.problem.fixed_values
-        error = unknowns - exact
-        size = energy_norm(exact, matrix @ exact)
+        error = unknowns - (self.run.reference.reshape(-1) - self.problem.fixed_values)
+        size = displacement_norm(self.problem, self.run.reference)
         return energy_norm(error, matrix @ error) / size if size > 0 else np.nan
 
     @property
