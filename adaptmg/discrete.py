@@ -15,6 +15,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -91,7 +92,7 @@ class DiscreteProblem:
     @classmethod
     def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law,
                 contact: ContactNodes, weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
-                coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | None = None,
+                coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | OnDemand | None = None,
                 name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None
                 ) -> DiscreteProblem:
         """Several bodies in contact, from their uncoupled matrix and load.
@@ -115,10 +116,16 @@ class DiscreteProblem:
         if near_nullspace is None and coordinates is not None:
             near_nullspace = rigid_body_modes(np.asarray(coordinates, dtype=np.float64))
         blocks = sparse.bsr_array(matrix, blocksize=(coupling.dim, coupling.dim))
-        return cls(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
-                   load=coupling.relative_forces(np.asarray(load, dtype=np.float64)), fixed_values=fixed_values,
-                   coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
-                   near_nullspace=None if near_nullspace is None else coupling.relative(near_nullspace))
+        make = cls
+        if isinstance(near_nullspace, OnDemand):
+            # only the package's own assembly gives modes on demand
+            make, near_nullspace = cls.assembled, OnDemand(partial(_relative_modes, near_nullspace))
+        elif near_nullspace is not None:
+            near_nullspace = coupling.relative(near_nullspace)
+        return make(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
+                    load=coupling.relative_forces(np.asarray(load, dtype=np.float64)), fixed_values=fixed_values,
+                    coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
+                    near_nullspace=near_nullspace)
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:
         """Displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: the same without a coupling."""
@@ -274,6 +281,10 @@ class DiscreteProblem:
     def n_nodes(self) -> int:
         """Number of nodes."""
         return self.n_dofs // self.dim
+
+
+def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:
+    return problem.coupling.relative(modes.make(problem))
 
 
 def _own_modes(problem: DiscreteProblem) -> np.ndarray:

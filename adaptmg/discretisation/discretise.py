@@ -69,11 +69,11 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     parts = {"matrix": stiffness(mesh, problem.material), "load": load_vector(mesh, problem.loads, problem.material),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
+             "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if weights is None:
-        motions = OnDemand(partial(_motions, mesh, problem.axisymmetric))
-        return DiscreteProblem.assembled(**parts, near_nullspace=motions)
-    return DiscreteProblem.coupled(**parts, near_nullspace=rigid_motions(mesh, problem.axisymmetric), weights=weights)
+        return DiscreteProblem.assembled(**parts)
+    return DiscreteProblem.coupled(**parts, weights=weights)
 
 
 def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) -> np.ndarray:
