@@ -115,6 +115,12 @@ class TruncatedMachine:
             return Fallback(self.options, self.hierarchy, self.run, watch.rtol).finish(outcome, better)
         return outcome
 
+    @property
+    def _may_hand_over(self) -> bool:
+        """Whether the active set method can go on where cycles are slow: see :class:`Fallback`."""
+        problem = self.problems[-1]
+        return problem.n_dofs <= Fallback.FACTORISED[problem.dim]
+
     def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
         with self.run.phase("setup"):
             problem, levels = self.problems[number], self.cycle.levels
@@ -236,6 +242,8 @@ class TruncatedMachine:
                     return Status.STALLED, cycles
                 most *= 2
                 left = most
+            if left == 0 and watch.run is not None and self._may_hand_over and watch.too_slow(limit - cycles):
+                return Status.STALLED, cycles
             if cycles == 1 and start is not None:
                 watch.take_discretisation_error(runner.distance(start))
 

@@ -39,14 +39,19 @@ class TruncatedWatch:
         Relative, at the last check.
     """
 
-    #: the energy of the coarse correction misses what the smoothing removes: the error is up to so many times larger
-    SAFETY = 2.0
+    #: the energy of the coarse correction misses what the smoothing removes, and all the corrections that follow: the
+    #: error is up to the larger of SAFETY and TAIL / (1 - rate) times larger
+    SAFETY, TAIL = 2.0, 1.5
+    #: a rate that is not believed before so many ratios of energies are known
+    EARLY_RATE, EARLY = 0.3, 3
     #: share of the discretisation error that may remain with rtol="discretisation"
     SHARE = 0.1
     #: the largest tolerance that comes from that: a start further off shows no discretisation error
     COARSEST = 1e-2
     #: checks without a new smallest residual after which an iteration is in trouble, and after which it has stalled
     TROUBLE, PATIENCE = 6, 60
+    #: cycles over which the speed is measured once there are twice as many, and the share of what is left that is most
+    WINDOW, MOST = 12, 0.7
 
     def __init__(self, problem: DiscreteProblem, rtol: float | str, run: Run | None = None) -> None:
         self.problem, self.run = problem, run
@@ -77,8 +82,11 @@ class TruncatedWatch:
             self.error_estimate = self.residual
             return True
         rate = self.safe_rate
+        if len(self.energies) <= self.EARLY:
+            rate = max(rate, self.EARLY_RATE)
         if self.size > 0 and rate < 1:
-            self.error_estimate = self.SAFETY * self.energies[-1] * rate / self.size
+            factor = max(self.SAFETY, self.TAIL / (1 - rate))
+            self.error_estimate = factor * self.energies[-1] * rate / self.size
         else:
             self.error_estimate = np.inf
         return self.error_estimate <= self.rtol and self.residual <= Convergence.RESIDUAL_FACTOR * self.rtol
@@ -145,6 +153,16 @@ class TruncatedWatch:
             return False
         self._since = 0
         return True
+
+    def too_slow(self, left: int) -> bool:
+        """Whether, as fast as the last cycles went, the tolerance is not reached in most of the cycles ``left``."""
+        if len(self.energies) <= 2 * self.WINDOW or not self.rtol > 0:
+            return False
+        first, last = self.energies[-1 - self.WINDOW], self.energies[-1]
+        if not 0 < last < first:
+            return True
+        gap = max(self.error_estimate / self.rtol, self.residual / (Convergence.RESIDUAL_FACTOR * self.rtol), 1.0)
+        return np.log(gap) * self.WINDOW / np.log(first / last) > self.MOST * left
 
     @property
     def diverged(self) -> bool:
