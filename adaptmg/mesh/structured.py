@@ -44,8 +44,8 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     Returns
     -------
     MeshArrays
-        With its source; nested in the mesh of n times the divisions (alternating: n = 2, 4, 8, ...). The bodies of an
-        assembly share no nodes, see :func:`adaptmg.mesh.merged`.
+        Its source is built when it is first read; nested in the mesh of n times the divisions (alternating: n = 2, 4,
+        8, ...). The bodies of an assembly share no nodes, see :func:`adaptmg.mesh.merged`.
 
     Raises
     ------
