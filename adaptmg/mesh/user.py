@@ -39,7 +39,8 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
         (:func:`adaptmg.mesh.check_mesh`).
     """
     if isinstance(mesh, MeshArrays):
-        return with_source(mesh) if mesh.source is None else check_mesh(mesh)
+        # looked up, not read: reading would build it
+        return with_source(mesh) if vars(mesh)["source"] is None else check_mesh(mesh)
     if isinstance(mesh, ngsolve.Mesh):
         return from_ngsolve(mesh)
     if not isinstance(mesh, str | Path):
