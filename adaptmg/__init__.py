@@ -8,7 +8,11 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from adaptmg import kernel_cache
+
 __version__ = "0.1.0"
+
+kernel_cache.install()
 
 _SUBMODULES = ("cases", "discretisation", "export", "mesh", "multigrid", "plot", "problem", "smoother", "solver",
                "study", "transfer")

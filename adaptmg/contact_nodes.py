@@ -6,23 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["ContactNodes", "frozen_array"]
+from adaptmg.discrete_input import SMALLEST, bounded
+from adaptmg.problem import checks
+from adaptmg.problem.contact_problem import CONTACT
 
-
-def frozen_array(name: str, value: object, shape: tuple[int | None, ...], dtype: type = np.float64) -> np.ndarray:
-    """A read-only copy of the wanted shape (None: any) and type, finite; of read-only arrays themselves."""
-    if type(value) is np.ndarray and value.dtype == dtype and value.base is None and not value.flags.writeable:
-        result = np.ascontiguousarray(value)
-    else:
-        result = np.array(value, dtype=dtype, order="C")
-    if len(result.shape) != len(shape) or any(w is not None and w != g
-                                              for w, g in zip(shape, result.shape, strict=True)):
-        wanted = "(" + ", ".join("n" if w is None else str(w) for w in shape) + ")"
-        raise ValueError(f"{name} must have shape {wanted}, got {result.shape}")
-    if dtype is np.float64 and not np.isfinite(result).all():
-        raise ValueError(f"{name} must be finite; {np.count_nonzero(~np.isfinite(result))} entries are not")
-    result.flags.writeable = False
-    return result
+__all__ = ["ContactNodes"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,16 +50,14 @@ class ContactNodes:
     masters: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        nodes = np.asarray(self.nodes)
-        if nodes.dtype.kind not in "iu":
-            raise TypeError(f"nodes must be integers, got {nodes.dtype}")
-        nodes = frozen_array("nodes", nodes, (None,), np.int64)
+        nodes = checks.array("nodes", self.nodes, (None,), integer=True)
         n = len(nodes)
         if n == 0:
             raise ValueError("nodes is empty: a contact problem needs at least one contact node")
         if len(np.unique(nodes)) < n or nodes.min() < 0:
             raise ValueError("nodes must be distinct and >= 0")
-        normals = frozen_array("normals", self.normals, (n, None))
+        checks.flag("allow_interference", self.allow_interference)
+        normals = bounded("normals", self.normals, (n, None), 2.0)
         if normals.shape[1] not in (2, 3):
             raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
         lengths = np.linalg.norm(normals, axis=1)
@@ -80,28 +66,50 @@ class ContactNodes:
             raise ValueError(f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}")
         normals = normals / lengths[:, None]
         normals.flags.writeable = False
-        gaps = frozen_array("gaps", self.gaps, (n,))
+        gaps = bounded("gaps", self.gaps, (n,), checks.VAST)
         if not self.allow_interference and gaps.min() < 0:
             i = int(np.argmin(gaps))
             raise ValueError(f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
                              "for an interference fit say allow_interference=True")
-        weights = frozen_array("weights", np.ones(n) if self.weights is None else self.weights, (n,))
-        if not weights.min() > 0:
-            raise ValueError(f"weights must be > 0, got {weights.min():.6g}")
+        weights = bounded("weights", np.ones(n) if self.weights is None else self.weights, (n,))
+        if not weights.min() > 0 or weights.min() < SMALLEST:
+            raise ValueError(f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}")
         reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
-        reference = frozen_array("slip_reference", reference, normals.shape)
+        reference = bounded("slip_reference", reference, normals.shape, checks.VAST)
+        names, masters = self._names()
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
-        boundary = frozen_array("boundary", boundary, (n,), np.int64)
-        if boundary.min() < 0 or boundary.max() >= len(self.names):
-            raise ValueError(f"boundary must index names ({len(self.names)} given), got {boundary.max()}")
-        names = tuple(self.names)
-        masters = ("",) * len(names) if self.masters is None else tuple(self.masters)
-        if len(masters) != len(names):
-            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
+        boundary = checks.array("boundary", boundary, (n,), integer=True)
+        if boundary.min() < 0 or boundary.max() >= len(names):
+            wrong = boundary.min() if boundary.min() < 0 else boundary.max()
+            raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")
         for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
                             ("slip_reference", reference), ("boundary", boundary), ("names", names),
                             ("masters", masters)):
             object.__setattr__(self, name, value)
+
+    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of the contact boundaries and of what they may touch, checked."""
+        names = checks.strings("names", self.names)
+        if not names:
+            raise ValueError("names is empty: give one name at least")
+        masters = ("",) * len(names)
+        if self.masters is not None:
+            masters = tuple("" if isinstance(item, str) and not item else checks.boundary_name(f"masters[{i}]", item)
+                            for i, item in enumerate(checks.listed("masters", self.masters, "names")))
+        if len(masters) != len(names):
+            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
+        return names, masters
+
+    def check_name_contact(self) -> None:
+        """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""
+        if CONTACT in self.masters or (CONTACT in self.names and len(self.names) > 1):
+            raise ValueError(f"contact: the name {CONTACT!r} stands for all contact boundaries together; of several "
+                             f"names and masters none may be it, got {self.names} and {self.masters}")
+
+    def check_nodes(self, n_nodes: int) -> None:
+        """ValueError unless there are so many nodes that each of these is one."""
+        if self.nodes.max() >= n_nodes:
+            raise ValueError(f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes")
 
     def __len__(self) -> int:
         return len(self.nodes)

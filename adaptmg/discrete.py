@@ -21,11 +21,22 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from adaptmg.contact_nodes import ContactNodes, frozen_array
+from adaptmg.contact_nodes import ContactNodes
 from adaptmg.coupling import Coupling
+from adaptmg.discrete_input import (
+    bounded,
+    check_bounds,
+    check_size,
+    checked_bodies,
+    checked_mask,
+    checked_matrix,
+    with_positive_diagonal,
+)
 from adaptmg.exchange import NEGLIGIBLE, Exchange, exchanged, facing_part
 from adaptmg.geometry.rigid_modes import rigid_body_modes
 from adaptmg.on_demand import OnDemand, made_on_demand
+from adaptmg.problem import checks
+from adaptmg.problem.contact_problem import check_law
 from adaptmg.problem.laws import Law
 
 __all__ = ["ContactNodes", "DiscreteProblem", "rigid_body_modes"]
@@ -111,19 +122,30 @@ class DiscreteProblem:
         DiscreteProblem
             In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
         """
-        contact, weights, law, exchange = exchanged(contact, weights, np.asarray(fixed), law)
-        coupling = Coupling(weights, np.asarray(fixed))
-        if near_nullspace is None and coordinates is not None:
-            near_nullspace = rigid_body_modes(np.asarray(coordinates, dtype=np.float64))
-        blocks = sparse.bsr_array(matrix, blocksize=(coupling.dim, coupling.dim))
-        make = cls
-        if isinstance(near_nullspace, OnDemand):
-            # only the package's own assembly gives modes on demand
-            make, near_nullspace = cls.assembled, OnDemand(partial(_relative_modes, near_nullspace))
+        checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
+        check_law(law)
+        contact.check_name_contact()
+        dim, fixed = contact.dim, checked_mask("fixed", fixed)
+        # only the package's own assembly gives modes on demand
+        own = isinstance(near_nullspace, OnDemand)
+        blocks, n = matrix if own else checked_matrix(matrix, dim), len(fixed)
+        if blocks.shape[0] != n:
+            raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
+        weights = checks.sparse_matrix("weights", weights, (n // dim, n // dim))
+        contact.check_nodes(n // dim)
+        check_bounds(law, len(contact))
+        contact, weights, law, exchange = exchanged(contact, weights, fixed, law)
+        coupling = Coupling(weights, fixed)
+        if own:
+            near_nullspace = OnDemand(partial(_relative_modes, near_nullspace))
         elif near_nullspace is not None:
-            near_nullspace = coupling.relative(near_nullspace)
+            near_nullspace = coupling.relative(bounded("near_nullspace", near_nullspace, (n, None)))
+        elif coordinates is not None:
+            points = bounded("coordinates", coordinates, (n // dim, dim), checks.VAST)
+            near_nullspace = coupling.relative(rigid_body_modes(points))
+        make = cls.assembled if own else cls
         return make(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
-                    load=coupling.relative_forces(np.asarray(load, dtype=np.float64)), fixed_values=fixed_values,
+                    load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
                     coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
                     near_nullspace=near_nullspace)
 
@@ -181,81 +203,55 @@ class DiscreteProblem:
             Displacement of the contact nodes against which slip is measured, as :meth:`at_contact` has it, m.
         """
         contact, result = copy.copy(self.contact), copy.copy(self)
-        reference = frozen_array("slip_reference", slip_reference, contact.normals.shape)
+        reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
-        values = frozen_array("fixed_values", fixed_values, (self.n_dofs,))
-        values = frozen_array("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
-        for name, value in (("load", frozen_array("load", load, (self.n_dofs,))), ("fixed_values", values),
+        values = bounded("fixed_values", fixed_values, (self.n_dofs,))
+        values = bounded("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
+        for name, value in (("load", bounded("load", load, (self.n_dofs,))), ("fixed_values", values),
                             ("contact", contact)):
             object.__setattr__(result, name, value)
         return result
 
     def __post_init__(self) -> None:
-        if not isinstance(self.contact, ContactNodes):
-            raise TypeError(f"contact must be ContactNodes, got {type(self.contact).__name__}")
-        if not isinstance(self.law, Law) or isinstance(self.law, type):
-            raise TypeError(f"law must be Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds, "
-                            f"got {self.law!r}")
+        checks.instance("contact", self.contact, ContactNodes, "ContactNodes(...)")
+        check_law(self.law)
+        checks.boundary_name("name", self.name)
         dim = self.contact.dim
-        matrix = self._checked_matrix(dim)
+        own = "_assembled" in self.__dict__
+        matrix = with_positive_diagonal(self.matrix) if own else checked_matrix(self.matrix, dim)
         n = matrix.shape[0]
-        if self.contact.nodes.max() >= n // dim:
-            raise ValueError(f"contact.nodes: node {self.contact.nodes.max()} does not exist; "
-                             f"there are {n // dim} nodes")
-        fixed = np.asarray(self.fixed)
-        if fixed.dtype != bool:
-            raise TypeError(f"fixed must be a boolean mask over the {n} dofs, got {fixed.dtype}")
+        self.contact.check_nodes(n // dim)
+        if self.exchange is None:
+            self.contact.check_name_contact()
+        fixed = checked_mask("fixed", self.fixed, n)
+        load = bounded("load", self.load, (n,))
+        check_size("load", np.abs(load).max())
         values = np.zeros(n) if self.fixed_values is None else self.fixed_values
-        values = np.where(fixed, values, 0.0) if np.shape(values) == fixed.shape else values
-        arrays = {"matrix": matrix, "load": frozen_array("load", self.load, (n,)),
-                  "fixed": frozen_array("fixed", fixed, (n,), bool),
-                  "fixed_values": frozen_array("fixed_values", values, (n,))}
+        if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
+            values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
+        values = np.where(fixed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
+        values.flags.writeable = False
+        arrays = {"matrix": matrix, "load": load, "fixed": fixed, "fixed_values": values}
         if self.coordinates is not None:
-            arrays["coordinates"] = frozen_array("coordinates", self.coordinates, (n // dim, dim))
+            arrays["coordinates"] = bounded("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
         modes = self.__dict__["near_nullspace"]
         if modes is None and self.coordinates is not None:
             modes = OnDemand(_own_modes)
         if modes is not None and not isinstance(modes, OnDemand):
-            modes = frozen_array("near_nullspace", modes, (n, None))
+            modes = bounded("near_nullspace", modes, (n, None))
+            if not modes.any():
+                raise ValueError("near_nullspace holds no mode: give the rigid-body motions, a column each, or None")
         arrays["near_nullspace"] = modes
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
+        if self.bodies is not None:
+            object.__setattr__(self, "bodies", checked_bodies(self.bodies, n // dim))
+        if self.coupling is not None:
+            checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
         if self.coupling is not None and not np.array_equal(self.coupling.fixed, arrays["fixed"]):
             raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
         self._check_fixed_at_contact()
-        for name, bound in zip(("limit", "friction"), self.law.bounds(len(self.contact)), strict=True):
-            if not (np.isfinite(bound).all() and (bound >= 0).all()):
-                raise ValueError(f"law: the nodal {name} must be finite and >= 0")
-
-    def _checked_matrix(self, dim: int) -> sparse.bsr_array:
-        if not sparse.issparse(self.matrix):
-            raise TypeError(f"matrix must be a scipy sparse matrix, got {type(self.matrix).__name__}")
-        rows, columns = self.matrix.shape
-        if rows != columns or rows % dim:
-            raise ValueError(f"matrix must be square with a multiple of {dim} rows, got {self.matrix.shape}")
-        matrix = sparse.bsr_array(self.matrix, blocksize=(dim, dim))
-        if matrix.dtype != np.float64:
-            matrix = matrix.astype(np.float64)
-        if not matrix.has_sorted_indices:
-            matrix = matrix.sorted_indices()
-        if self.__dict__.get("_assembled"):
-            return self._with_positive_diagonal(matrix)
-        if not np.isfinite(matrix.data).all():
-            raise ValueError("matrix must be finite")
-        scale = np.abs(matrix.data).max(initial=0.0)
-        if not scale > 0:
-            raise ValueError("matrix is zero")
-        asymmetry = abs(matrix - matrix.T).max()
-        if asymmetry > 1e-8 * scale:
-            raise ValueError(f"matrix must be symmetric; |A - A'| reaches {asymmetry / scale:.2g} of its largest entry")
-        return self._with_positive_diagonal(matrix)
-
-    def _with_positive_diagonal(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
-        diagonal, dim = matrix.diagonal(), matrix.blocksize[0]
-        if not (diagonal > 0).all():
-            i = int(np.argmin(diagonal))
-            raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
-        return matrix
+        check_bounds(self.law, len(self.contact))
 
     def _check_fixed_at_contact(self) -> None:
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]

@@ -142,9 +142,6 @@ def rows_of_carriers(weights: sparse.csr_array, slaves: np.ndarray, carriers: np
 def exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
                ) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
     """Contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
-    if not (isinstance(contact, ContactNodes) and sparse.issparse(weights) and isinstance(law, Law)
-            and fixed.dtype == bool and fixed.shape == (contact.dim * weights.shape[0],)):
-        return contact, weights, law, None  # to be refused where it is checked
     weights = sparse.csr_array(weights, dtype=np.float64)
     places, carriers, unmatched = find_carriers(contact.nodes, weights, fixed, law)
     if len(unmatched):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.hierarchy_input import check_coarse_to_fine, each, label, limits_of_bisection, need_domain, need_problem
 from adaptmg.level import Level, ratio_to
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.on_demand import OnDemand
@@ -26,6 +28,8 @@ __all__ = ["Hierarchy", "Level"]
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
     """Levels, coarsest first, and how they were made. Printing it shows a table.
+
+    ``limits`` says, in words, what more levels of this kind cannot do; it is printed with the table.
 
     Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`,
     :meth:`from_prolongations`, :meth:`algebraic`, :meth:`single`.
@@ -44,11 +48,14 @@ class Hierarchy:
     problem: ContactProblem | None = None
     origin: str = "levels"
     timings: dict[str, float] = field(default_factory=dict)
+    limits: str = ""
 
     def __post_init__(self) -> None:
-        levels = tuple(self.levels)
+        levels = checks.items("levels", self.levels, Level, "Level(...)")
         if not levels:
             raise ValueError("levels is empty: a hierarchy needs at least one level")
+        if self.problem is not None:
+            need_problem(self.problem)
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
             wanted = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete is None and coarse.matrix.blocksize[0] == 1:
@@ -56,6 +63,9 @@ class Hierarchy:
             if fine.prolongation is None or fine.prolongation.shape != wanted:
                 got = None if fine.prolongation is None else fine.prolongation.shape
                 raise ValueError(f"levels[{k}].prolongation must have shape {wanted} (fine, coarse), got {got}")
+            if fine.surface_prolongation is not None and fine.surface_prolongation.shape != wanted:
+                raise ValueError(f"levels[{k}].surface_prolongation must have shape {wanted} (fine, coarse), got "
+                                 f"{fine.surface_prolongation.shape}")
         if levels[-1].discrete is None:
             raise ValueError("the finest level has no DiscreteProblem")
         object.__setattr__(self, "levels", levels)
@@ -89,13 +99,14 @@ class Hierarchy:
             raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
         first, *rest = self.levels[coarsest:finest + 1]
         first = Level(first.discrete, first.mesh, galerkin=first.galerkin)
-        return Hierarchy((first, *rest), self.problem, self.origin, dict(self.timings))
+        return Hierarchy((first, *rest), self.problem, self.origin, dict(self.timings), self.limits)
 
     # -- constructors -------------------------------------------------------------------------------------------
 
     @classmethod
     def single(cls, discrete: DiscreteProblem) -> Hierarchy:
         """One level, for methods that need no coarse grid."""
+        checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         return cls((Level(discrete),), origin="one level")
 
     @classmethod
@@ -116,9 +127,10 @@ class Hierarchy:
         begin = time.perf_counter()
         from adaptmg.mesh import structured
 
-        _need_domain(problem)
+        need_domain(problem)
+        divisions = each("divisions", divisions, (int, np.integer, Mapping))
         meshes = [structured(problem.domain, n, diagonal=diagonal) for n in divisions]
-        return cls._build(problem, meshes, None, f"uniform {', '.join(map(_label, divisions))}", begin)
+        return cls._build(problem, meshes, None, f"uniform {', '.join(map(label, divisions))}", begin)
 
     @classmethod
     def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]],
@@ -142,9 +154,10 @@ class Hierarchy:
         begin = time.perf_counter()
         from adaptmg.mesh import graded
 
-        _need_domain(problem)
+        need_domain(problem)
+        sizes = each("sizes", sizes, (float, int, np.number, Mapping))
         meshes = [graded(problem.domain, size, problem.pair_boundaries, contact_ratio) for size in sizes]
-        origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
+        origin = f"graded {', '.join(map(label, sizes))} m, ratio {label(contact_ratio)} at contact"
         return cls._build(problem, meshes, transfer, origin, begin, contact_rows)
 
     @classmethod
@@ -156,15 +169,24 @@ class Hierarchy:
         problem : ContactProblem
         coarsest : MeshArrays, ngsolve.Mesh or path of a mesh file
         levels : int
-            Number of refinements, >= 1.
+            Number of refinements, >= 1; each doubles the elements at contact (3D: four times).
+
+        Notes
+        -----
+        Elements away from contact stay as they are on every level, and with them their part of the discretisation
+        error: after two or three levels it dominates, and further ones only resolve contact (from 531 to 82 000 nodes
+        the error of a recorded example falls from 1.40e-3 to 1.36e-3). Printing the hierarchy says so, with the sizes.
+        Meshes that follow the whole solution come from :meth:`graded` or :meth:`from_meshes`.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import as_mesh, refine_near
 
+        need_problem(problem)
         first = as_mesh(coarsest)
         problem.check_boundaries(first.boundaries)
         meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
-        return cls._build(problem, meshes, None, f"bisected near contact {levels} times", begin)
+        limits = limits_of_bisection(meshes, problem.pair_boundaries)
+        return cls._build(problem, meshes, None, f"bisected near contact {levels} times", begin, limits=limits)
 
     @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
@@ -185,7 +207,9 @@ class Hierarchy:
         begin = time.perf_counter()
         from adaptmg.mesh import as_mesh
 
-        arrays = [as_mesh(mesh) for mesh in meshes]
+        need_problem(problem)
+        alone = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
+        arrays = [as_mesh(mesh) for mesh in each("meshes", (meshes,) if alone else meshes, ())]
         return cls._build(problem, arrays, transfer, "given meshes", begin, contact_rows)
 
     @classmethod
@@ -202,6 +226,7 @@ class Hierarchy:
         """
         from adaptmg.transfer.galerkin import coarse_spaces
 
+        checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = time.perf_counter()
         given, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
         levels = [Level(None, galerkin=matrices[0])]
@@ -224,8 +249,7 @@ class Hierarchy:
         """
         from adaptmg.transfer.aggregation import aggregated_prolongations
 
-        if not isinstance(discrete, DiscreteProblem):
-            raise TypeError(f"discrete must be a DiscreteProblem, got {type(discrete).__name__}")
+        checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = time.perf_counter()
         strength = checks.nonnegative("strength", strength)
         if not strength < 1:
@@ -240,17 +264,15 @@ class Hierarchy:
 
     @classmethod
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
-               begin: float, contact_rows: bool = True) -> Hierarchy:
+               begin: float, contact_rows: bool = True, limits: str = "") -> Hierarchy:
         from adaptmg.discretisation.discretise import discretise
         from adaptmg.transfer import Interpolation
         from adaptmg.transfer.between_levels import between_levels
 
-        if not meshes:
-            raise ValueError("no meshes: give at least one, coarse to fine")
         transfer = Interpolation() if transfer is None else transfer
-        if not callable(getattr(transfer, "build", None)):
-            raise TypeError(f"transfer must offer build(coarse, fine) -> sparse matrix, got {transfer!r}")
-        _check_coarse_to_fine(meshes)
+        checks.offers("transfer", transfer, "build", "a transfer, which offers build(coarse, fine) -> sparse matrix")
+        checks.flag("contact_rows", contact_rows)
+        check_coarse_to_fine(meshes)
         meshed = time.perf_counter()
         discretes = [discretise(problem, mesh) for mesh in meshes]
         assembled = time.perf_counter()
@@ -260,7 +282,7 @@ class Hierarchy:
             ratio = OnDemand(partial(ratio_to, meshes[k - 1]))
             levels.append(Level(discretes[k], meshes[k], found.prolongation, ratio, surface_prolongation=found.surface))
         timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
-        return cls(tuple(levels), problem, origin, timings)
+        return cls(tuple(levels), problem, origin, timings, limits=limits)
 
     # -- what it is ---------------------------------------------------------------------------------------------
 
@@ -291,22 +313,4 @@ class Hierarchy:
                          f"{ratio:>8}")
         lines.append(f"grid complexity {self.grid_complexity:.3f}, "
                      f"operator complexity (discretised) {self.operator_complexity:.3f}")
-        return "\n".join(lines)
-
-
-def _need_domain(problem: ContactProblem) -> None:
-    if problem.domain is None:
-        raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
-
-
-def _check_coarse_to_fine(meshes: list[MeshArrays]) -> None:
-    sizes = [mesh.n_nodes for mesh in meshes]
-    if any(a >= b for a, b in pairwise(sizes)):
-        raise ValueError(f"meshes must go from coarse to fine; they have {sizes} nodes")
-
-
-def _label(value: Any) -> str:
-    """A size, a ratio or divisions in words: a number, some, or by body."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{body}: {_label(part)}" for body, part in value.items()) + "}"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+        return "\n".join(lines + [self.limits] * bool(self.limits))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.on_demand import made_on_demand
+from adaptmg.problem import checks
 
 __all__ = ["Level", "ratio_to"]
 
@@ -40,6 +42,25 @@ class Level:
     mesh_ratio: float = float("nan")
     galerkin: sparse.bsr_array | None = None
     surface_prolongation: sparse.csr_array | None = None
+
+    def __post_init__(self) -> None:
+        if self.discrete is not None:
+            checks.instance("discrete", self.discrete, DiscreteProblem, "a DiscreteProblem or None")
+        elif not (sparse.issparse(self.galerkin) and self.galerkin.format == "bsr"):
+            raise TypeError("galerkin must be a bsr_array where there is no discrete problem, got "
+                            f"{checks.described(self.galerkin)}")
+        if self.galerkin is not None:
+            rows, columns = checks.sparse_matrix("galerkin", self.galerkin).shape
+            if rows != columns:
+                raise ValueError(f"galerkin must be square, got {(rows, columns)}")
+        if self.mesh is not None:
+            checks.instance("mesh", self.mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts")
+        for name in ("prolongation", "surface_prolongation"):
+            value = getattr(self, name)
+            if value is not None:
+                value = checks.sparse_matrix(name, value)
+                as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
+                object.__setattr__(self, name, value if as_csr else sparse.csr_array(value, dtype=np.float64))
 
     @property
     def contact_prolongation(self) -> sparse.csr_array | None:

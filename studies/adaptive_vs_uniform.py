@@ -207,7 +207,7 @@ def bar_figures(bars: pd.DataFrame, quick: bool) -> list[common.Figure]:
                       "Independent Netgen meshes, four times finer at the contact boundary (marked)"),
         common.Figure("adaptive_bar_contact", am.plot.contact(result),
                       f"GRECO bar, friction 1, graded mesh of {count} nodes: pressure, friction, gap and slip"),
-        common.Figure("adaptive_bar_deformed", am.plot.deformed(result),
+        common.Figure("adaptive_bar_deformed", am.plot.deformation(result, displacement=True),
                       f"The deformed bar on the graded mesh of {count} nodes, over its outline before")]
 
 

@@ -197,9 +197,9 @@ def joint_figure(path: am.PathResult, steps: tuple[float, ...], flanges: Flanges
 
 def section_figures(path: am.PathResult, steps: tuple[float, ...]) -> list[Figure]:
     """The deformed section, as Fig. 4 of the paper."""
-    result, problem = path[1 + steps.index(4 * MPA)], am.cases.bolted_junction()
-    bodies = am.plot.deformation(result, 100, problem=problem, states=True)
-    stress = am.plot.deformation(result, 100, problem=problem, stress=True)
+    result = path[1 + steps.index(4 * MPA)]
+    bodies = am.plot.deformation(result, 100, states=True)
+    stress = am.plot.deformation(result, 100, stress=True)
     return [Figure("bolted_deformed", bodies, "The junction at 4 MPa, displacement amplified 100 times as in Fig. 4 of "
                    "the paper; the bolt ring lies over the flanges and shares no nodes with them"),
             Figure("bolted_stress", stress, "Von Mises stress at 4 MPa, displacement amplified 100 times")]

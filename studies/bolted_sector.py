@@ -135,15 +135,15 @@ def force_figure(rows: pd.DataFrame, ring: pd.DataFrame) -> Figure:
 
 def pictures(path: am.PathResult) -> list[Figure]:
     """The deformed sector, its stress, and the joint."""
-    half, full, problem = path[2], path[4], meshes().problem
+    half, full = path[2], path[4]
     return [
         Figure("bolted_sector_deformed",
-               am.plot.deformation(full, 100, problem=problem, bodies=("upper", "lower"), view=(20, 225)),
+               am.plot.deformation(full, 100, bodies=("upper", "lower"), view=(20, 225)),
                "The sector at 8 MPa seen from inside the vessel, displacement amplified 100 times: the joint opens at "
                "the bore, most between the bolts"),
-        Figure("bolted_sector_stress", am.plot.deformation(full, 100, problem=problem, stress=True, view=(24, 45)),
+        Figure("bolted_sector_stress", am.plot.deformation(full, 100, stress=True, view=(24, 45)),
                "Von Mises stress of the sector at 8 MPa, seen from outside"),
-        Figure("bolted_sector_joint", am.plot.interface(half, "upper.joint"),
+        Figure("bolted_sector_joint", am.plot.contact(half, boundary="upper.joint"),
                "The joint of the sector at 4 MPa, seen along the axis: the flanges are pressed together around the "
                "bolt holes and part between the bolts"),
     ]

@@ -29,7 +29,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from PIL import Image
 
 import adaptmg as am
-from adaptmg.atomic import write_bytes
+from adaptmg.atomic import make_folder, write_bytes
 from adaptmg.mesh import refine_near, structured
 
 DATA = Path(__file__).resolve().parent.parent / "data" / "paper"
@@ -89,7 +89,7 @@ class Context:
     def study(self, run: Callable[..., dict[str, Any]], parameters: Mapping[str, Sequence[Any]],
               **fixed: Any) -> pd.DataFrame:
         """Run a parameter study through the store of this context; rows that are stored are not computed again."""
-        self.out.mkdir(parents=True, exist_ok=True)
+        make_folder("--out", self.out)
         study = am.Study(run, parameters, self.out / "studies.sqlite", fixed=fixed,
                          name=f"{Path(run.__code__.co_filename).stem}.{run.__name__}")
         return study.run(throw=True)
@@ -196,7 +196,7 @@ def write_picture(figure: Any, path: Path, dpi: int = 130) -> None:
     figure.savefig(buffer, dpi=dpi, bbox_inches="tight")
     small = io.BytesIO()
     Image.open(buffer).convert("RGB").quantize(256, kmeans=1).save(small, format="png", optimize=True)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder("--out", path.parent)
     write_bytes(path, small.getvalue())
 
 
@@ -209,8 +209,9 @@ def show(section: Section, out: Path) -> None:
         if isinstance(item, Table):
             print("\n" + as_text(item.frame, caption=item.caption, note=item.note, units=item.units,
                                  formats=item.formats))
-            out.mkdir(parents=True, exist_ok=True)
-            write_bytes(out / f"{item.name}.csv", item.frame.to_csv(index=False).encode())
+            make_folder("--out", out)
+            text = item.frame.to_csv(index=False)
+            write_bytes(out / f"{item.name}.csv", text.encode("utf-8", "backslashreplace"))
         else:
             target = out / f"{item.name}.png"
             write_picture(item.figure, target)

@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 from common import Figure
 from matplotlib.axes import Axes
+from matplotlib.patches import Patch
 from paper_runs import RTOL, TARGET, draw_error
 
 import adaptmg as am
-from adaptmg.plot.states import STATE_COLORS, state_patches
+from adaptmg.plot.states import STATE_COLORS, STATE_NAMES
 from adaptmg.plot.style import BLUE, GREEN, GREY, INK, ORANGE, styled
 
 #: of the paper's Fig. 3
@@ -37,16 +38,17 @@ def solved(quick: bool) -> am.Result:
 
 def solution(quick: bool) -> list[Figure]:
     """Deformed bodies, von Mises stress, and the flank."""
-    result, problem = solved(quick), am.cases.dovetail()
+    result = solved(quick)
     nodes = len(result.displacement)
     return [Figure("dovetail_deformed", am.plot.deformation(result, AMPLIFY, states=True), f"Displacement amplified "
                    f"{AMPLIFY} times, as in Fig. 3 of the paper ({nodes} nodes). Dots: states of the contact nodes."),
-            Figure("dovetail_stress", am.plot.deformation(result, AMPLIFY, stress=True, problem=problem, lines=False),
+            Figure("dovetail_stress", am.plot.deformation(result, AMPLIFY, stress=True, lines=False),
                    f"Von Mises stress on the deformed joint ({nodes} nodes, constant on each element); it is singular "
                    "at the lower end of the tongue's flank and at the root of the notch, so that the largest values "
                    "grow with refinement."),
-            Figure("dovetail_flank", am.plot.interface(result, "tongue.flank"), "The flank from the chamfer (arc "
-                   "length 0) to the mouth: contact pressure, friction within its bound, gap; colours are the states.")]
+            Figure("dovetail_flank", am.plot.contact(result, boundary="tongue.flank"), "The flank from the chamfer "
+                   "(arc length 0) to the mouth: contact pressure, friction within its bound, gap and slip; colours "
+                   "are the states.")]
 
 
 @styled
@@ -102,8 +104,8 @@ def draw_zones(ax: Axes, mu: np.ndarray, opened: np.ndarray, first: np.ndarray, 
     for values in (opened, first, last):
         ax.plot(mu, values, color=INK, marker="o", markersize=3, linewidth=0.8)
     ax.set(ylabel="depth below the mouth [mm]", ylim=(FLANK_MM, 0), xlim=(0, mu.max()))
-    ax.legend(handles=state_patches((am.OPEN, am.SLIP, am.STICK)), loc="lower center", bbox_to_anchor=(0.5, 1.0),
-              ncols=3)
+    handles = [Patch(facecolor=STATE_COLORS[state], edgecolor=GREY, label=name) for state, name in STATE_NAMES.items()]
+    ax.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
 
 
 def history_figure(results: Sequence[am.Result], pulls: np.ndarray, steps: int) -> Figure:

@@ -29,8 +29,8 @@ def bar() -> Figure:
                                              reference=exact),
             "monotone, nested start": am.solve(grids, full, reference=exact),
             "truncated (default)": am.solve(grids, am.FullMultigrid(), reference=exact)}
-    figure = plt.figure(figsize=(13, 7.2), layout="constrained")
-    above, below = figure.subfigures(2, 1)
+    figure = plt.figure(figsize=(13, 8.2), layout="constrained")
+    above, below = figure.subfigures(2, 1, height_ratios=(3.6, 4.6))
     left, right = above.subfigures(1, 2, width_ratios=(1.2, 2.2))
     am.plot.problem(problem, left.subplots())
     axes = right.subplots(1, 3)
@@ -40,7 +40,7 @@ def bar() -> Figure:
         ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes")
         ax.set_axis_off()
     left, right = below.subfigures(1, 2)
-    am.plot.contact(runs["truncated (default)"], left.subplots(2, 1, sharex=True))
+    am.plot.contact(runs["truncated (default)"], left.subplots(3, 1, sharex=True))
     ax = right.subplots()
     am.plot.history(runs, ax=ax)
     ax.set_xscale("log")
@@ -55,7 +55,7 @@ def dovetail() -> Figure:
     result = am.solve(am.Hierarchy.graded(problem, sizes=(6e-3, 3.6e-3, 2.2e-3), contact_ratio=6))
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 6.6), layout="constrained", width_ratios=(1.12, 1.0))
     am.plot.deformation(result, amplify=20, states=True, ax=left)
-    am.plot.deformation(result, amplify=20, stress=True, problem=problem, lines=False, ax=right)
+    am.plot.deformation(result, amplify=20, stress=True, lines=False, ax=right)
     return figure
 
 

@@ -185,7 +185,7 @@ def _spoiled(matrix):
 
 
 @pytest.mark.parametrize(("change", "message"), [(lambda m: m[:, :-1], r"shape \(\d+, \d+\) \(fine, coarse nodes\)"),
-                                                 (lambda m: m.T, "shape"), (_spoiled, "not finite")])
+                                                 (lambda m: m.T, "shape"), (_spoiled, "must be finite")])
 def test_what_a_transfer_must_not_return(change, message):
     problem, meshes = flat(UPPER_ON_LOWER)
     with pytest.raises(ValueError, match=message):

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import logging
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -150,3 +154,34 @@ def test_a_terminal_gets_a_bar(capsys, monkeypatch):
         callback({"cycle": 0, "residual": float("nan"), "error_estimate": float("inf")})
         callback({"cycle": 3, "residual": 1e-3, "error_estimate": 2.5e-4})
     assert "cycle 3, error 2.5e-04" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+def test_ctrl_c_ends_with_130_and_one_line():
+    code = ("import os, signal, time\nfrom adaptmg.cli import main, work\n"
+            "work.solved = lambda *arguments: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\nmain()")
+    done = subprocess.run([sys.executable, "-c", code, "solve", "greco_bar", "--divisions", "2,4"], capture_output=True,
+                          text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "adaptmg: interrupted\n")
+
+
+def test_what_cannot_be_printed_is_printed_as_codes(monkeypatch):
+    from adaptmg.cli import work
+
+    monkeypatch.setattr(work, "write", lambda *arguments: [Path("\udcff\xb5\x1b/result.npz")])
+    out = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
+    with contextlib.redirect_stdout(out), pytest.raises(SystemExit) as end:
+        app(["solve", "greco_bar", "--divisions", "2,4", "--out", "x"], prog_name="adaptmg")
+    out.seek(0)
+    assert not end.value.code and "wrote \\udcff\\xb5\\x1b/result.npz" in out.read()
+    done = subprocess.run([sys.executable, "-m", "adaptmg", "solve", b"\xff"], capture_output=True,
+                          env=os.environ | {"PYTHONIOENCODING": "ascii:strict"})
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"udcff" in done.stderr
+
+
+def test_pictures_are_whole_or_not_there(command, tmp_path, monkeypatch):
+    (tmp_path / "contact.png").write_bytes(b"old")
+    monkeypatch.setattr("os.replace", lambda *names: (_ for _ in ()).throw(OSError(28, "disk full")))
+    code, out, err = command("solve", "greco_bar", "--divisions", "2,4", "--out", str(tmp_path))
+    assert code == 2 and out == "" and "disk full" in err
+    assert (tmp_path / "contact.png").read_bytes() == b"old" and not list(tmp_path.glob("*.part"))

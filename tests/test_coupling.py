@@ -143,7 +143,7 @@ class TestRefusals:
 
     @pytest.mark.parametrize(("weights", "fixed", "match"), [
         (sparse.csr_array(np.array([[0, 0.9], [0, 0]])), np.zeros(4, bool), r"sum 1, got 0.9 at node 0"),
-        (sparse.csr_array(np.array([[0, np.nan], [0, 0]])), np.zeros(4, bool), "sum 1"),
+        (sparse.csr_array(np.array([[0, np.nan], [0, 0]])), np.zeros(4, bool), "weights must be finite"),
         (sparse.csr_array((2, 3)), np.zeros(4, bool), "square"),
         (sparse.csr_array((2, 2)), np.zeros(5, bool), "boolean mask"),
         (sparse.csr_array((2, 2)), np.zeros(4), "boolean mask"),

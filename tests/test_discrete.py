@@ -44,7 +44,7 @@ class TestContactNodes:
         np.testing.assert_allclose(np.linalg.norm(nodes.normals, axis=1), 1.0, rtol=1e-15)
 
     @pytest.mark.parametrize(("changes", "error", "message"), [
-        ({"nodes": [0.0, 2.0]}, TypeError, "nodes must be integers"),
+        ({"nodes": [0.0, 2.0]}, TypeError, "nodes must be an array of integers"),
         ({"nodes": [2, 2]}, ValueError, "distinct"),
         ({"nodes": [-1, 2]}, ValueError, "distinct and >= 0"),
         ({"nodes": np.zeros(0, dtype=int), "normals": np.zeros((0, 2)), "gaps": []}, ValueError, "nodes is empty"),
@@ -95,7 +95,7 @@ class TestDiscreteProblem:
         ({"matrix": sparse.diags_array([1, 1, np.nan, 1, 1, 1]).tocsr()}, ValueError, "matrix must be finite"),
         ({"matrix": sparse.diags_array([1, 1, 1, -1, 1, 1.0]).tocsr()}, ValueError, r"entry 3 \(node 1\) is -1"),
         ({"matrix": (sparse.eye_array(6) + sparse.eye_array(6, k=1) * 1e-3).tocsr()}, ValueError, "must be symmetric"),
-        ({"load": np.zeros(5)}, ValueError, r"load must have shape \(6\), got \(5,\)"),
+        ({"load": np.zeros(5)}, ValueError, r"load must have shape \(6,\), got \(5,\)"),
         ({"load": np.full(6, np.nan)}, ValueError, "load must be finite; 6 entries"),
         ({"fixed": np.zeros(6)}, TypeError, "fixed must be a boolean mask over the 6 dofs"),
         ({"fixed": np.zeros(4, dtype=bool)}, ValueError, "fixed must have shape"),

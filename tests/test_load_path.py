@@ -407,6 +407,24 @@ class TestStore:
         with pytest.raises(ValueError, match="must be a folder"):
             am.solve_path(rough, path, store=file)
 
+    def test_steps_of_another_store_or_in_another_order_are_told(self, rough, tmp_path):
+        paths = {name: am.LoadPath({"left": [0.5, end, 0.2]}) for name, end in (("a", 1), ("b", 0.9))}
+        for name, path in paths.items():
+            am.solve_path(rough, path, store=tmp_path / name)
+        kept = (tmp_path / "a" / "step_0001.npz").read_bytes()
+        for wrong, message in ((tmp_path / "b" / "step_0001.npz", "belongs to another load path"),
+                               (tmp_path / "a" / "step_0002.npz", "holds step 2, not step 1")):
+            (tmp_path / "a" / "step_0001.npz").write_bytes(wrong.read_bytes())
+            with pytest.raises(ValueError, match=rf"step_0001\.npz {message}"):
+                am.solve_path(rough, paths["a"], store=tmp_path / "a")
+        (tmp_path / "a" / "step_0001.npz").unlink()
+        with pytest.raises(ValueError, match=r"step_0001\.npz is missing, though step_0002\.npz is there"):
+            am.solve_path(rough, paths["a"], store=tmp_path / "a")
+        (tmp_path / "a" / "step_0001.npz").write_bytes(kept)
+        done = []
+        am.solve_path(rough, paths["a"], store=tmp_path / "a", callback=lambda k, r: done.append(k))
+        assert not done
+
     def test_save_and_load(self, cycle, tmp_path):
         cycle.save(tmp_path / "a")
         loaded = am.PathResult.load(tmp_path / "a")

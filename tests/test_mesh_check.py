@@ -147,7 +147,7 @@ def test_empty_and_misshapen_meshes_are_refused():
     with pytest.raises(ValueError, match="no elements"):
         check_mesh(replace(SQUARE, elements=np.zeros((0, 3)), element_body=None))
     with pytest.raises(ValueError, match=r"elements must have shape \(n, 3\)"):
-        check_mesh(replace(SQUARE, elements=np.zeros((32, 4))))
+        check_mesh(replace(SQUARE, elements=np.zeros((32, 4), dtype=int)))
     with pytest.raises(ValueError, match="facet_labels must index boundaries"):
         check_mesh(replace(SQUARE, facet_labels=np.full(16, 4)))
     with pytest.raises(ValueError, match="element_body must have shape"):

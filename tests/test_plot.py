@@ -14,9 +14,10 @@ from test_plot_bodies import two_bodies
 
 import adaptmg as am
 from adaptmg import plot
-from adaptmg.plot.contact_zone import STATE_COLORS
-from adaptmg.plot.curves import curves_of
-from adaptmg.plot.line import lines_of
+from adaptmg.plot.contact_surfaces.line import lines_of
+from adaptmg.plot.posed.plan import curves_of
+from adaptmg.plot.space.surface import Surface
+from adaptmg.plot.states import STATE_COLORS
 from adaptmg.plot.style import number, scaled
 from adaptmg.smoother.state import OPEN, SLIP, STICK
 
@@ -95,7 +96,7 @@ def dovetail() -> am.ContactProblem:
 def test_problem_draws_assemblies():
     shown = words(plot.problem(dovetail()))
     for text in ("an assembly", "tongue", "block", "'tongue.foot' on 'block.top'", "Coulomb friction 0.2",
-                 "p = 100 MPa", "body force 70 kN/m³ in 'block'", "initial strain of 'tongue'",
+                 "p = 100 MPa", "body force 70 kN/m³ in 'block'", "initial strain in 'tongue'",
                  "$\\varepsilon_y$ = -0.001", "$u_y$ = 0", "30 mm", "gap drawn"):
         assert text in shown
     turned = dataclasses.replace(dovetail(), material=am.Axisymmetric(young=2e11, poisson=0.3))
@@ -133,8 +134,9 @@ def test_problem_draws_solids_on_a_mesh():
         loads=(am.Pressure("upper.rest", 2e7), am.InitialStrain("upper", (0, 0, -1e-3))),
         supports=(am.Support("lower.rest", z=0),))
     shown = words(plot.problem(posed, mesh=two_bodies(3, 4, 3).mesh, explode=0.3))
-    for text in ("contact on 'upper.bottom'", "its master 'lower.bottom'", "pressure 20 MPa on 'upper.rest'", "lower",
-                 "$u_z$ = 0 on 'lower.rest'", "initial strain (0, 0, -0.001) in 'upper'", "frictionless contact"):
+    for text in ("contact on 'upper.bottom'", "its master 'lower.bottom'", "p = 20 MPa on 'upper.rest'", "lower",
+                 "$u_z$ = 0 on 'lower.rest'", "initial strain in 'upper'\n$\\varepsilon_z$ = -0.001",
+                 "frictionless contact"):
         assert text in shown
     with pytest.raises(ValueError, match="no domain"):
         plot.problem(posed)
@@ -142,18 +144,22 @@ def test_problem_draws_solids_on_a_mesh():
         plot.problem(posed, mesh=cube(1))
 
 
-def test_contact_draws_the_values_in_the_units_it_names():
-    figure = plot.contact(PLANE)
-    upper, lower = figure.axes
-    c = PLANE.contact
-    order = np.argsort(c.x[:, 0])
-    np.testing.assert_allclose(line(upper, "pressure p").get_ydata(), 1e-6 * c.pressure[order])
-    np.testing.assert_allclose(line(upper, "traction |t|").get_ydata(), 1e-6 * np.abs(c.traction[order, 0]))
-    np.testing.assert_allclose(line(upper, "friction bound").get_ydata(), 1e-6 * (c.limit / c.weights)[order])
-    np.testing.assert_allclose(line(lower, "gap").get_ydata(), 1e6 * c.gap[order])
-    np.testing.assert_allclose(line(lower, "slip").get_ydata(), 1e6 * c.slip[order, 0])
-    np.testing.assert_allclose(line(lower, "slip").get_xdata(), 1e3 * c.x[order, 0])
-    assert "MPa" in upper.get_ylabel() and "µm" in lower.get_ylabel() and lower.get_xlabel() == "x [mm]"
+def test_the_picture_of_a_solid_shows_its_contact_and_where_loads_act():
+    posed = am.cases.greco_block()
+    (ax,) = plot.problem(posed).axes
+    elevation, azimuth = np.radians([ax.elev, ax.azim])
+    towards = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    # contact is below, the larger load on the left
+    assert towards[2] < 0 and towards[0] < 0
+    (surface,) = ax.findobj(Surface)
+    # 24 arrows a load: shafts, then the four strokes of the heads
+    shafts = surface.lines[1].ends.reshape(2, 5, 24, 2, 3)[:, 0].reshape(-1, 2, 3)
+    pressure_of = {"left": (0, 0.0, 1.5e8), "top": (2, 1e3 * posed.domain.upper[2], 5e7)}
+    for axis, place, pressure in pressure_of.values():
+        mine = np.abs(np.diff(shafts, axis=1)[:, 0, axis]) > 0
+        np.testing.assert_allclose(shafts[mine][:, 1, axis], place, atol=1e-9)
+        np.testing.assert_allclose(np.abs(np.diff(shafts[mine], axis=1)[:, 0, axis]), 40 / 6 * pressure / 1.5e8)
+    assert "'back'" in words(ax.figure) and "left" in words(ax.figure).split("\n")
 
 
 def test_contact_shades_the_zones_half_way_between_nodes():
@@ -171,16 +177,16 @@ def test_contact_shades_the_zones_half_way_between_nodes():
 
 def test_contact_draws_surfaces_and_bare_problems():
     shown = words(plot.contact(SOLID))
-    assert "contact pressure [MPa]" in shown and "stick (" in shown and "x [mm]" in shown
-    assert plot.contact(result_on(None)).axes[1].get_xlabel() == "contact node"
+    assert "contact pressure p [MPa]" in shown and "stick (" in shown and "x [mm]" in shown
+    assert plot.contact(result_on(None)).axes[2].get_xlabel() == "contact node"
     with pytest.raises(ValueError, match="boundary must be one of 'bottom'"):
         plot.contact(PLANE, boundary="top")
 
 
 def test_contact_takes_axes():
-    figure, axes = plt.subplots(2)
+    figure, axes = plt.subplots(3)
     assert plot.contact(PLANE, axes) is figure
-    with pytest.raises(ValueError, match="2 matplotlib axes"):
+    with pytest.raises(ValueError, match="3 matplotlib axes"):
         plot.contact(PLANE, axes[0])
 
 
@@ -192,42 +198,40 @@ def test_a_curved_contact_line_is_drawn_against_its_arc_length():
     facets = np.vstack([np.stack([9 + k, 10 + k], 1), np.stack([1 + k, k], 1)[::-1], [[0, 9], [17, 8]]])
     mesh = am.MeshArrays(np.vstack([inner, outer]), elements, facets, [0] * 8 + [1] * 10, ("bottom", "rest"))
     (found,) = lines_of(result_on(mesh), "bottom")
-    assert found.label == "arc length [m]"
+    assert found.label == "arc length from (2, 0) [m]"
     chord = np.linalg.norm(outer[1] - outer[0])
     np.testing.assert_allclose(found.position, chord * np.arange(9))
 
 
 @pytest.mark.parametrize("result", [PLANE, SOLID], ids=["2D", "3D"])
-@pytest.mark.parametrize("quantity", ["magnitude", "von_mises", None])
-def test_deformed_states_its_amplification(result, quantity):
-    material = (am.PlaneStrain if result.dim == 2 else am.Solid)(young=1e11, poisson=0.3)
-    shown = words(plot.deformed(result, quantity=quantity, material=material))
+@pytest.mark.parametrize("displacement", [True, False])
+def test_deformation_states_its_amplification(result, displacement):
+    shown = words(plot.deformation(result, displacement=displacement))
     largest = np.linalg.norm(result.displacement, axis=1).max()
     factor = float(shown.split("drawn ")[1].split(" times")[0])
     size = np.linalg.norm(np.ptp(result.mesh.points, axis=0))
     assert 0.03 < factor * largest / size < 0.08
-    assert ("|u| [µm]" in shown) == (quantity == "magnitude") and ("MPa" in shown) == (quantity == "von_mises")
-    assert "drawn 7 times" in words(plot.deformed(result, 7.0))
+    assert ("|u| [µm]" in shown) == displacement
+    assert "drawn 7 times" in words(plot.deformation(result, 7.0))
 
 
-def test_deformed_draws_the_displaced_corners():
-    figure = plot.deformed(PLANE, 10.0, None)
-    drawn = [path.vertices[:3] for path in figure.axes[0].collections[0].get_paths()]
-    wanted = 1e3 * (PLANE.mesh.points + 10 * PLANE.displacement)[PLANE.mesh.elements]
-    np.testing.assert_allclose(drawn, wanted, rtol=1e-12)
+def test_colors_of_the_displacement_are_its_length_at_the_nodes():
+    wanted = 1e6 * np.linalg.norm(PLANE.displacement, axis=1)
+    ax, bar = plot.deformation(PLANE, displacement=True).axes
+    assert bar.get_ylim() == pytest.approx((0, wanted.max()))
+    (colored,) = [c for c in ax.collections if c.get_array() is not None]
+    np.testing.assert_allclose(colored.get_array(), wanted)
 
 
-def test_deformed_refuses_what_it_cannot_draw():
+def test_deformation_refuses_what_it_cannot_draw():
     with pytest.raises(ValueError, match="no mesh"):
-        plot.deformed(result_on(None))
-    with pytest.raises(ValueError, match=r"material=problem\.material"):
-        plot.deformed(PLANE, quantity="von_mises")
-    with pytest.raises(ValueError, match="quantity"):
-        plot.deformed(PLANE, quantity="pressure")
-    with pytest.raises(ValueError, match="amplification"):
-        plot.deformed(PLANE, float("nan"))
+        plot.deformation(result_on(None))
+    with pytest.raises(ValueError, match="no materials"):
+        plot.deformation(PLANE, stress=True)
+    with pytest.raises(ValueError, match="amplify"):
+        plot.deformation(PLANE, float("nan"))
     with pytest.raises(ValueError, match="three-dimensional"):
-        plot.deformed(SOLID, ax=plt.subplots()[1])
+        plot.deformation(SOLID, ax=plt.subplots()[1])
 
 
 def test_history_draws_what_was_recorded():

@@ -15,12 +15,12 @@ from matplotlib.patches import Patch, PathPatch
 
 import adaptmg as am
 from adaptmg import plot
-from adaptmg.discretisation.measures import full_stress, von_mises
+from adaptmg.discretisation.measures import StressData, full_stress, von_mises
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.plot.flattened import flattened
-from adaptmg.plot.line import arcs_of
+from adaptmg.plot.contact_surfaces.flattened import flattened
+from adaptmg.plot.contact_surfaces.line import lines_of
+from adaptmg.plot.space.surface import Surface
 from adaptmg.plot.states import STATE_INKS
-from adaptmg.plot.surface import Surface
 from adaptmg.plot.walks import walks
 from adaptmg.smoother.state import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
@@ -43,6 +43,11 @@ def joined(parts: dict[str, MeshArrays], shifts: dict[str, tuple[float, ...]]) -
                       bodies=tuple(parts))
 
 
+STEEL, RUBBER = {"young": 2e11, "poisson": 0.3}, {"young": 1e7, "poisson": 0.45}
+MATERIALS = {"upper": am.PlaneStrain(**STEEL), "lower": am.PlaneStrain(**RUBBER)}
+SOLIDS = {"upper": am.Solid(**STEEL), "lower": am.Solid(**RUBBER)}
+
+
 def two_bodies(dim: int = 2, n: int = 8, m: int = 5, size: float = 0.04) -> Result:
     """A block on a larger one: open, slip and stick on 'upper.bottom', whose master is a boundary of 'lower'."""
     make, wide = (square, 1.5) if dim == 2 else (cube, 1.5)
@@ -58,13 +63,9 @@ def two_bodies(dim: int = 2, n: int = 8, m: int = 5, size: float = 0.04) -> Resu
     displacement[:len(upper.points), -1] -= 1e-5
     contact = dataclasses.replace(single.contact, names=("upper.bottom",),
                                   masters=("lower.top" if dim == 2 else "lower.rest",))
+    data = StressData.of(mesh, MATERIALS if dim == 2 else SOLIDS)
     return dataclasses.replace(single, mesh=mesh, displacement=displacement, reaction=np.zeros_like(displacement),
-                               contact=contact, problem_name="two blocks")
-
-
-STEEL, RUBBER = {"young": 2e11, "poisson": 0.3}, {"young": 1e7, "poisson": 0.45}
-MATERIALS = {"upper": am.PlaneStrain(**STEEL), "lower": am.PlaneStrain(**RUBBER)}
-SOLIDS = {"upper": am.Solid(**STEEL), "lower": am.Solid(**RUBBER)}
+                               contact=contact, problem_name="two blocks", stress_data=data)
 
 
 @pytest.fixture(autouse=True)
@@ -183,28 +184,33 @@ def test_states_color_the_slave_surface():
     assert "stick" in shown
 
 
-@pytest.mark.parametrize(("result", "materials"), [(PLANE, MATERIALS), (SOLID, SOLIDS)], ids=["2D", "3D"])
-def test_stress_is_that_of_each_body_in_megapascal(result, materials):
-    figure = plot.deformation(result, stress=True, problem=materials, states=True)
+@pytest.mark.parametrize("result", [PLANE, SOLID], ids=["2D", "3D"])
+def test_stress_is_that_of_each_body_in_megapascal(result):
+    figure = plot.deformation(result, stress=True, states=True)
     assert "von Mises stress [MPa]" in words(figure)
-    stress = von_mises(full_stress(result.mesh, materials, result.displacement))
+    stress = von_mises(full_stress(result.mesh, MATERIALS if result.dim == 2 else SOLIDS, result.displacement))
+    np.testing.assert_array_equal(result.von_mises(), stress)
     bar = next(ax for ax in figure.axes if ax.get_ylabel() == "von Mises stress [MPa]")
     assert bar.get_ylim()[1] == pytest.approx(1e-6 * stress.max())
     if result.dim == 3:
         # rubber low, steel high: each facet shows the element behind it
-        (surface,) = plot.deformation(result, 0, stress=True, problem=materials).findobj(Surface)
+        (surface,) = plot.deformation(result, 0, stress=True).findobj(Surface)
         lower = surface.corners.mean(axis=1)[:, 2] < -1.0
         assert lower.any() and np.ptp(surface.colors[lower], axis=(0, 1)).max() < 0.05
         assert np.abs(surface.colors[~lower].mean(axis=(0, 1)) - surface.colors[lower].mean(axis=(0, 1))).max() > 0.3
-    with pytest.raises(ValueError, match="needs the materials"):
-        plot.deformation(result, stress=True)
-    with pytest.raises(ValueError, match="no material for body 'lower'"):
-        plot.deformation(result, stress=True, problem={"upper": materials["upper"]})
+    with pytest.raises(ValueError, match="no materials"):
+        plot.deformation(dataclasses.replace(result, stress_data=None), stress=True)
+    with pytest.raises(ValueError, match="two pictures"):
+        plot.deformation(result, stress=True, displacement=True)
 
 
 def test_axes_of_axisymmetric_problems_are_r_and_z():
-    (ax,) = plot.deformation(PLANE, problem=am.Axisymmetric(**STEEL)).axes
+    moved = dataclasses.replace(PLANE.mesh, points=PLANE.mesh.points + np.array([1.0, 0.0]))
+    data = StressData.of(moved, am.Axisymmetric(**STEEL))
+    result = dataclasses.replace(PLANE, mesh=moved, stress_data=data)
+    (ax,) = plot.deformation(result).axes
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("r [mm]", "z [mm]")
+    assert plot.contact(result).axes[2].get_xlabel() == "r [mm]"
 
 
 def stated(ax) -> np.ndarray:
@@ -213,42 +219,44 @@ def stated(ax) -> np.ndarray:
     return np.asarray(marks.get_offsets())
 
 
-def test_interface_draws_pressure_friction_and_gap_against_arc_length():
-    figure = plot.interface(PLANE)
+def test_contact_draws_pressure_friction_gap_and_slip():
+    figure = plot.contact(PLANE)
     c, order = PLANE.contact, np.argsort(PLANE.contact.x[:, 0])
     values = (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], 1e6 * c.gap)
     for ax, wanted in zip(figure.axes, values, strict=True):
         np.testing.assert_allclose(stated(ax)[:, 0], 1e3 * c.x[order, 0])
         np.testing.assert_allclose(stated(ax)[:, 1], wanted[order])
+    (slip,) = [drawn for drawn in figure.axes[2].lines if drawn.get_label() == "slip"]
+    np.testing.assert_allclose(slip.get_ydata(), 1e6 * c.slip[order, 0])
     (band,) = [b for b in figure.axes[1].collections if isinstance(b, PolyCollection)]
     bound = 1e-6 * (c.limit / c.weights).max()
     assert band.get_paths()[0].get_extents().y0 == pytest.approx(-bound)
     shown = words(figure)
-    for text in ("'upper.bottom' on 'lower.top'", "pressure p [MPa]", "friction t [MPa]", "gap [µm]", "two blocks",
-                 "arc length from (0, 0) [mm]", "slip"):
+    for text in ("'upper.bottom' on 'lower.top'", "pressure p\n[MPa]", "friction t\n[MPa]", "gap, slip\n[µm]",
+                 "two blocks", "x [mm]", "slip"):
         assert text in shown
     wide = dataclasses.replace(PLANE, contact=dataclasses.replace(c, gap=c.gap + 2e-4))
-    assert "gap [mm]" in words(plot.interface(wide))
-    assert "frictionless" in words(plot.interface(dataclasses.replace(
+    assert "gap, slip\n[mm]" in words(plot.contact(wide))
+    assert "frictionless" in words(plot.contact(dataclasses.replace(
         PLANE, contact=dataclasses.replace(c, limit=0 * c.limit, force_t=0 * c.force_t))))
 
 
-def test_interface_draws_each_pair_or_one():
+def test_contact_draws_each_pair_or_one():
     result = two_pairs()
-    assert len(plot.interface(result).axes) == 6 and len(plot.contact(result).axes) == 4
-    shown = words(plot.interface(result, "upper.right half"))
+    assert len(plot.contact(result).axes) == 6
+    shown = words(plot.contact(result, boundary="upper.right half"))
     assert "'upper.right half'" in shown and "lower.top" not in shown
     pair = am.ContactPair("upper.bottom", "lower.top")
-    assert "lower.top" in words(plot.interface(result, pair))
-    with pytest.raises(ValueError, match=r"pair must be one of 'upper\.bottom'"):
-        plot.interface(result, "lower.top")
+    assert "lower.top" in words(plot.contact(result, boundary=pair))
+    with pytest.raises(ValueError, match=r"boundary must be one of 'upper\.bottom'"):
+        plot.contact(result, boundary="lower.top")
 
 
 def test_an_open_pair_does_not_show_rounding():
     result = two_pairs()
     noise = np.where(result.contact.boundary == 1, 1e-9, result.contact.force_n)
     contact = dataclasses.replace(result.contact, force_n=noise, limit=noise, force_t=1e-3 * noise[:, None])
-    axes = plot.interface(dataclasses.replace(result, contact=contact)).axes
+    axes = plot.contact(dataclasses.replace(result, contact=contact)).axes
     assert axes[3].get_ylim() == (0, 1) and axes[4].get_ylim() == (-1, 1)
     assert axes[0].get_ylim()[1] > 5
 
@@ -260,13 +268,13 @@ def test_parts_without_contact_nodes_interrupt_the_arc():
     keep[4:6] = False
     some = {f.name: getattr(c, f.name)[keep] for f in dataclasses.fields(c)
             if isinstance(getattr(c, f.name), np.ndarray) and len(getattr(c, f.name)) == len(c)}
-    first, second = arcs_of(dataclasses.replace(result, contact=dataclasses.replace(c, **some)), "upper.bottom")
+    first, second = lines_of(dataclasses.replace(result, contact=dataclasses.replace(c, **some)), "upper.bottom")
     np.testing.assert_allclose(first.position, 4.0 * np.arange(4), atol=1e-9)
     np.testing.assert_allclose(second.position, 4.0 * np.arange(6, 11))
 
 
-def test_interface_maps_the_slave_surface_of_solids():
-    shown = words(plot.interface(SOLID))
+def test_contact_maps_the_slave_surface_of_solids():
+    shown = words(plot.contact(SOLID))
     for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "friction traction |t| [MPa]",
                  "gap [µm]", "stick (", "x [mm]"):
         assert text in shown
@@ -293,7 +301,7 @@ def test_a_hole_is_unrolled_about_its_axis():
     np.testing.assert_allclose(flat.points[:, 0], np.degrees(np.arctan2(offset[:, 1], offset[:, 0])))
     np.testing.assert_allclose(flat.points[:, 1], 1e3 * offset[:, 2])
     assert flat.labels == ("angle around z [°]", "z [mm]") and not flat.equal
-    assert "angle around z [°]" in words(plot.interface(result))
+    assert "angle around z [°]" in words(plot.contact(result))
 
 
 FACTORS = (0.25, 0.5, 1.0, 0.5)

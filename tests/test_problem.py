@@ -275,12 +275,12 @@ class TestContactProblem:
 
     @pytest.mark.parametrize(("changes", "error", "message"), [
         ({"material": "steel"}, TypeError, "material must be"),
-        ({"contact": ()}, TypeError, "contact must be"),
+        ({"contact": ()}, ValueError, "contact is empty"),
         ({"contact": (FLOOR, FLOOR)}, ValueError, "named twice"),
         ({"law": 0.3}, TypeError, "law must be"),
-        ({"loads": ("gravity",)}, TypeError, "loads must be"),
+        ({"loads": ("gravity",)}, TypeError, r"loads\[0\] must be"),
         ({"loads": (BodyForce((0.0, 0.0, -1.0)),)}, ValueError, "3 components in a 2D problem"),
-        ({"supports": (Pressure("top", 1.0),)}, TypeError, "supports must be"),
+        ({"supports": (Pressure("top", 1.0),)}, TypeError, r"supports\[0\] must be"),
         ({"supports": (Support("left", z=0.0),)}, ValueError, "2D problem"),
         ({"domain": "square"}, TypeError, "domain must be"),
         ({"domain": Box(width=1.0, depth=1.0, height=1.0)}, ValueError, "use Solid in 3D"),

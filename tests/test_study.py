@@ -234,6 +234,31 @@ def test_two_processes_may_write_to_one_store(tmp_path):
     assert os.path.getsize(path) > 0
 
 
+def test_a_store_is_made_once_by_processes_that_start_together(tmp_path):
+    code = ("import sys\nfrom adaptmg.study.store import Store\nfrom adaptmg.study.record import Record\n"
+            "sys.stdout.write('x'); sys.stdout.flush(); sys.stdin.read(1)\n"
+            "Store(sys.argv[1]).put(sys.argv[2], Record(parameters={}, status='done'))\n")
+    path = tmp_path / "s.sqlite"
+    started = [subprocess.Popen([sys.executable, "-c", code, str(path), f"study {k}"], stdin=subprocess.PIPE,
+                                stdout=subprocess.PIPE) for k in range(4)]
+    for process in started:
+        process.stdout.read(1)
+    for process in started:
+        process.communicate(b"x")
+    assert [process.returncode for process in started] == [0] * 4
+    assert Store(path).studies() == [f"study {k}" for k in range(4)]
+
+
+def test_a_store_that_cannot_be_written_is_read(tmp_path):
+    Study(case, {"sweeps": [1]}, tmp_path / "s.sqlite").run(progress=False)
+    sweep = Study(case, {"sweeps": [1]}, tmp_path / "s.sqlite")
+    sweep._store._connection.execute("PRAGMA query_only = ON")
+    sweep._store._prepare()
+    assert sweep.table()["status"].tolist() == ["done"]
+    with pytest.raises(OSError, match=r"s\.sqlite: .*write-protected"):
+        sweep.run(progress=False, rerun=True)
+
+
 TABLE = pd.DataFrame({"mesh <h>": ["33 x 33", "a&b"], "seconds": [0.123456, float("nan")], "cycles": [12, 7],
                       "ok": [True, False]})
 

@@ -12,6 +12,7 @@ from adaptmg.cases.greco import greco_bar
 from adaptmg.cases.hertz_cylinder import LineContact, hertz_cylinder, line_contact_meshes, pressure_fit
 from adaptmg.cases.hertz_sphere import PointContact, hertz_sphere
 from adaptmg.cases.incline import incline
+from adaptmg.cases.leaning_strut import leaning_strut
 from adaptmg.cases.registry import CASES, Case, get, names
 from adaptmg.cases.two_blocks import patch_mesh, two_block_patch
 from adaptmg.cases.upset import upset_block
@@ -19,5 +20,5 @@ from adaptmg.cases.upset import upset_block
 __all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointContact", "PunchPressure", "bolt_force",
            "bolted_junction", "cattaneo", "cattaneo_path", "curved_obstacle", "dovetail", "flat_punch",
            "flat_punch_meshes", "get", "greco_bar", "greco_block", "hertz_cylinder", "hertz_sphere", "incline",
-           "joint_opening", "junction_path", "line_contact_meshes", "names", "open_to", "patch_mesh", "pressure_fit",
-           "sealing_pressure", "two_block_patch", "upset_block"]
+           "joint_opening", "junction_path", "leaning_strut", "line_contact_meshes", "names", "open_to",
+           "patch_mesh", "pressure_fit", "sealing_pressure", "two_block_patch", "upset_block"]

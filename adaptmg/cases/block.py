@@ -46,7 +46,7 @@ def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pres
     """
     if not isinstance(plane_strain, bool):
         raise TypeError(f"plane_strain must be True or False, got {plane_strain!r}")
-    depth = checks.positive("depth", depth)
+    depth = checks.quantity("depth", depth, positive=True)
     bar = greco_bar(law=law, top_pressure=top_pressure, side_pressure=side_pressure, young=young, poisson=poisson,
                     size=size)
     reference = {}

@@ -131,7 +131,7 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
         flanges = Flanges() if dim == 2 else Flanges(n_bolts=8, diameter=0.034)
     elif not isinstance(flanges, Flanges):
         raise TypeError(f"flanges must be Flanges, got {flanges!r}")
-    preload, pressure = checks.positive("preload", preload), checks.number("pressure", pressure)
+    preload, pressure = checks.quantity("preload", preload, positive=True), checks.quantity("pressure", pressure)
     material = (Axisymmetric if dim == 2 else Solid)(young=young, poisson=poisson)
     usual = shortening is None and not head_friction and (
         preload, pressure, friction, flanges, young, poisson) == (2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)
@@ -154,7 +154,7 @@ def _shortening(value: float | None, preload: float, bolt: str, flanges: Flanges
         return flanges.shortening(preload, material.young, material.dim)
     if bolt == "traction":
         raise ValueError("shortening: there are no bolts to shorten with bolt='traction'; give preload")
-    return checks.positive("shortening", value)
+    return checks.quantity("shortening", value, positive=True)
 
 
 def _law(friction: float, head_friction: float | None, model: _Model) -> Law:

@@ -116,7 +116,7 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
     Bodies of finite size are strained along the surface by the loads, unlike half-planes, by stresses of the order of
     P/R: against the largest traction mu p0 this is of the order of a / (mu R), and it moves the strip that sticks.
     """
-    radius = checks.positive("radius", radius)
+    radius = checks.quantity("radius", radius, positive=True)
     material = PlaneStrain(young=young, poisson=poisson)
     form = closed_form(load, radius, None, material)
     tangential = checks.nonnegative("tangential", tangential)

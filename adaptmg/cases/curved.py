@@ -62,5 +62,5 @@ def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pres
     default = (isinstance(law, Frictionless) and (radius, top_pressure, side_pressure, young, poisson, size)
                == (10.0, 5e7, 15e7, 1.3e11, 0.2, 40e-3))
     reference = {"touching": {32: 17}, "sources": {"touching": "direct active-set solve"}} if default else {}
-    gap = ParabolicGap(position=float(size), radius=checks.positive("radius", radius))
+    gap = ParabolicGap(position=float(size), radius=checks.quantity("radius", radius, positive=True))
     return replace(bar, name="curved obstacle", contact=Contact("bottom", GapFunction(gap)), reference=reference)

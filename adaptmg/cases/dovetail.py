@@ -87,11 +87,11 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
     parameters = {"angle": angle, "clearance": clearance, "pull": pull, "clamp": clamp, "young": young,
                   "poisson": poisson}
     angle = _checked_angle(angle)
-    if not checks.number("clearance", clearance) >= 0:
+    if not checks.quantity("clearance", clearance) >= 0:
         raise ValueError(f"clearance must be >= 0, got {clearance!r}: a negative one is an interference fit, which "
                          "wants pairs with ContactPair(..., allow_interference=True); replace the contact of this "
                          "problem, with gap=..., to pose it")
-    pull, clamp = checks.number("pull", pull), checks.number("clamp", clamp)
+    pull, clamp = checks.quantity("pull", pull), checks.quantity("clamp", clamp)
     reference: Mapping[str, Any] = {"remark": _REMARK}
     if parameters == _DEFAULTS and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 0.2:
         reference = _REFERENCE

@@ -83,7 +83,7 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
     --------
     flat_punch_meshes : meshes graded towards the edge.
     """
-    a, load = checks.positive("half_width", half_width), checks.positive("load", load)
+    a, load = checks.quantity("half_width", half_width, positive=True), checks.quantity("load", load, positive=True)
     reference = {}
     if isinstance(law, Frictionless):
         reference = {"quantity": "contact pressure, Pa", "pressure": PunchPressure(load=load, half_width=a),

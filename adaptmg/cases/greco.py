@@ -77,10 +77,10 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
     """
     parameters = {"top_pressure": top_pressure, "side_pressure": side_pressure, "young": young, "poisson": poisson,
                   "size": size}
-    size = checks.positive("size", size)
+    size = checks.quantity("size", size, positive=True)
     material = PlaneStrain(young=young, poisson=poisson)
-    top_pressure = checks.number("top_pressure", top_pressure)
-    side_pressure = checks.number("side_pressure", side_pressure)
+    top_pressure = checks.quantity("top_pressure", top_pressure)
+    side_pressure = checks.quantity("side_pressure", side_pressure)
     reference: Mapping[str, Any] = {}
     if isinstance(law, Frictionless) and top_pressure > 0:
         reference = _patch_test(material, top_pressure, side_pressure, size)

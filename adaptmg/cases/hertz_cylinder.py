@@ -93,9 +93,9 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
     --------
     line_contact_meshes : meshes fine enough near the contact.
     """
-    radius = checks.positive("radius", radius)
+    radius = checks.quantity("radius", radius, positive=True)
     material = PlaneStrain(young=young, poisson=poisson)
-    lower_radius = None if lower_radius is None else checks.positive("lower_radius", lower_radius)
+    lower_radius = None if lower_radius is None else checks.quantity("lower_radius", lower_radius, positive=True)
     form = closed_form(load, radius, lower_radius, material)
     a = form.half_width
     lower = (half_block(radius, a) if lower_radius is None else

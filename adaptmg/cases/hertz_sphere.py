@@ -95,8 +95,8 @@ def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.
     adaptmg.cases.hertz_cylinder.line_contact_meshes : meshes fine enough near the contact, in 3D too.
     """
     checks.choice("dim", dim, (2, 3))
-    radius = checks.positive("radius", radius)
-    lower_radius = None if lower_radius is None else checks.positive("lower_radius", lower_radius)
+    radius = checks.quantity("radius", radius, positive=True)
+    lower_radius = None if lower_radius is None else checks.quantity("lower_radius", lower_radius, positive=True)
     material = (Axisymmetric if dim == 2 else Solid)(young=young, poisson=poisson)
     curvature = 1 / radius + (0.0 if lower_radius is None else 1 / lower_radius)
     form = PointContact(load=load, radius=1 / curvature, modulus=material.young / (2 * (1 - material.poisson**2)))

@@ -62,8 +62,8 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
         If the block would tip over.
     """
     angle = checks.nonnegative("angle", angle)
-    width, height = checks.positive("width", width), checks.positive("height", height)
-    density = checks.positive("density", density)
+    width, height = checks.quantity("width", width, positive=True), checks.quantity("height", height, positive=True)
+    density = checks.quantity("density", density, positive=True)
     if not angle < 90:
         raise ValueError(f"angle must be below 90 degrees, got {angle!r}")
     slope = math.tan(math.radians(angle))

@@ -17,6 +17,7 @@ from adaptmg.cases.greco import greco_bar
 from adaptmg.cases.hertz_cylinder import hertz_cylinder
 from adaptmg.cases.hertz_sphere import hertz_sphere
 from adaptmg.cases.incline import incline
+from adaptmg.cases.leaning_strut import leaning_strut
 from adaptmg.cases.two_blocks import two_block_patch
 from adaptmg.cases.upset import upset_block
 from adaptmg.problem import ContactProblem
@@ -52,6 +53,7 @@ CASES: Mapping[str, Case] = MappingProxyType({
     "cattaneo": Case(cattaneo, "a cylinder pressed on a block, then pulled sideways: partial slip (2D)"),
     "flat_punch": Case(flat_punch, "a flat rigid punch on a block, frictionless: singular edge (2D)"),
     "incline": Case(incline, "a block on a tilted slab, held by friction alone: two bodies (2D)"),
+    "leaning_strut": Case(leaning_strut, "a strut that leans on its foot, friction 0.6: three solutions (2D)"),
     "two_block_patch": Case(two_block_patch, "two blocks under uniform stress: the patch test of contact (2D, 3D)"),
 })
 

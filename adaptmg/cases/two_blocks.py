@@ -80,10 +80,10 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
     """
     if dim not in (2, 3):
         raise ValueError(f"dim must be 2 or 3, got {dim!r}")
-    slope, size = checks.nonnegative("slope", slope), checks.positive("size", size)
+    slope, size = checks.nonnegative("slope", slope), checks.quantity("size", size, positive=True)
     if not slope <= _STEEPEST:
         raise ValueError(f"slope must be at most {_STEEPEST:g} degrees, got {slope!r}")
-    pressure = checks.positive("pressure", pressure)
+    pressure = checks.quantity("pressure", pressure, positive=True)
     side_pressure = checks.nonnegative("side_pressure", side_pressure)
     turn = math.radians(slope)
     normal = pressure * math.cos(turn)**2 + side_pressure * math.sin(turn)**2

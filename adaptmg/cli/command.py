@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ import typer
 
 from adaptmg import __version__
 from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
+from adaptmg.text import printable
 
 __all__ = ["app", "main"]
 
@@ -30,7 +32,7 @@ def _root(context: typer.Context,
           version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False) -> None:
     """Multigrid for frictional contact on adaptively refined, non-nested meshes."""
     if version:
-        typer.echo(f"adaptmg {__version__}")
+        _say(f"adaptmg {__version__}")
     elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -38,14 +40,15 @@ def _root(context: typer.Context,
 @app.command(epilog="Example: adaptmg cases --json")
 def cases(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
     """List the benchmark cases."""
-    from adaptmg.cases import CASES
+    with _told():
+        from adaptmg.cases import CASES
 
-    if as_json:
-        typer.echo(json.dumps([{"name": n, "description": case.description} for n, case in CASES.items()], indent=2))
-        return
-    width = max(map(len, CASES))
-    for name, case in CASES.items():
-        typer.echo(f"{name:<{width}}  {case.description}")
+        if as_json:
+            _say(json.dumps([{"name": n, "description": case.description} for n, case in CASES.items()], indent=2))
+            return
+        width = max(map(len, CASES))
+        for name, case in CASES.items():
+            _say(f"{name:<{width}}  {case.description}")
 
 
 @app.command(epilog="Example: adaptmg solve greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
@@ -84,27 +87,49 @@ def solve(
         from adaptmg.cli import work
         from adaptmg.cli.progress import watched
 
+        folder = None if out is None else work.out_folder(out)
         problem = work.problem_of(case, law, friction, limit)
         method = work.solver_of(solver, correction=correction, cycle=cycle, pre=pre, post=post, omega=omega,
                                 linear=linear, rtol=rtol, most=most)
         with watched(method.rtol) as callback:
             grids = work.hierarchy_of(problem, divisions, sizes, contact_ratio, transfer)
             result = work.solved(grids, method, callback)
-        files = [] if out is None else work.write(out, problem, grids, result)
+        files = [] if folder is None else work.write(folder, problem, grids, result)
         if as_json:
-            typer.echo(json.dumps(work.summary(result, files), indent=2, allow_nan=False))
+            _say(json.dumps(work.summary(result, files), indent=2, allow_nan=False))
         else:
-            typer.echo("\n".join([repr(grids), "", repr(result), *(f"wrote {file}" for file in files)]))
+            _say("\n".join([repr(grids), "", repr(result), *(f"wrote {file}" for file in files)]))
     if not result.status.ok:
-        typer.echo(f"adaptmg: not converged ({result.status.name}): {result.status.value}", err=True)
+        _say(f"adaptmg: not converged ({result.status.name}): {result.status.value}", err=True)
         raise typer.Exit(1)
 
 
 @contextmanager
 def _told() -> Iterator[None]:
-    """Bad input, and files that cannot be written, become one line on standard error and exit code 2."""
+    """Bad input and files that cannot be written become a line on standard error and exit code 2; Ctrl-C is 130."""
     try:
         yield
-    except (ValueError, TypeError, OSError) as error:
-        typer.echo(f"adaptmg: {error}", err=True)
+    except BrokenPipeError:
+        raise  # who read the output has gone: typer ends quietly
+    except KeyboardInterrupt:
+        _say("adaptmg: interrupted", err=True)
+        raise typer.Exit(130) from None
+    except (ValueError, TypeError, OSError, MemoryError, ArithmeticError, RuntimeError) as error:
+        _say(f"adaptmg: {' '.join(_words(error).split())}", err=True)
         raise typer.Exit(2) from None
+
+
+def _words(error: Exception) -> str:
+    """What an exception says, without numbers of the operating system."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror if error.filename is None else f"{error.strerror}: {error.filename!r}"
+    if isinstance(error, MemoryError):
+        return f"not enough memory: take fewer or larger elements ({error})"
+    return str(error) if isinstance(error, ValueError | TypeError) else f"{type(error).__name__}: {error}"
+
+
+def _say(text: str, err: bool = False) -> None:
+    """Print a text whatever is in it and whatever the terminal can show; characters it cannot become codes."""
+    stream = sys.stderr if err else sys.stdout
+    code = getattr(stream, "encoding", None) or "utf-8"
+    typer.echo(printable(text).encode(code, "backslashreplace").decode(code), err=err)

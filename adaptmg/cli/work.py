@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,10 +12,12 @@ from typing import Any
 import numpy as np
 
 import adaptmg as am
+from adaptmg.atomic import make_folder, write_bytes
 from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
+from adaptmg.problem import checks
 from adaptmg.solver.run import Solver
 
-__all__ = ["hierarchy_of", "problem_of", "solved", "solver_of", "summary", "write"]
+__all__ = ["hierarchy_of", "out_folder", "problem_of", "solved", "solver_of", "summary", "write"]
 
 #: options, beside rtol and most, that a method takes
 _TAKES = {SolverName.FULL: ("correction", "cycle", "pre", "post", "omega"),
@@ -89,7 +93,8 @@ def _numbers(option: str, text: str, kind: Callable[[str], Any]) -> tuple[Any, .
         return tuple(kind(part) for part in text.split(","))
     except ValueError:
         example = "4,8,16,32" if kind is int else "10e-3,5e-3,2.5e-3"
-        raise ValueError(f"--{option} must be numbers between commas, such as {example}; got {text!r}") from None
+        raise ValueError(f"--{option} must be numbers between commas, such as {example}; "
+                         f"got {checks.shown(text)}") from None
 
 
 def solved(grids: am.Hierarchy, method: Solver, callback: Callable[[dict[str, float]], None] | None) -> am.Result:
@@ -122,18 +127,28 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def out_folder(given: Path) -> Path:
+    """The folder to write to, told before any work if a file is in the way; it is made when there is something."""
+    folder = checks.file_path("--out", given)
+    there = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), folder)
+    if os.path.lexists(there) and not there.is_dir():
+        raise ValueError(f"--out must be a folder, but {str(there)!r} is in the way")
+    return folder
+
+
 def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, result: am.Result) -> list[Path]:
     """Result, pictures and VTK file into a directory, made where missing; returns what was written."""
     import matplotlib
 
     matplotlib.use("Agg")
-    directory.mkdir(parents=True, exist_ok=True)
+    make_folder("--out", directory)
     files = [directory / "result.npz", directory / "result.vtu"]
     result.save(files[0])
-    am.export.vtk(result, files[1], problem)
+    am.export.vtk(result, files[1])
     pictures = {"problem": lambda: am.plot.problem(problem), "grids": lambda: am.plot.grids(grids),
-                "deformed": lambda: am.plot.deformed(result), "contact": lambda: am.plot.contact(result),
-                "stress": lambda: am.plot.deformation(result, stress=True, problem=problem, states=True)}
+                "deformed": lambda: am.plot.deformation(result, displacement=True),
+                "contact": lambda: am.plot.contact(result),
+                "stress": lambda: am.plot.deformation(result, stress=True, states=True)}
     if len(result.history.get("cycle", ())) > 1:
         pictures["history"] = lambda: am.plot.history(result)
     if result.path:
@@ -141,5 +156,7 @@ def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, resu
     for name, draw in pictures.items():
         figure = draw()
         files.append(directory / f"{name}.png")
-        figure.savefig(files[-1], dpi=200, bbox_inches="tight")
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png", dpi=200, bbox_inches="tight")
+        write_bytes(files[-1], picture.getvalue())
     return files

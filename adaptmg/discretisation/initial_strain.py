@@ -53,7 +53,10 @@ def mean_initial_strain(mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric
     """
     result = np.zeros((len(mesh.elements), 3))
     for load in loads:
-        if isinstance(load, InitialStrain):
+        if isinstance(load, InitialStrain) and not any(map(callable, load.components)):
+            _check_components(mesh, load)
+            result[body_elements(mesh, load.body), :len(load.components)] += load.components
+        elif isinstance(load, InitialStrain):
             elements, strain, weights, _ = _at_quadrature_points(mesh, load, axisymmetric)
             result[elements] += np.einsum("eq,eqd->ed", weights, strain) / weights.sum(axis=1)[:, None]
     return result
@@ -102,13 +105,17 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, material: Materia
     return result
 
 
-def _at_quadrature_points(mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
-                          ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric points."""
+def _check_components(mesh: MeshArrays, load: InitialStrain) -> None:
     given = len(load.components)
     if given not in (mesh.dim, 3):
         raise ValueError(f"{load!r} has {given} components on a {mesh.dim}D mesh: "
                          + ("give 3" if mesh.dim == 3 else "give 2, or 3 with the one out of the plane"))
+
+
+def _at_quadrature_points(mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
+                          ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric points."""
+    _check_components(mesh, load)
     elements = body_elements(mesh, load.body)
     rule, weights = quadrature_rule(mesh.dim + 1, AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE)
     points = quadrature_points(mesh.points, mesh.elements[elements], rule)

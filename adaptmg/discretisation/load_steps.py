@@ -7,17 +7,19 @@ r"""Load steps: nodal loads and prescribed displacements by name, so that every 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from adaptmg.coupling import Coupling
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation.loads import load_vector
+from adaptmg.discretisation.measures import StressData
 from adaptmg.discretisation.supports import fixed_dofs
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import DEFAULT, name_in_path
+from adaptmg.problem.loads import InitialStrain
 
 __all__ = ["LoadSteps", "load_steps", "whole_load"]
 
@@ -33,11 +35,23 @@ class LoadSteps:
         Nodal forces at factor 1, dual, N; with a coupling in relative coordinates.
     prescribed : dict of str to ((n,) int array, (n,) array)
         Fixed dofs of the supports and their displacements at factor 1, m.
+    stress : StressData or None
+        What stresses follow from before initial strains; None without a problem.
+    strains : dict of str to (n_elements, 3) array
+        Initial strains at factor 1.
     """
 
     n_dofs: int
     loads: Mapping[str, np.ndarray]
     prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    stress: StressData | None = None
+    strains: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def stress_data(self, factors: Mapping[str, float]) -> StressData | None:
+        """What the stresses of a step follow from."""
+        if not self.strains:
+            return self.stress
+        return replace(self.stress, initial_strain=sum(factors[name] * strain for name, strain in self.strains.items()))
 
     def load(self, factors: Mapping[str, float]) -> np.ndarray:
         """Nodal forces (n_dofs,) of a step, N."""
@@ -85,16 +99,19 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, coupling: Coupling | N
     LoadSteps
         With all factors 1 the load and the fixed values that :func:`adaptmg.discretise` makes.
     """
-    loads = {}
+    loads, strains = {}, {}
     for name in dict.fromkeys(map(name_in_path, problem.loads)):
-        forces = load_vector(mesh, [load for load in problem.loads if name_in_path(load) == name], problem.material)
+        named = [load for load in problem.loads if name_in_path(load) == name]
+        forces = load_vector(mesh, named, problem.material)
         loads[name] = forces if coupling is None else coupling.relative_forces(forces)
+        if any(isinstance(load, InitialStrain) for load in named):
+            strains[name] = StressData.of(mesh, problem.material, named).initial_strain
     prescribed = {}
     for name in dict.fromkeys(map(name_in_path, problem.supports)):
         fixed, values = fixed_dofs(mesh, [support for support in problem.supports if name_in_path(support) == name])
         dofs = np.flatnonzero(fixed)
         prescribed[name] = dofs, values[dofs]
-    return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed)
+    return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed, StressData.of(mesh, problem.material), strains)
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:

@@ -11,16 +11,17 @@ taken: its value at the centroid, :math:`\int u_r \big/ \int r`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from adaptmg.discretisation.body_materials import Materials, body_materials, is_axisymmetric, lame_constants
 from adaptmg.discretisation.initial_strain import mean_initial_strain
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.loads import Load
+from adaptmg.problem.loads import InitialStrain, Load
 from adaptmg.problem.materials import PlaneStrain, PlaneStress
 
-__all__ = ["element_strain", "element_stress", "full_stress", "hoop_strain", "von_mises"]
+__all__ = ["StressData", "element_strain", "element_stress", "full_stress", "hoop_strain", "von_mises"]
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -64,6 +65,66 @@ def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     return u[mesh.elements, 0].sum(axis=1) / mesh.points[mesh.elements, 0].sum(axis=1)
 
 
+#: kinds of bodies in StressData
+_PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class StressData:
+    """What stresses follow from, beside a mesh and a displacement.
+
+    Attributes
+    ----------
+    lame, shear : (n_bodies,) arrays
+        Lame constants as they enter the stress, Pa.
+    kind : (n_bodies,) int8 array
+        0 for plane strain and solids, 1 for plane stress, 2 for axisymmetric bodies.
+    initial_strain : (n_elements, 3) array, or (0, 3) for none
+        Means on the elements of the strain that carries no stress.
+    """
+
+    lame: np.ndarray
+    shear: np.ndarray
+    kind: np.ndarray
+    initial_strain: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = ()) -> StressData:
+        """From materials (one, or body name -> Elastic) and the initial strains among loads."""
+        materials = body_materials(mesh, material)
+        kind = [_THIN if isinstance(one, PlaneStress) else _AXISYMMETRIC if is_axisymmetric(one) else _PLAIN
+                for one in materials]
+        strains = [load for load in loads if isinstance(load, InitialStrain)]
+        initial = mean_initial_strain(mesh, strains, axisymmetric=is_axisymmetric(materials)) if strains else None
+        return cls(*lame_constants(materials), np.array(kind, dtype=np.int8),
+                   np.zeros((0, 3)) if initial is None else initial)
+
+    @property
+    def axisymmetric(self) -> bool:
+        """Whether x is the radius r, and y the axial coordinate z."""
+        return bool((self.kind == _AXISYMMETRIC).any())
+
+    def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+        """Stress tensors (n_elements, 3, 3) as of :func:`full_stress`."""
+        if len(self.kind) != len(mesh.bodies) or len(self.initial_strain) not in (0, len(mesh.elements)):
+            raise ValueError(f"stress data of {len(self.kind)} bodies and {len(self.initial_strain)} elements do not "
+                             f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}")
+        dim, body, diagonal = mesh.dim, mesh.element_body, np.arange(3)
+        strain = np.zeros((len(mesh.elements), 3, 3))
+        strain[:, :dim, :dim] = element_strain(mesh, displacement)
+        if self.axisymmetric:
+            strain[:, 2, 2] = hoop_strain(mesh, displacement)
+        if len(self.initial_strain):
+            strain[:, diagonal, diagonal] -= self.initial_strain
+        thin = (self.kind == _THIN)[body]
+        # a sheet strains freely through its thickness: its Lame constant accounts for that
+        strain[thin, 2, 2] = 0.0
+        stress = 2 * self.shear[body][:, None, None] * strain
+        stress[:, diagonal, diagonal] += (self.lame[body] * np.trace(strain, axis1=1, axis2=2))[:, None]
+        stress[thin, 2, 2] = 0.0
+        return stress
+
+
 def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
                 ) -> np.ndarray:
     """Cauchy stress tensors with the stress out of the plane, whatever the material.
@@ -84,23 +145,7 @@ def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray,
         Pa; tension positive. In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress;
         the shear stresses out of the plane are 0.
     """
-    materials = body_materials(mesh, material)
-    axisymmetric = is_axisymmetric(materials)
-    dim, body = mesh.dim, mesh.element_body
-    strain = np.zeros((len(mesh.elements), 3, 3))
-    strain[:, :dim, :dim] = element_strain(mesh, displacement)
-    if axisymmetric:
-        strain[:, 2, 2] = hoop_strain(mesh, displacement)
-    diagonal = np.arange(3)
-    strain[:, diagonal, diagonal] -= mean_initial_strain(mesh, loads, axisymmetric=axisymmetric)
-    thin = np.array([isinstance(one, PlaneStress) for one in materials])[body]
-    # a sheet strains freely through its thickness: its Lame constant accounts for that
-    strain[thin, 2, 2] = 0.0
-    lame, shear = (constants[body] for constants in lame_constants(materials))
-    stress = 2 * shear[:, None, None] * strain
-    stress[:, diagonal, diagonal] += (lame * np.trace(strain, axis1=1, axis2=2))[:, None]
-    stress[thin, 2, 2] = 0.0
-    return stress
+    return StressData.of(mesh, material, loads).tensors(mesh, displacement)
 
 
 def element_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()

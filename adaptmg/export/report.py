@@ -17,11 +17,46 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from adaptmg.atomic import write_bytes
-from adaptmg.export.page_style import STYLE
+from adaptmg.problem import checks
 from adaptmg.study.fingerprint import environment
 from adaptmg.study.tables import as_html
+from adaptmg.text import printable
 
 __all__ = ["Report"]
+
+#: readable tables, light or dark as the reader's system is
+_STYLE = """\
+:root {
+  color-scheme: light dark;
+  --ink: #1f2328; --soft: #59636e; --line: #d7dce2; --paper: #ffffff; --band: #f5f7f9; --link: #0061a4;
+}
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e3e7eb; --soft: #9aa4af; --line: #3a4149; --paper: #16191d; --band: #1e2227; --link: #6cb6f2; }
+}
+body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.55 system-ui, sans-serif; }
+main { max-width: min(96vw, 100rem); margin: 0 auto; padding: 2rem 1.25rem 4rem; }
+h1 { font-size: 1.9rem; line-height: 1.25; margin: 0 0 .6rem; }
+h2 { font-size: 1.3rem; margin: 2.8rem 0 .6rem; padding-top: .6rem; border-top: 1px solid var(--line); }
+p { max-width: 46rem; margin: .6rem 0; }
+a { color: var(--link); text-decoration: none; }
+a:hover { text-decoration: underline; }
+nav { max-width: 44rem; background: var(--band); border-radius: 6px; padding: .7rem 1rem; margin: 1.4rem 0; }
+nav ol { margin: 0; padding-left: 1.6rem; }
+figure { margin: 1.5rem 0; }
+figure img { max-width: min(100%, 62rem); height: auto; background: #ffffff; border-radius: 4px; }
+figcaption { color: var(--soft); font-size: .92rem; max-width: 46rem; margin: .4rem 0; }
+figure.table figcaption { color: var(--ink); font-weight: 600; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; font-size: .82rem; font-variant-numeric: tabular-nums; }
+thead th { border-bottom: 1.5px solid var(--ink); text-align: left; vertical-align: bottom; }
+th, td { padding: .25rem .55rem; white-space: nowrap; }
+th.n, td.n { text-align: right; }
+tbody tr:nth-child(even) { background: var(--band); }
+tbody tr:last-child td { border-bottom: 1px solid var(--line); }
+.note { color: var(--soft); font-size: .88rem; }
+footer { margin-top: 3.5rem; padding-top: .8rem; border-top: 1px solid var(--line); color: var(--soft);
+  font-size: .85rem; }
+"""
 
 
 class Report:
@@ -52,7 +87,7 @@ class Report:
         """Begin a section; it is listed in the table of contents."""
         self._sections.append(_text("title", title))
         number = len(self._sections)
-        self._parts.append(f'<h2 id="section-{number}">{number}. {html.escape(title)}</h2>')
+        self._parts.append(f'<h2 id="section-{number}">{number}. {_escaped(title)}</h2>')
         self.text(text)
 
     def text(self, text: str) -> None:
@@ -82,7 +117,7 @@ class Report:
         """Add a picture as it is now, as PNG inside the page; pyplot then forgets it (an open figure costs memory)."""
         if not isinstance(figure, Figure):
             raise TypeError(f"figure must be a matplotlib Figure, got {type(figure).__name__}")
-        caption = html.escape(_text("caption", caption))
+        caption = _escaped(_text("caption", caption))
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=160, bbox_inches="tight", facecolor="white")
         plt.close(figure)
@@ -99,22 +134,22 @@ class Report:
         pathlib.Path
             Where it is.
         """
-        target = Path(path)
+        target = checks.file_path("path", path)
         write_bytes(target, self.page().encode())
         return target
 
     def page(self) -> str:
         """The whole page as text."""
-        entries = "\n".join(f'<li><a href="#section-{k}">{html.escape(name)}</a></li>'
+        entries = "\n".join(f'<li><a href="#section-{k}">{_escaped(name)}</a></li>'
                             for k, name in enumerate(self._sections, 1))
         contents = f"<nav>\n<ol>\n{entries}\n</ol>\n</nav>\n" if entries else ""
         summary = "\n".join(_paragraphs(self.summary))
         body = "\n".join(self._parts)
         return (f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
                 f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-                f"<title>{html.escape(self.title)}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n"
-                f"<h1>{html.escape(self.title)}</h1>\n{summary}\n{contents}{body}\n"
-                f"<footer>{html.escape(self._provenance())}</footer>\n</main>\n</body>\n</html>\n")
+                f"<title>{_escaped(self.title)}</title>\n<style>\n{_STYLE}</style>\n</head>\n<body>\n<main>\n"
+                f"<h1>{_escaped(self.title)}</h1>\n{summary}\n{contents}{body}\n"
+                f"<footer>{_escaped(self._provenance())}</footer>\n</main>\n</body>\n</html>\n")
 
     def _provenance(self) -> str:
         versions = ", ".join(f"{name} {version}" for name, version in environment().items())
@@ -124,13 +159,18 @@ class Report:
                 f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores.")
 
 
+def _escaped(text: str) -> str:
+    """A text as HTML takes it, control characters as codes."""
+    return html.escape(printable(text))
+
+
 def _text(name: str, value: str, empty: bool = False) -> str:
     if not isinstance(value, str):
-        raise TypeError(f"{name} must be a string, got {value!r}")
+        raise TypeError(f"{name} must be a string, got {checks.shown(value)}")
     if not value and not empty:
         raise ValueError(f"{name} must not be empty")
     return value
 
 
 def _paragraphs(text: str) -> list[str]:
-    return [f"<p>{html.escape(' '.join(part.split()))}</p>" for part in text.split("\n\n") if part.strip()]
+    return [f"<p>{_escaped(' '.join(part.split()))}</p>" for part in text.split("\n\n") if part.strip()]

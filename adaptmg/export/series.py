@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import os
-import tempfile
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from adaptmg.atomic import write_bytes
-from adaptmg.export.vtu import Materials, document
+from adaptmg.atomic import waiting_folder, write_bytes
+from adaptmg.export.vtu import document
 from adaptmg.problem import checks
 from adaptmg.solver.result import Result
+from adaptmg.text import printable
 
 __all__ = ["vtk_series"]
 
 
-def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None,
-               problem: Materials | None = None) -> Path:
+def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None
+               ) -> Path:
     """Write a sequence of results for ParaView; see :mod:`adaptmg.export.vtu` for the fields.
 
     Parameters
@@ -33,8 +35,6 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         there, all it lists is there. An older one of the same name is removed before its steps are replaced.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ... (load factors that fall are no times: give pseudo-times).
-    problem : ContactProblem, or a material, or mapping of body name to material, optional
-        For the stress.
 
     Returns
     -------
@@ -56,18 +56,22 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     if (np.diff(times) <= 0).any():
         raise ValueError(f"times must increase strictly, got {times.tolist()}: for load factors that fall or stay give "
                          "pseudo-times, or leave times out")
-    target = _target(Path(path))
+    given = checks.file_path("path", path)
+    target = _target(given)
     names = [f"{target.stem}_{k:04d}.vtu" for k in range(len(results))]
-    folder_is_new = not target.parent.exists()
+    _check_target(target)
+    folder_is_new = target.parent == given and not target.parent.exists()
     if folder_is_new:
         target.parent.mkdir()
     try:
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.stem}") as waiting:
+        with waiting_folder(target.parent) as waiting:
             for name, result in zip(names, results, strict=True):
-                write_bytes(Path(waiting, name), document(result, problem))
-            target.unlink(missing_ok=True)
+                write_bytes(waiting / name, document(result))
+            # of a link what it leads to: the new one is written through it
+            if target.exists():
+                Path(os.path.realpath(target)).unlink()
             for name in names:
-                os.replace(Path(waiting, name), target.parent / name)
+                os.replace(waiting / name, target.parent / name)
         write_bytes(target, _collection(names, times))
     except BaseException:
         if folder_is_new and not any(target.parent.iterdir()):
@@ -85,8 +89,18 @@ def _target(path: Path) -> Path:
     return path / f"{path.name}.pvd"
 
 
+def _check_target(target: Path) -> None:
+    """OSError for a path that can be no file, before any step is written."""
+    try:
+        there = target.stat()
+    except FileNotFoundError:
+        return
+    if stat.S_ISDIR(there.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "this is a folder, give the name of a file", str(target))
+
+
 def _collection(names: Sequence[str], times: np.ndarray) -> bytes:
     lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="1.0">', "<Collection>"]
-    lines += [f'<DataSet timestep="{float(time)!r}" part="0" file={quoteattr(name)}/>'
+    lines += [f'<DataSet timestep="{float(time)!r}" part="0" file={quoteattr(printable(name))}/>'
               for name, time in zip(names, times, strict=True)]
     return "\n".join([*lines, "</Collection>", "</VTKFile>", ""]).encode()

@@ -8,11 +8,12 @@ Point data: ``displacement`` m, ``reaction`` N (2D: N/m); and of contact, 0 at e
 open, 1 slip, 2 stick) and ``contact_pair`` (which contact boundary) are -1. Between two bodies the contact nodes are
 those of the slave surface, gap and slip relative to the master.
 
-Cell data: ``body``, the index of the body; and where materials are given ``stress`` (a symmetric tensor: xx, yy, zz,
-xy, yz, xz; axisymmetric: x = r, y axial, zz the hoop stress) and ``von_mises``, Pa, constant in each cell.
+Cell data: ``body``, the index of the body; and where the result knows its materials ``stress`` (a symmetric tensor: xx,
+yy, zz, xy, yz, xz; axisymmetric: x = r, y axial, zz the hoop stress) and ``von_mises``, Pa, constant in each cell.
 
 Field data: ``body:NAME`` and ``contact:NAME`` (of a pair ``contact:SLAVE|MASTER``) hold the index of each body and
-contact boundary. Numbers, because not all readers know the strings of VTK.
+contact boundary. Numbers, because not all readers know the strings of VTK. Control characters in names, which XML does
+not allow, are written as codes such as \\x01.
 """
 
 from __future__ import annotations
@@ -20,24 +21,22 @@ from __future__ import annotations
 import os
 import struct
 import sys
-from collections.abc import Mapping
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from adaptmg.atomic import write_bytes
-from adaptmg.problem import ContactProblem, Elastic
+from adaptmg.problem import checks
 from adaptmg.solver.result import Result
+from adaptmg.text import printable
 
-__all__ = ["Materials", "document", "vtk"]
-
-Materials = ContactProblem | Elastic | Mapping[str, Elastic]
+__all__ = ["document", "vtk"]
 
 _TYPES = {"float64": "Float64", "int64": "Int64", "int32": "Int32", "uint8": "UInt8", "int8": "Int8"}
 _TRIANGLE, _TETRAHEDRON = 5, 10
 
 
-def vtk(result: Result, path: str | os.PathLike[str], problem: Materials | None = None) -> None:
+def vtk(result: Result, path: str | os.PathLike[str]) -> None:
     """Write the solution on the finest mesh for ParaView; see the module for the fields.
 
     Parameters
@@ -46,20 +45,19 @@ def vtk(result: Result, path: str | os.PathLike[str], problem: Materials | None 
         With a mesh.
     path : path
         Ends in ``.vtu``. The file appears complete or not at all.
-    problem : ContactProblem, or a material, or mapping of body name to material, optional
-        For the stress; a problem also says which strains are initial (free of stress).
 
     Raises
     ------
     ValueError
-        Without a mesh, for another suffix (ParaView goes by it), or for materials that do not fit the bodies.
+        Without a mesh or for another suffix (ParaView goes by it).
     """
-    if not os.fspath(path).endswith(".vtu"):
+    target = checks.file_path("path", path)
+    if target.suffix != ".vtu":
         raise ValueError(f"path must end in .vtu, got {os.fspath(path)!r}")
-    write_bytes(path, document(result, problem))
+    write_bytes(target, document(result))
 
 
-def document(result: Result, problem: Materials | None = None) -> bytes:
+def document(result: Result) -> bytes:
     """The whole file; arguments as of :func:`vtk`."""
     if not isinstance(result, Result):
         raise TypeError(f"result must be a Result, got {type(result).__name__}")
@@ -69,10 +67,12 @@ def document(result: Result, problem: Materials | None = None) -> bytes:
     elements = np.ascontiguousarray(mesh.elements, dtype=np.int64)
     corners = elements.shape[1]
     kind = _TRIANGLE if mesh.dim == 2 else _TETRAHEDRON
+    known = result.stress_data is not None
+    stresses = {"stress": result.stresses(), "von_mises": result.von_mises()} if known else {}
     piece = {
         "PointData": {"displacement": _three(result.displacement), "reaction": _three(result.reaction)}
         | _contact_data(result),
-        "CellData": {"body": mesh.element_body} | _stress(result, problem),
+        "CellData": {"body": mesh.element_body} | stresses,
         "Points": {"points": _three(mesh.points)},
         "Cells": {"connectivity": elements.reshape(-1),
                   "offsets": np.arange(1, len(elements) + 1, dtype=np.int64) * corners,
@@ -95,7 +95,8 @@ def _assemble(fields: dict[str, np.ndarray], piece: dict[str, dict[str, np.ndarr
         for name, array in arrays.items():
             counts = f' NumberOfTuples="{len(array)}"' if field else ""
             counts += f' NumberOfComponents="{array.shape[1]}"' if array.ndim == 2 else ""
-            head.append(f'<DataArray type="{_TYPES[array.dtype.name]}" Name={quoteattr(name)}{counts} '
+            called = quoteattr(printable(name))
+            head.append(f'<DataArray type="{_TYPES[array.dtype.name]}" Name={called}{counts} '
                         f'format="appended" offset="{sum(map(len, blocks))}"/>')
             data = np.ascontiguousarray(array).tobytes()
             blocks.append(struct.pack("=Q", len(data)) + data)
@@ -135,17 +136,6 @@ def _contact_data(result: Result) -> dict[str, np.ndarray]:
             "contact_state": spread(np.asarray(contact.state, dtype=np.int8), -1),
             "contact_pair": spread(np.asarray(contact.boundary, dtype=np.int32), -1),
             "contact_mask": spread(np.ones(len(contact), dtype=np.uint8))}
-
-
-def _stress(result: Result, problem: Materials | None) -> dict[str, np.ndarray]:
-    if problem is None:
-        return {}
-    from adaptmg.discretisation.measures import full_stress, von_mises
-
-    material, loads = (problem.material, problem.loads) if isinstance(problem, ContactProblem) else (problem, ())
-    stress = full_stress(result.mesh, material, result.displacement, loads)
-    rows, columns = [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]
-    return {"stress": stress[:, rows, columns], "von_mises": von_mises(stress)}
 
 
 def _three(vectors: np.ndarray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,12 +13,23 @@ from adaptmg.on_demand import made_on_demand
 __all__ = ["MeshArrays", "trusted"]
 
 
-def _frozen(array: np.ndarray, dtype: type) -> np.ndarray:
-    """A read-only copy; the array itself if it is read-only already and no view of another."""
+# of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
+_LABELS = ("facet_labels", "element_body")
+
+
+def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
+    """A read-only copy; node numbers are not rounded from floats, nor wrapped from more than 32 bits."""
     if (type(array) is np.ndarray and array.dtype == dtype and array.base is None and array.flags.c_contiguous
             and not array.flags.writeable):
         return array
-    result = np.array(array, dtype=dtype, order="C")
+    given = np.asarray(array)
+    whole = name in _LABELS and (given.dtype.kind == "b" or (given.dtype.kind == "f" and (given == given // 1).all()))
+    if given.dtype.kind not in ("iuf" if dtype is np.float64 else "iu") and given.size and not whole:
+        what = "real numbers" if dtype is np.float64 else "integers"
+        raise TypeError(f"{name} must be an array of {what}, got an array of {given.dtype}")
+    if dtype is np.int32 and given.size and not (given.min() >= -2**31 and given.max() < 2**31):
+        raise ValueError(f"{name} must be below 2**31, got {given.min()} to {given.max()}")
+    result = np.array(given, dtype=dtype, order="C")
     result.flags.writeable = False
     return result
 
@@ -47,7 +57,8 @@ class MeshArrays:
         Names of the bodies.
     source : ngsolve.Mesh, optional
         A straight ngsolve.Mesh of these arrays, with the same node and element numbers, for work in
-        NGSolve. Not saved. Meshes made by adaptmg build it when it is first read.
+        NGSolve. Meshes made by adaptmg build it when it is first read. Neither saved nor pickled:
+        :func:`adaptmg.mesh.build.with_source` makes one anew. Copies share it.
 
     Attributes
     ----------
@@ -69,11 +80,23 @@ class MeshArrays:
     def __post_init__(self) -> None:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
                             ("facet_labels", np.int32)):
-            object.__setattr__(self, name, _frozen(getattr(self, name), dtype))
+            object.__setattr__(self, name, _frozen(name, getattr(self, name), dtype))
         body = np.zeros(len(self.elements), dtype=np.int32) if self.element_body is None else self.element_body
-        object.__setattr__(self, "element_body", _frozen(body, np.int32))
+        object.__setattr__(self, "element_body", _frozen("element_body", body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
+        return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
+                            self.element_body, self.bodies)
+
+    def __copy__(self) -> MeshArrays:
+        return trusted(self, vars(self)["source"], sound=self.sound)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> MeshArrays:
+        # frozen arrays need no second copy, and an ngsolve.Mesh belongs to one mesh however often that is copied
+        return self
 
     @property
     def dim(self) -> int:
@@ -111,10 +134,11 @@ class MeshArrays:
         return np.linalg.det(edges) / (2 if self.dim == 2 else 6)
 
 
-def trusted(mesh: MeshArrays, source: Any) -> MeshArrays:
+def trusted(mesh: MeshArrays, source: Any, sound: bool = True) -> MeshArrays:
     """The same arrays, not copied, as a mesh that is known to be sound, with another source."""
-    result = copy.copy(mesh)
-    result.__dict__.update(source=source, sound=True)
+    result = object.__new__(MeshArrays)
+    result.__dict__.update(mesh.__dict__)
+    result.__dict__.update(source=source, sound=sound)
     return result
 
 

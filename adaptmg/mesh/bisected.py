@@ -13,8 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import from_ngsolve, to_ngsolve
+from adaptmg.mesh.build import own_mesh, to_ngsolve
 from adaptmg.mesh.check import check_mesh
+from adaptmg.mesh.generate import MAX_NODES
+from adaptmg.mesh.interruptible import interruptible
 from adaptmg.problem import checks
 
 __all__ = ["bisect", "refine_near"]
@@ -55,11 +57,11 @@ def bisect(mesh: MeshArrays, marked: np.ndarray) -> tuple[MeshArrays, np.ndarray
     copy = to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
                       element_body=mesh.element_body, bodies=mesh.bodies)
     copy.SetRefinementFlags(marked.tolist())
-    copy.Refine()
+    interruptible(copy.Refine)
     parents = np.repeat(np.arange(copy.nv), 2).reshape(-1, 2)
     # NGSolve tells parents node by node only: 0.2 us each, small beside the refinement itself
     parents[mesh.n_nodes:] = [copy.GetParentVertices(i) for i in range(mesh.n_nodes, copy.nv)]
-    return from_ngsolve(copy), parents
+    return own_mesh(copy), parents
 
 
 def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int = 1) -> list[MeshArrays]:
@@ -82,17 +84,32 @@ def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int =
     Raises
     ------
     ValueError
-        On an unknown boundary or ``levels`` < 1.
+        On an unknown boundary, ``levels`` < 1, or so many that more than 5 million nodes (3D: 2 million) are expected:
+        each level doubles the elements at the boundaries (3D: four times).
+
+    Notes
+    -----
+    Elsewhere the mesh stays what it was: so does its part of the discretisation error.
     """
     levels = checks.integer("levels", levels, 1)
-    names = (boundaries,) if isinstance(boundaries, str) else tuple(boundaries)
+    names = (boundaries,) if isinstance(boundaries, str) else checks.strings("boundaries", boundaries)
     if not names:
         raise ValueError("boundaries must name at least one boundary")
     meshes = [check_mesh(mesh, names)]
+    facets = sum(len(mesh.boundary_facets(name)) for name in names)
+    # each facet is cut in 2 (3D: 4) a level, and gets about as many new nodes beside it
+    expected = facets * (mesh.dim - 1) * 2.0 ** min((mesh.dim - 1) * levels, 1000)
+    if mesh.n_nodes + expected > MAX_NODES[mesh.dim]:
+        raise ValueError(f"levels: {levels} bisections along {facets} facets of {', '.join(names)} ask for about "
+                         f"{mesh.n_nodes + expected:.1g} nodes (at most {MAX_NODES[mesh.dim]:.0e}); take fewer levels")
     for _ in range(levels):
-        coarse = meshes[-1]
-        near = np.zeros(coarse.n_nodes, dtype=bool)
-        for name in names:
-            near[coarse.boundary_nodes(name)] = True
-        meshes.append(bisect(coarse, near[coarse.elements].any(axis=1))[0])
+        meshes.append(bisect(meshes[-1], _touching(meshes[-1], names))[0])
     return meshes
+
+
+def _touching(mesh: MeshArrays, names: Sequence[str]) -> np.ndarray:
+    """Mask of the elements with a node on one of some boundaries."""
+    near = np.zeros(mesh.n_nodes, dtype=bool)
+    for name in names:
+        near[mesh.boundary_nodes(name)] = True
+    return near[mesh.elements].any(axis=1)

@@ -11,9 +11,10 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.check import check_mesh
 from adaptmg.mesh.normalise import normalised
+from adaptmg.mesh.overlap import check_overlap
 from adaptmg.on_demand import OnDemand
 
-__all__ = ["from_ngsolve", "to_ngsolve", "with_source"]
+__all__ = ["from_ngsolve", "own_mesh", "to_ngsolve", "with_source"]
 
 # Netgen's element types of first and second order
 _TRIANGLES = (10, 12)
@@ -147,6 +148,11 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     """
     if not isinstance(mesh, ngsolve.Mesh):
         raise TypeError(f"mesh must be an ngsolve.Mesh, got {type(mesh).__name__}")
+    return check_overlap(own_mesh(mesh))
+
+
+def own_mesh(mesh: ngsolve.Mesh) -> MeshArrays:
+    """The same for a mesh that Netgen just made for us, which needs no look for bodies that lie over themselves."""
     dim, ngmesh = mesh.dim, mesh.ngmesh
     if dim not in (2, 3):
         raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
@@ -162,9 +168,19 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     facets = surface["nodes"][:, :dim].astype(np.int64) - 1
     label = surface["index"].astype(np.int64) - 1
     if dim == 3:
-        label = np.array([face.bc for face in ngmesh.FaceDescriptors()], dtype=np.int64)[label] - 1
+        faces = np.array([face.bc for face in ngmesh.FaceDescriptors()], dtype=np.int64) - 1
+        _check_index("the face descriptor", label, len(faces))
+        label = faces[label]
     body = volume["index"].astype(np.int64) - 1
+    _check_index("the boundary number", label, len(mesh.GetBoundaries()))
+    _check_index("the material number", body, len(mesh.GetMaterials()))
     return with_source(normalised(points, elements, facets, label, mesh.GetBoundaries(), body, mesh.GetMaterials()))
+
+
+def _check_index(what: str, index: np.ndarray, size: int) -> None:
+    if len(index) and (index.min() < 0 or index.max() >= size):
+        raise ValueError(f"mesh: {what} of an element must be from 1 to {size}, got {index.min() + 1} to "
+                         f"{index.max() + 1}")
 
 
 def _check_simplices(types: np.ndarray, allowed: tuple[int, ...]) -> None:

@@ -40,9 +40,10 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
     TypeError
         If it is no MeshArrays.
     ValueError
-        No elements; wrong shapes; a node number out of range; an inverted or degenerate element; an unused node; a hole
-        (a facet of one element that is no boundary facet), a boundary facet inside the mesh, given twice, or oriented
-        inwards; a named boundary that is missing; a body of several pieces.
+        No elements; wrong shapes; a node number out of range; an inverted or degenerate element; an unused node; a
+        fold (two neighbours on the same side of their facet); a hole (a facet of one element that is no boundary
+        facet), a boundary facet inside the mesh, given twice, or oriented inwards; a named boundary that is missing; a
+        body of several pieces.
     """
     if not isinstance(mesh, MeshArrays):
         raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}; as_mesh converts")
@@ -117,6 +118,8 @@ def _check_closed(mesh: MeshArrays, table: FacetTable) -> None:
                              f"{_at(mesh.points[facet])}")
 
     fail(table.counts > 2, f"{kind}s belong to more than two elements (overlapping elements)", table.facets)
+    fail(table.folded, f"{kind}s have both their elements on the same side: the mesh is folded over (tangled) there, "
+         "or holds an element twice", table.facets)
     row = table.find(facet_keys(mesh.facets, mesh.n_nodes))
     fail(row < 0, f"boundary facets are no {kind} of any element", mesh.facets)
     fail(table.counts[row] == 2, "boundary facets lie inside the mesh", mesh.facets)

@@ -20,18 +20,22 @@ from netgen.occ import Box as OccBox
 from netgen.occ import OCCGeometry, Pnt, X, Y, Z
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import from_ngsolve, with_source
+from adaptmg.mesh.build import own_mesh, with_source
 from adaptmg.mesh.geometry import BOX_SIDES
+from adaptmg.mesh.interruptible import interruptible
 from adaptmg.mesh.outline import onto_outline, plane_measures, spline_geometry, straight_area
+from adaptmg.mesh.thin import refuse_thin
 from adaptmg.problem.domains import Box, Domain
 from adaptmg.problem.outlines import Outline
 
-__all__ = ["SizeField", "expected_nodes", "guessed_nodes", "netgen_mesh", "refuse_too_many"]
+__all__ = ["MAX_NODES", "SizeField", "expected_nodes", "guessed_nodes", "netgen_mesh", "refuse_too_many"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 
 # what Netgen makes in about a quarter of an hour (0.2 ms a node in 2D, 0.7 ms in 3D)
-_MAX_NODES = {2: 5_000_000, 3: 2_000_000}
+MAX_NODES = {2: 5_000_000, 3: 2_000_000}
+# seconds: several times what meshes of that many nodes take
+_LIMIT_S = {2: 20_000.0, 3: 70_000.0}
 _NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 
@@ -67,6 +71,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
         If Netgen fails, or the mesh would have more than 5 million nodes (3D: 2 million).
     """
     lower, scale = _extent(domain)
+    refuse_thin(domain, max_size, side_sizes)
     refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
     mesh = None
     for step in range(rounds + 1):
@@ -95,7 +100,7 @@ def expected_nodes(mesh: MeshArrays, wanted: np.ndarray) -> float:
 
 def refuse_too_many(nodes: float, domain: Domain) -> None:
     """Raise ValueError if more nodes are expected than Netgen can make in reasonable time and memory."""
-    limit = _MAX_NODES[domain.dim]
+    limit = MAX_NODES[domain.dim]
     if nodes > limit:
         raise ValueError(f"the sizes ask for about {nodes:.1g} nodes (at most {limit:.0e}) on {domain!r}; "
                          "take larger sizes (they are in m) or refine a smaller part")
@@ -119,19 +124,20 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
                  grading: float) -> float:
     """Expected nodes from the sizes along the sides alone: the integral of (h + grading x)^-dim over x > 0."""
     volume, areas = _measures(domain)
-    cells = volume / max_size**domain.dim
-    for name, h in side_sizes.items():
-        cells += areas[name] / ((domain.dim - 1) * grading * h ** (domain.dim - 1))
-    return _NODES_PER_CELL[domain.dim] * cells
+    with np.errstate(over="ignore", divide="ignore"):
+        cells = volume * np.float64(1 / max_size) ** domain.dim
+        for name, h in side_sizes.items():
+            cells += areas[name] / ((domain.dim - 1) * grading) * np.float64(1 / h) ** (domain.dim - 1)
+    return float(_NODES_PER_CELL[domain.dim] * cells)
 
 
 def _generate(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],
               options: netgen.meshing.MeshingParameters) -> MeshArrays:
     """One call of Netgen on the scaled domain; the mesh in m, without source."""
-    geometry = (_box if isinstance(domain, Box) else spline_geometry)(domain, lower, scale, sides)
     try:
-        unit = from_ngsolve(ngsolve.Mesh(geometry.GenerateMesh(mp=options)))
-    except (netgen.meshing.NgException, ValueError) as error:
+        geometry = (_box if isinstance(domain, Box) else spline_geometry)(domain, lower, scale, sides)
+        unit = own_mesh(ngsolve.Mesh(interruptible(geometry.GenerateMesh, mp=options, limit=_LIMIT_S[domain.dim])))
+    except (netgen.meshing.NgException, ValueError, RuntimeError) as error:
         raise ValueError(f"Netgen could not mesh {domain!r} ({error}); change the sizes a little or take a smaller "
                          "grading") from error
     mesh = replace(unit, points=lower + scale * unit.points, bodies=("body",), source=None)

@@ -9,7 +9,7 @@ import numpy as np
 from adaptmg.problem.domains import Box, Polygon, Rectangle
 from adaptmg.problem.outlines import Outline
 
-__all__ = ["BOX_SIDES", "distance_to_boundaries", "require_simple"]
+__all__ = ["BOX_SIDES", "distance_of_segments", "distance_to_boundaries", "require_simple"]
 
 # which side of a box a boundary is: axis, and lower (0) or upper (1) end; a rectangle's vertical axis is its last one
 BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
@@ -79,16 +79,22 @@ def require_simple(outline: Polygon | Outline) -> None:
     i, j = np.triu_indices(n, 2)
     apart = (i != 0) | (j != n - 1)
     i, j = i[apart], j[apart]
-    # the distance of two edges that do not cross is reached at an end of one of them
-    ends = [_to_segment(a[j], a[i], b[i]), _to_segment(b[j], a[i], b[i]), _to_segment(a[i], a[j], b[j]),
-            _to_segment(b[i], a[j], b[j])]
+    distance = distance_of_segments(a, i, j)
     crossing = (_side(a[i], b[i], a[j]) * _side(a[i], b[i], b[j]) < 0) & (
         _side(a[j], b[j], a[i]) * _side(a[j], b[j], b[i]) < 0)
-    bad = crossing | (np.min(ends, axis=0) <= tiny) if len(i) else np.zeros(0, dtype=bool)
+    bad = crossing | (distance <= tiny) if len(i) else np.zeros(0, dtype=bool)
     if bad.any():
         k = int(np.argmax(bad))
         raise ValueError(f"vertices: edges {edge_name(i[k])} and {edge_name(j[k])} of the {what} meet; its boundary "
                          "must not cross itself")
+
+
+def distance_of_segments(a: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """Distance between edges i and j (m,) of a closed polygon of corners a (n, 2); they must not cross."""
+    b = np.roll(a, -1, axis=0)
+    # it is reached at an end of one of them
+    return np.min([_to_segment(a[j], a[i], b[i]), _to_segment(b[j], a[i], b[i]), _to_segment(a[i], a[j], b[j]),
+                   _to_segment(b[i], a[j], b[j])], axis=0)
 
 
 def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:

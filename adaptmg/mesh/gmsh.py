@@ -14,8 +14,11 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import with_source
+from adaptmg.mesh.gmsh_check import check_gmsh_file
 from adaptmg.mesh.normalise import normalised
+from adaptmg.mesh.overlap import check_overlap
 from adaptmg.mesh.topology import facet_keys, facet_table
+from adaptmg.problem import checks
 
 __all__ = ["from_gmsh"]
 
@@ -61,9 +64,12 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
         import meshio
     except ImportError as error:
         raise ImportError("reading Gmsh files needs meshio: pip install 'adaptmg[gmsh]'") from error
-    path = Path(path)
+    path = checks.file_path("path", path)
+    if unnamed is not None:
+        checks.boundary_name("unnamed", unnamed)
     if not path.is_file():
         raise FileNotFoundError(f"path: there is no file {str(path)!r}")
+    check_gmsh_file(path)
     try:
         raw = meshio.gmsh.read(path)
     except Exception as error:
@@ -89,8 +95,12 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
                          'or here by unnamed="free"')
     # the first name, of each body if these are split, is the one of unnamed facets
     label = tables.body[owner] * (len(tables.boundaries) // len(tables.bodies)) * split_bodies
-    return with_source(normalised(tables.points, tables.elements, np.concatenate([tables.facets, rest]),
-                                  np.concatenate([tables.label, label]), tables.boundaries, tables.body, tables.bodies))
+    facets, labels = np.concatenate([tables.facets, rest]), np.concatenate([tables.label, label])
+    try:
+        return check_overlap(with_source(normalised(tables.points, tables.elements, facets, labels, tables.boundaries,
+                                                    tables.body, tables.bodies)))
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r}: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +121,8 @@ def _tables(raw: Any, dim: int, unnamed: str, path: Path) -> _Tables:
     volumes, surfaces = (_TETRAHEDRA, _TRIANGLES) if dim == 3 else (_TRIANGLES, _LINES)
     elements, body, bodies = _cells(raw, volumes, dim, "body")
     facets, label, boundaries = _cells(raw, surfaces, dim - 1, unnamed)
+    for name in (*bodies[1:], *boundaries[1:]):
+        checks.boundary_name(f"{str(path)!r}: the name of a physical group", name)
     if len(elements) == 0:
         raise ValueError(f"{str(path)!r} has neither triangles nor tetrahedra (Gmsh saves only what is in a physical "
                          f"group: add a Physical {'Surface' if dim == 2 else 'Volume'})")

@@ -16,9 +16,10 @@ def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, fac
                facet_names: Sequence[str], body_index: np.ndarray, body_names: Sequence[str]) -> MeshArrays:
     """MeshArrays from raw tables.
 
-    Elements are oriented positively, boundary facets outwards; points of no element, facets between two elements and
-    names of nothing are dropped; what has the same name becomes one boundary or body. The order of nodes, elements
-    and facets is kept.
+    Elements are oriented positively, in whatever order their nodes are given (whether the mesh is folded over is seen
+    from where neighbours lie, by :func:`adaptmg.mesh.check_mesh`), boundary facets outwards; points of no element,
+    facets between two elements and names of nothing are dropped; what has the same name becomes one boundary or body.
+    The order of nodes, elements and facets is kept.
 
     Parameters
     ----------

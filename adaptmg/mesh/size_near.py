@@ -41,11 +41,13 @@ class SizeNear:
     grading: float = 0.3
 
     def __post_init__(self) -> None:
-        points = tuple(tuple(checks.vector("points", p).tolist()) for p in self.points)
+        given = checks.listed("points", self.points, "points")
+        points = tuple(tuple(checks.vector("points", p).tolist()) for p in given)
         if not points or len({len(p) for p in points}) > 1:
-            raise ValueError(f"points must be at least one point, all of the same dimension, got {self.points!r}")
+            raise ValueError(f"points must be at least one point, all of the same dimension, "
+                             f"got {checks.shown(given)}")
         object.__setattr__(self, "points", points)
-        object.__setattr__(self, "size", checks.positive("size", self.size))
+        object.__setattr__(self, "size", checks.quantity("size", self.size, positive=True))
         object.__setattr__(self, "radius", checks.nonnegative("radius", self.radius))
         object.__setattr__(self, "grading", checks.positive("grading", self.grading))
         if not self.grading <= 1:

@@ -25,9 +25,11 @@ from netgen.occ import OCCGeometry, Solid
 from scipy.spatial import cKDTree
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import from_ngsolve, with_source
+from adaptmg.mesh.build import own_mesh, with_source
 from adaptmg.mesh.generate import expected_nodes, refuse_too_many
+from adaptmg.mesh.interruptible import interruptible
 from adaptmg.mesh.occ_shapes import occ_shape
+from adaptmg.mesh.thin import curved_nodes, refuse_thin, refuse_thin_shape
 from adaptmg.mesh.topology import facet_keys, facet_table
 from adaptmg.problem import checks
 from adaptmg.problem.domains import Box, Domain
@@ -46,6 +48,9 @@ _ATTEMPTS = (1.0, 0.7, 0.5)
 # of the largest coordinate: what scaling to unit size and back may move a node by
 _FLAT = 1e-9
 _DIGITS = 14
+_ENDLESS = 1e90
+# Netgen's own, and what exceptions of OCC arrive as
+_NETGEN_ERRORS = (netgen.meshing.NgException, RuntimeError)
 
 
 class _Unsound(ValueError):
@@ -163,9 +168,14 @@ def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[s
         if name not in domain.boundaries:
             raise ValueError(f"boundary_sizes: boundary {name!r} does not exist; "
                              f"the boundaries are {', '.join(domain.boundaries)}")
+    refuse_thin(domain, sizes.size, sizes.boundaries)
+    refuse_too_many(curved_nodes(domain, sizes.size, sizes.curvature), domain)
     lower = domain.lower
     scale = float((domain.upper - lower).max())
-    shape = occ_shape(domain, lower, scale)
+    try:
+        shape = interruptible(occ_shape, domain, lower, scale)
+    except _NETGEN_ERRORS as error:
+        raise ValueError(f"OCC could not build {domain!r} ({error}); change its lengths a little") from error
     names = [face.name for face in shape.faces]
     mesh = shape_mesh(shape, names, lower, scale, sizes, domain)
     order = tuple(name for name in domain.boundaries if name in mesh.boundaries)
@@ -198,16 +208,19 @@ def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, 
         Without source; not yet checked after its nodes have been put onto planes.
     """
     groups: dict[str, list[str]] = {name: [] for name in sizes.boundaries}
-    cells = shape.mass * (scale / sizes.size) ** 3
+    # cut off where powers of it would overflow
+    cells = shape.mass * min(scale / sizes.size, _ENDLESS) ** 3
     for i, (face, name) in enumerate(zip(shape.faces, names, strict=True)):
         face.name = str(i)
         if name in groups:
             groups[name].append(str(i))
             face.maxh = raised(sizes.boundaries[name], sizes.size / _NETGEN_RATIO) / scale
-            cells += face.mass * (scale / sizes.boundaries[name]) ** 2 / (2 * sizes.grading)
+            cells += face.mass * min(scale / sizes.boundaries[name], _ENDLESS) ** 2 / (2 * sizes.grading)
     for name, parts in groups.items():
         if not parts:
             raise ValueError(f"boundary_sizes: of boundary {name!r} no face is left on {domain!r}")
+    corners = np.array([[p.x, p.y, p.z] for p in shape.bounding_box])
+    refuse_thin_shape(domain, scale * np.ptp(corners, axis=0), min([sizes.size, *sizes.boundaries.values()]))
     refuse_too_many(1.4 * cells, domain)
     for factor in _ATTEMPTS:
         slower = replace(sizes, grading=factor * min(sizes.grading, _MAX_GRADING))
@@ -216,7 +229,7 @@ def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, 
             unit = _bisected(curved, lower, scale, sizes, groups, domain)
             _check_volume(unit, shape.mass)
             break
-        except (netgen.meshing.NgException, _Unsound) as error:
+        except (*_NETGEN_ERRORS, _Unsound) as error:
             why = error
     else:
         raise ValueError(f"Netgen could not mesh {domain!r} ({why}); change the sizes a little or take a smaller "
@@ -231,7 +244,7 @@ def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, 
 def _read(mesh: ngsolve.Mesh) -> MeshArrays:
     """The checked arrays of a scaled mesh."""
     try:
-        return from_ngsolve(mesh)
+        return own_mesh(mesh)
     except ValueError as error:
         raise _Unsound(error) from error
 
@@ -264,7 +277,7 @@ def _netgen_mesh(shape: Solid, lower: np.ndarray, scale: float, sizes: SolidSize
             places = (centroids[small] - lower) / scale
             for (x, y, z), h in zip(places.tolist(), (wanted[small] / scale).tolist(), strict=True):
                 options.RestrictH(x, y, z, h)
-        mesh = ngsolve.Mesh(OCCGeometry(shape).GenerateMesh(mp=options))
+        mesh = ngsolve.Mesh(interruptible(OCCGeometry(shape).GenerateMesh, mp=options))
     return mesh
 
 
@@ -288,7 +301,7 @@ def _bisected(mesh: ngsolve.Mesh, lower: np.ndarray, scale: float, sizes: SolidS
         refuse_too_many(expected_nodes(placed, wanted), domain)
         # on the mesh with its geometry, so that new nodes go onto the surfaces
         mesh.SetRefinementFlags(large.tolist())
-        mesh.Refine()
+        interruptible(mesh.Refine)
     raise ValueError(f"the size field cannot be reached: after {_MAX_BISECTIONS} bisections {large.sum()} elements of "
                      f"{domain!r} are still too large; does it tend to zero at a point?")
 

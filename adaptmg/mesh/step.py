@@ -16,7 +16,10 @@ from netgen.occ import OCCGeometry, Pnt, Solid, Vec
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import boundaries_of, merged, per_body
 from adaptmg.mesh.build import with_source
+from adaptmg.mesh.interruptible import interruptible
 from adaptmg.mesh.solids import SolidSizes, shape_mesh
+from adaptmg.mesh.step_check import check_step
+from adaptmg.problem import checks
 from adaptmg.problem.solids import StepFile
 
 __all__ = ["from_step", "step_mesh", "step_names"]
@@ -124,9 +127,10 @@ def _read(domain: StepFile) -> tuple[list[Solid], dict[str, tuple[str, ...]]]:
         raise FileNotFoundError(f"path: there is no file {str(path)!r}")
     if path.suffix.lower() not in (".step", ".stp"):
         raise ValueError(f"path: {str(path)!r} is not a .step or .stp file")
+    check_step(path)
     try:
-        geometry = OCCGeometry(str(path))
-    except netgen.meshing.NgException as error:
+        geometry = interruptible(OCCGeometry, str(path))
+    except (netgen.meshing.NgException, RuntimeError) as error:
         raise ValueError(f"{str(path)!r} cannot be read as a STEP file ({error})") from error
     solids = list(geometry.solids)
     if not solids:
@@ -135,6 +139,8 @@ def _read(domain: StepFile) -> tuple[list[Solid], dict[str, tuple[str, ...]]]:
     bodies = [(solid.name or f"solid{i + 1}").replace(".", "_") for i, solid in enumerate(solids)]
     faces = [[(face.name or f"face{j + 1}").replace(".", "_") for j, face in enumerate(solid.faces)]
              for solid in solids]
+    for name in (*bodies, *(name for own in faces for name in own)):
+        checks.boundary_name(f"a name in {str(path)!r}", name)
     return solids, _renamed(domain, _distinct(bodies), faces)
 
 

@@ -8,6 +8,7 @@ permutation :math:`\pi` of the axes, :math:`x_0, x_0 + e_{\pi(1)}, x_0 + e_{\pi(
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import permutations
 
@@ -25,6 +26,11 @@ from adaptmg.problem.domains import Box, Rectangle
 __all__ = ["structured"]
 
 Divisions = int | Sequence[int]
+# what fits into memory, and in 3D what facets can be numbered for
+_MAX_NODES = {2: 20_000_000, 3: 2_000_000}
+
+#: what making the mesh takes at its peak, measured
+_BYTES_PER_NODE = {2: 600, 3: 2000}
 
 
 def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mapping[str, Divisions],
@@ -50,7 +56,8 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     Raises
     ------
     TypeError, ValueError
-        On a domain that is no rectangle or box, divisions below 1, a body left out, or an unknown diagonal.
+        On a domain that is no rectangle or box, divisions below 1, more than 20 million nodes (3D: 2
+        million), a body left out, or an unknown diagonal.
     """
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
@@ -67,6 +74,9 @@ def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> Me
         raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
     dim = domain.dim
     counts = _divisions(divisions, dim)
+    if math.prod(n + 1 for n in counts) > _MAX_NODES[dim]:
+        raise ValueError(f"divisions ask for more than {_MAX_NODES[dim]:.0e} nodes, got {checks.shown(divisions)}; "
+                         "take fewer")
     checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
     if dim == 3 and diagonal != "right":
         raise ValueError(f"diagonal must be 'right' in 3D, got {diagonal!r}")
@@ -120,11 +130,14 @@ def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     """One number of cells for each axis."""
-    if np.ndim(divisions) == 0:
-        return (checks.integer("divisions", divisions, 1),) * dim
+    if isinstance(divisions, str) or not hasattr(divisions, "__len__") or getattr(divisions, "shape", None) == ():
+        divisions = (divisions,) * dim
     if len(divisions) != dim:
-        raise ValueError(f"divisions must be one integer or {dim} of them, got {divisions!r}")
-    return tuple(checks.integer("divisions", n, 1) for n in divisions)
+        raise ValueError(f"divisions must be one integer or {dim} of them, got {checks.shown(divisions)}")
+    counts = tuple(checks.integer("divisions", n, 1, 2**31) for n in divisions)
+    nodes = math.prod(n + 1 for n in counts)
+    checks.fits("divisions", _BYTES_PER_NODE[dim] * nodes, f"{counts} make {nodes:.3g} nodes, whose mesh alone")
+    return counts
 
 
 def _triangles(cells: np.ndarray, counts: tuple[int, ...], diagonal: str) -> np.ndarray:

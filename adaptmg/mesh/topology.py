@@ -32,6 +32,8 @@ class FacetTable:
         Two of those elements; ``second`` is -1 on the boundary.
     facets : (n, dim) array of int
         Nodes, oriented outwards as seen from ``first``.
+    folded : (n,) array of bool
+        Whether two elements see the facet in the same sense: of positively oriented ones, both lie on one side of it.
     """
 
     keys: np.ndarray
@@ -39,6 +41,7 @@ class FacetTable:
     first: np.ndarray
     second: np.ndarray
     facets: np.ndarray
+    folded: np.ndarray
 
     def find(self, keys: np.ndarray) -> np.ndarray:
         """Rows of this table that hold ``keys``, -1 where there is no such facet."""
@@ -96,8 +99,13 @@ def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
     start = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
     counts = np.diff(np.r_[start, len(keys)])
     second = np.full(len(start), -1, dtype=np.int64)
-    second[counts > 1] = order[start[counts > 1] + 1] // (dim + 1)
-    return FacetTable(keys[start], counts, order[start] // (dim + 1), second, facets[order[start]])
+    shared = counts > 1
+    other = order[start[shared] + 1]
+    second[shared] = other // (dim + 1)
+    first = facets[order[start]]
+    folded = np.zeros(len(start), dtype=bool)
+    folded[shared] = same_orientation(first[shared], facets[other])
+    return FacetTable(keys[start], counts, order[start] // (dim + 1), second, first, folded)
 
 
 def same_orientation(facets: np.ndarray, others: np.ndarray) -> np.ndarray:

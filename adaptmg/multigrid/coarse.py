@@ -58,6 +58,9 @@ class CoarseSolve:
     def __post_init__(self) -> None:
         object.__setattr__(self, "rtol", checks.nonnegative("rtol", self.rtol))
         object.__setattr__(self, "atol", checks.nonnegative("atol", self.atol))
+        if not self.rtol < 1:
+            raise ValueError(f"rtol must be < 1, a share of the solution, got {checks.shown(self.rtol)}")
+        checks.flag("condensed", self.condensed)
         if self.rtol == 0 and self.atol == 0:
             raise ValueError("rtol and atol must not both be 0")
         checks.choice("test", self.test, ("error", "change"))

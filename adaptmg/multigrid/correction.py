@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from adaptmg.problem import checks
 from adaptmg.smoother.system import LocalSystem, NodalContact
 from adaptmg.transfer.constraints import Supports
 
@@ -95,7 +96,20 @@ def correction_contact(correction: Correction, reach: Supports, system: LocalSys
     fine_slip = values[:, 1:] - contact.slip_reference
     # |E| is a bound of what a correction changes in a slip that is held along one tangent
     fine_slip[contact.driven] = 0.0
-    gap, slip, limit = correction.transport(reach, contact.gap - values[:, 0], fine_slip,
-                                            sliding_limit(system, contact, residual), initial)
+    gap, slip, limit = _transported(correction, coarse, correction.transport(
+        reach, contact.gap - values[:, 0], fine_slip, sliding_limit(system, contact, residual), initial))
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
     return NodalContact(gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit))
+
+
+def _transported(correction: Correction, coarse: LocalSystem, found: object) -> tuple[np.ndarray, ...]:
+    """What a correction, a user's own perhaps, hands to the coarse contact nodes, its types and shapes checked."""
+    n, name = len(coarse.nodes), f"correction: transport of {checks.shown(correction)}"
+    if not isinstance(found, (tuple, list)) or len(found) != 3:
+        raise TypeError(f"{name} must return gap, slip and limit, got {checks.shown(found)}")
+    shapes = {"gap": (n,), "slip": (n, coarse.dim - 1), "limit": (n,)}
+    for (what, shape), array in zip(shapes.items(), found, strict=True):
+        if not isinstance(array, np.ndarray) or array.dtype != np.float64 or array.shape != shape:
+            given = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else checks.shown(array)
+            raise TypeError(f"{name} must return a {what} of float64 {shape}, coarse contact nodes first, got {given}")
+    return tuple(found)

@@ -38,9 +38,9 @@ class NestedStart:
     rtol: float = 1e-8
 
     def __post_init__(self) -> None:
-        if self.cycles is not None and self.cycles != "complete":
+        if self.cycles is not None and not (isinstance(self.cycles, str) and self.cycles == "complete"):
             checks.integer("cycles", self.cycles, 1)
-        object.__setattr__(self, "rtol", checks.positive("rtol", self.rtol))
+        object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
 
     def cycles_on(self, problem: DiscreteProblem, finer: DiscreteProblem) -> int:
         """Cycles on a level with this problem below one with that, unless complete."""

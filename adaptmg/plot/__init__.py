@@ -1,6 +1,7 @@
-"""Pictures with matplotlib: what is posed, the grids, the solution, the contact zones, the way the solver went.
+"""Pictures with matplotlib: what is posed, the grids, the solution, the contact surfaces, the way the solver went.
 
-Each function draws into a new figure or into given axes and returns the Figure; nothing is shown or saved.
+Each function draws into a new figure or into given axes and returns the Figure; nothing is shown or saved. Names of
+problems, bodies and boundaries are shown as they are; labels given to a function may hold matplotlib's math text.
 """
 
 from __future__ import annotations
@@ -8,21 +9,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from adaptmg.plot.contact_zone import contact
+    from adaptmg.plot.bodies.deformation import deformation
+    from adaptmg.plot.contact_surfaces.contact import contact
+    from adaptmg.plot.contact_surfaces.load_history import load_history
     from adaptmg.plot.convergence import history
-    from adaptmg.plot.displaced import deformation, deformed
-    from adaptmg.plot.interfaces import interface
-    from adaptmg.plot.load_steps import load_history
     from adaptmg.plot.meshes import grids, mesh
-    from adaptmg.plot.posed import problem
+    from adaptmg.plot.posed.problem import problem
     from adaptmg.plot.way import path
 
-_WHERE = {"contact": "contact_zone", "deformation": "displaced", "deformed": "displaced", "grids": "meshes",
-          "history": "convergence", "interface": "interfaces", "load_history": "load_steps", "mesh": "meshes",
-          "path": "way", "problem": "posed"}
+_WHERE = {"contact": "contact_surfaces.contact", "deformation": "bodies.deformation", "grids": "meshes",
+          "history": "convergence", "load_history": "contact_surfaces.load_history", "mesh": "meshes", "path": "way",
+          "problem": "posed.problem"}
 
-__all__ = ["contact", "deformation", "deformed", "grids", "history", "interface", "load_history", "mesh", "path",
-           "problem"]
+__all__ = ["contact", "deformation", "grids", "history", "load_history", "mesh", "path", "problem"]
 
 
 def __getattr__(name: str) -> Any:

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adaptmg.plot.style import CYCLE, GREY, canvas, styled
+from adaptmg.plot.style import CYCLE, GREY, canvas, label_text, plain, styled
 from adaptmg.problem import checks
 from adaptmg.solver.result import Result
 
@@ -59,7 +59,7 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
             shown = np.isfinite(x) & np.isfinite(y) & (y > 0)
             ax.semilogy(x[shown], y[shown], marker="o" if shown.sum() <= 60 else "",
                         linestyle="-" if several else _DASHES[j], color=CYCLE[(k if several else j) % len(CYCLE)],
-                        label=label if several else _QUANTITIES[name])
+                        label=label_text(str(label)) if several else _QUANTITIES[name])
     tolerances = {result.rtol for result in runs.values()}
     if len(tolerances) == 1:
         ax.axhline(tolerances.pop(), color=GREY, linewidth=0.9, linestyle=(0, (4, 3)), zorder=1)
@@ -70,7 +70,7 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
         ax.set_ylabel(_QUANTITIES[quantities[0]])
     else:
         ax.set_ylabel("relative measure")
-        ax.set_title(f"{next(iter(runs.values())).problem_name}")
+        ax.set_title(plain(next(iter(runs.values())).problem_name))
     ax.grid(True)
     if several or len(quantities) > 1:
         ax.legend(loc="upper right")

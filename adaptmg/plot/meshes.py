@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.plot.solid import finish_axes
+from adaptmg.plot.space.axes import finish_axes, view_of
+from adaptmg.plot.space.surface import draw_facets
 from adaptmg.plot.style import BODY_COLORS, INK, ORANGE, PALE, axes_of, bounds, canvas, scaled, styled
-from adaptmg.plot.surface import draw_facets
+from adaptmg.problem import checks
 
 __all__ = ["grids", "mesh"]
 
@@ -36,9 +37,8 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
     -------
     matplotlib.figure.Figure
     """
-    if not isinstance(drawn, MeshArrays):
-        raise TypeError(f"drawn must be MeshArrays, got {type(drawn).__name__}; read a mesh file with "
-                        "am.Hierarchy.from_meshes or adaptmg.mesh.user.as_mesh")
+    checks.instance("drawn", drawn, MeshArrays, "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or "
+                    "adaptmg.mesh.user.as_mesh)")
     ax = canvas(ax, (5.4, 5.0), drawn.dim)
     _draw(drawn, ax, contact)
     ax.set_title(f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
@@ -65,9 +65,8 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     ValueError
         If a level has no mesh.
     """
-    if not isinstance(hierarchy, Hierarchy):
-        raise TypeError(f"hierarchy must be a Hierarchy, got {type(hierarchy).__name__}")
-    without = [k for k, level in enumerate(hierarchy.levels) if level.mesh is None]
+    levels = checks.instance("hierarchy", hierarchy, Hierarchy).levels
+    without = [k for k, level in enumerate(levels) if level.mesh is None]
     if without:
         raise ValueError(f"levels {without} have no mesh to draw: make the hierarchy from meshes")
     dim = hierarchy.finest.mesh.dim
@@ -78,7 +77,7 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
         axes = [figure.add_subplot(rows, columns, k + 1, projection="3d" if dim == 3 else None)
                 for k in range(len(hierarchy))]
     axes = axes_of(axes, len(hierarchy), "axes")
-    for k, (level, ax) in enumerate(zip(hierarchy.levels, axes, strict=True)):
+    for k, (level, ax) in enumerate(zip(levels, axes, strict=True)):
         _draw(level.mesh, canvas(ax, (1, 1), dim), level.discrete.contact.names)
         ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes, {len(level.discrete.contact)} contact", fontsize=9.5)
         if dim == 3:
@@ -101,8 +100,7 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
         colors = np.where(marked[:, None], np.array([0.93, 0.55, 0.25, 1.0]), fills[body[drawn.facets[:, 0]]])
         draw_facets(ax, points[drawn.facets], colors)
         finish_axes(ax, points, unit)
-        if marked.any() and _mean_normal(points, drawn.facets[marked])[2] < -0.5:
-            ax.view_init(elev=-24, azim=-58)
+        view_of(ax, points[drawn.facets[marked]])
         return
     width = float(np.clip(18 / np.sqrt(len(drawn.elements)), 0.12, 0.7))
     ax.add_collection(PolyCollection(points[drawn.elements], facecolor=fills[drawn.element_body],
@@ -114,10 +112,3 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
     ax.spines[:].set_visible(False)
     ax.set_xlabel(f"x [{unit}]")
     ax.set_ylabel(f"y [{unit}]")
-
-
-def _mean_normal(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Mean outward unit normal (3,) of boundary triangles (n, 3), weighted by area."""
-    a, b, c = (points[facets[:, k]] for k in range(3))
-    total = np.cross(b - a, c - a).sum(axis=0)
-    return total / max(float(np.linalg.norm(total)), np.finfo(float).tiny)

@@ -7,14 +7,13 @@ from collections.abc import Iterable
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from adaptmg.smoother.state import OPEN, SLIP, STICK
 
 __all__ = ["STATE_COLORS", "STATE_INKS", "STATE_NAMES", "halves", "shade", "state_colormap", "state_lines",
-           "state_patches", "stated_curve"]
+           "stated_curve"]
 
 #: pale enough to draw on
 STATE_COLORS = {OPEN: "#f1f2f4", SLIP: "#fbe3d3", STICK: "#d6e8f5"}
@@ -71,13 +70,6 @@ def stated_curve(ax: Axes, position: np.ndarray, values: np.ndarray, state: np.n
     ax.add_collection(LineCollection(segments, colors=colors, linewidths=linewidth, capstyle="round", zorder=3))
     size = 9.0 if len(position) <= 150 else 0.0
     ax.scatter(position, values, s=size, c=[STATE_INKS[int(code)] for code in state], linewidths=0, zorder=4)
-
-
-def state_patches(states: Iterable[int]) -> list[Patch]:
-    """Legend entries of shaded backgrounds, for the states that occur."""
-    present = set(map(int, states))
-    return [Patch(facecolor=STATE_COLORS[s], edgecolor=np.array(to_rgb(STATE_COLORS[s])) * 0.8, label=STATE_NAMES[s])
-            for s in (OPEN, SLIP, STICK) if int(s) in present]
 
 
 def state_lines(states: Iterable[int], linewidth: float = 3.0) -> list[Line2D]:

@@ -9,9 +9,13 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.mathtext import MathTextParser
 
-__all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "axes_of", "bounds",
-           "canvas", "number", "scaled", "styled"]
+from adaptmg.solver.result import Result
+from adaptmg.text import printable
+
+__all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "axes_of", "axis_names",
+           "bounds", "canvas", "label_text", "number", "plain", "quoted", "scaled", "styled"]
 
 INK, GREY, PALE = "#1f2328", "#8a9099", "#eceef1"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
@@ -28,7 +32,7 @@ _STYLE: dict[str, Any] = {
     "grid.color": "#dfe3e8", "grid.linewidth": 0.7, "legend.frameon": False, "legend.fontsize": 9,
     "lines.linewidth": 1.6, "lines.markersize": 4.5, "mathtext.fontset": "dejavusans", "hatch.linewidth": 0.6,
     "axes.prop_cycle": matplotlib.cycler(color=CYCLE), "image.cmap": "viridis", "axes.axisbelow": True,
-    "figure.constrained_layout.use": True,
+    "figure.constrained_layout.use": True, "text.usetex": False,
 }
 
 #: decorator that runs a drawing function under the common style and leaves the user's own settings alone
@@ -57,6 +61,11 @@ def axes_of(axes: Sequence[Axes] | None, count: int, name: str = "ax") -> list[A
     return found
 
 
+def axis_names(result: Result) -> str:
+    """Of the two axes of the plane: 'rz' in axisymmetry, else 'xy'."""
+    return "rz" if result.stress_data is not None and result.stress_data.axisymmetric else "xy"
+
+
 def scaled(largest: float, unit: str) -> tuple[float, str]:
     """Factor and prefixed unit that make ``largest`` read well: 0.004 m gives (1e3, 'mm')."""
     if not (np.isfinite(largest) and largest > 0):
@@ -65,6 +74,26 @@ def scaled(largest: float, unit: str) -> tuple[float, str]:
         if largest >= 0.9999 * size:
             return 1.0 / size, prefix + unit
     return 1.0 / _PREFIXES[-1][0], _PREFIXES[-1][1] + unit
+
+
+def plain(name: str) -> str:
+    """A name as text that matplotlib shows as it is: no math between dollars, and in legends too (it leaves out
+    labels that begin with an underscore)."""
+    return (" " if name.startswith("_") else "") + printable(name).replace("$", r"\$")
+
+
+def quoted(name: str) -> str:
+    """A name in quotation marks, see :func:`plain`."""
+    return f"'{plain(name)}'"
+
+
+def label_text(text: str) -> str:
+    """A user's label: with math where it can be read as math, else as it is."""
+    try:
+        MathTextParser("path").parse(text)
+    except ValueError:
+        return plain(text)
+    return text if not text.startswith("_") else " " + text
 
 
 def number(value: float) -> str:

@@ -39,10 +39,8 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    if not isinstance(result, Result):
-        raise TypeError(f"result must be a Result, got {type(result).__name__}")
     checks.integer("steps", steps, 2)
-    stops = _stops(result.path)
+    stops = _stops(checks.instance("result", result, Result).path)
     if not stops:
         raise ValueError("this result has recorded no way through the levels (result.path is empty)")
     shown = stops[:steps]

@@ -33,7 +33,7 @@ class Assembly(Domain):
 
     def __post_init__(self) -> None:
         if not isinstance(self.parts, Mapping):
-            raise TypeError(f"parts must map body names to domains, got {self.parts!r}")
+            raise TypeError(f"parts must map body names to domains, got {checks.described(self.parts)}")
         parts = dict(self.parts)
         if not parts:
             raise ValueError("parts is empty: an assembly needs at least one body")
@@ -43,7 +43,7 @@ class Assembly(Domain):
                 raise ValueError(f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'")
             if not isinstance(part, Domain):
                 raise TypeError(f"parts[{name!r}] must be a Domain (Rectangle, Polygon, Outline, Box, ...), "
-                                f"got {part!r}")
+                                f"got {checks.described(part)}")
             if part.bodies is None or len(part.bodies) != 1 or part.boundaries is None or isinstance(part, Assembly):
                 raise ValueError(f"parts[{name!r}] must be one body with known boundaries; name the bodies of "
                                  f"{type(part).__name__} one by one")

@@ -17,13 +17,19 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-__all__ = ["array", "boundary_name", "choice", "described", "field", "file_path", "instance", "integer", "items",
-           "nonnegative", "number", "offers", "positive", "shown", "sparse_matrix", "strings", "suggestion", "vector"]
+__all__ = ["TINIEST", "VAST", "array", "boundary_name", "choice", "described", "field", "file_path", "fits", "flag",
+           "instance", "integer", "items", "listed", "nonnegative", "number", "offers", "optional_callable", "positive",
+           "quantity", "shown", "sparse_matrix", "square_blocks", "strings", "suggestion", "tolerance", "vector"]
+
+VAST, TINIEST = 1e40, 1e-40
+"""Physical quantities are smaller than the one, moduli and lengths larger than the other: energies, products of some of
+them, are then in the range of double precision."""
 
 
 def number(name: str, value: Any) -> float:
     """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several numbers are refused."""
-    if isinstance(value, (bool, np.bool_, str, bytes)) or np.iscomplexobj(value) or not hasattr(value, "__float__"):
+    plain = hasattr(value, "__float__") and not isinstance(value, (bool, np.bool_, str, bytes, np.ma.MaskedArray))
+    if not plain or np.iscomplexobj(value):
         raise TypeError(f"{name} must be a number, got {shown(value)}")
     try:
         result = float(value)
@@ -38,7 +44,7 @@ def positive(name: str, value: Any) -> float:
     """Return ``value`` as a finite float > 0."""
     result = number(name, value)
     if not result > 0:
-        raise ValueError(f"{name} must be > 0, got {value!r}")
+        raise ValueError(f"{name} must be > 0, got {shown(value)}")
     return result
 
 
@@ -46,21 +52,55 @@ def nonnegative(name: str, value: Any) -> float:
     """Return ``value`` as a finite float >= 0."""
     result = number(name, value)
     if not result >= 0:
-        raise ValueError(f"{name} must be >= 0, got {value!r}")
+        raise ValueError(f"{name} must be >= 0, got {shown(value)}")
     return result
 
 
-def integer(name: str, value: Any, minimum: int = 0, maximum: int | None = None) -> int:
+def quantity(name: str, value: Any, *, positive: bool = False) -> float:
+    """Return ``value`` as a float of a size that physics may have, below ``VAST``; ``positive``: > ``TINIEST`` too."""
+    result = number(name, value)
+    if positive and not result > 0:
+        raise ValueError(f"{name} must be > 0, got {shown(value)}")
+    if not abs(result) <= VAST or (positive and not result >= TINIEST):
+        bounds = f"between {TINIEST:g} and {VAST:g}" if positive else f"at most {VAST:g}"
+        raise ValueError(f"{name} must be {bounds} in SI units, got {shown(value)}: beyond that energies leave the "
+                         "range of double precision")
+    return result
+
+
+def tolerance(name: str, value: Any) -> float:
+    """Return ``value`` as a float between 0 and 1, both excluded: what a relative tolerance is."""
+    result = number(name, value)
+    if not 0 < result < 1:
+        raise ValueError(f"{name} must be > 0 and < 1, a share of the solution, got {shown(value)}")
+    return result
+
+
+def flag(name: str, value: Any) -> bool:
+    """Return ``value`` if it is True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name} must be True or False, got {shown(value)}")
+    return bool(value)
+
+
+def optional_callable(name: str, value: Any, words: str) -> Any:
+    """Return ``value`` if it is None or can be called; ``words`` say with what."""
+    if value is not None and not callable(value):
+        raise TypeError(f"{name} must be None or a function of {words}, got {shown(value)}")
+    return value
+
+
+def integer(name: str, value: Any, minimum: int = 0, maximum: int = 2**63 - 1) -> int:
     """Return ``value`` as an int >= ``minimum`` (floats and bools are refused, numpy integers are fine)."""
-    if isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{name} must be an integer, got {value!r}")
+    if isinstance(value, (bool, np.bool_, np.ma.MaskedArray)):
+        raise TypeError(f"{name} must be an integer, got {shown(value)}")
     try:
         result = operator.index(value)
     except TypeError:
         raise TypeError(f"{name} must be an integer, got {shown(value)}") from None
     if result < minimum:
         raise ValueError(f"{name} must be >= {minimum}, got {shown(value)}")
-    if maximum is not None and result > maximum:
+    if result > maximum:
         raise ValueError(f"{name} must be <= {maximum}, got {shown(value)}")
     return result
 
@@ -84,7 +124,7 @@ def vector(name: str, value: Any, size: int | None = None) -> np.ndarray:
     if result.ndim != 1 or (size is not None and result.size != size):
         wanted = "a vector" if size is None else f"a vector of {size} numbers"
         raise ValueError(f"{name} must be {wanted}, got shape {result.shape}")
-    return array(name, result, (size,))
+    return array(name, value, (size,))
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...], *, integer: bool = False) -> np.ndarray:
@@ -102,6 +142,8 @@ def array(name: str, value: Any, shape: tuple[int | None, ...], *, integer: bool
         Whole numbers, as int64; otherwise float64.
     """
     wanted = "integers" if integer else "real numbers"
+    if isinstance(value, np.ma.MaskedArray):
+        raise TypeError(f"{name} must be an array of {wanted}, got a masked one: fill it first")
     try:
         given = np.asarray(value)
     except (TypeError, ValueError):
@@ -111,6 +153,8 @@ def array(name: str, value: Any, shape: tuple[int | None, ...], *, integer: bool
     if given.dtype.kind not in ("iu" if integer else "iuf"):
         kind = shown(value) if given.dtype.kind in "OSU" else f"an array of {given.dtype}"
         raise TypeError(f"{name} must be an array of {wanted}, got {kind}")
+    if not isinstance(value, np.ndarray) and _holds_bool(value):
+        raise TypeError(f"{name} must be an array of {wanted}, got {shown(value)}")
     if given.ndim != len(shape) or any(w is not None and w != g for w, g in zip(shape, given.shape, strict=True)):
         sizes = ", ".join("n" if w is None else str(w) for w in shape) + ("," if len(shape) == 1 else "")
         raise ValueError(f"{name} must have shape ({sizes}), got {given.shape}")
@@ -122,6 +166,13 @@ def array(name: str, value: Any, shape: tuple[int | None, ...], *, integer: bool
         raise ValueError(f"{name} must be finite; {np.count_nonzero(~np.isfinite(result))} entries are not")
     result.flags.writeable = False
     return result
+
+
+def _holds_bool(value: Any) -> bool:
+    """Whether a bool is among the numbers of nested lists and tuples: numpy would make it a number."""
+    if isinstance(value, (bool, np.bool_)):
+        return True
+    return isinstance(value, (list, tuple)) and any(map(_holds_bool, value))
 
 
 def sparse_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = (None, None)) -> Any:
@@ -152,9 +203,24 @@ def sparse_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = 
         _check_compressed(name, value)
     if value.format not in ("csr", "csc", "bsr"):
         value = value.tocsr()
+        _check_compressed(name, value)
+    if value.data.dtype.kind not in "iuf":
+        raise TypeError(f"{name} must hold real numbers, got {value.data.dtype}")
     if not np.isfinite(value.data).all():
         raise ValueError(f"{name} must be finite; {np.count_nonzero(~np.isfinite(value.data))} entries are not")
     return value
+
+
+def square_blocks(name: str, value: Any, size: int) -> sparse.bsr_array:
+    """Return a square matrix, checked as by :func:`sparse_matrix`, as bsr with sorted blocks of float64."""
+    value = sparse_matrix(name, value)
+    rows, columns = value.shape
+    if rows != columns or rows % size or not rows:
+        raise ValueError(f"{name} must be square with a multiple of {size} rows, got {value.shape}")
+    matrix = sparse.bsr_array(value, blocksize=(size, size))
+    if matrix.dtype != np.float64:
+        matrix = matrix.astype(np.float64)
+    return matrix if matrix.has_sorted_indices else matrix.sorted_indices()
 
 
 def _check_compressed(name: str, value: Any) -> None:
@@ -206,18 +272,25 @@ def items(name: str, value: Any, wanted: type | tuple[type, ...], words: str = "
     """Return a sequence of instances of ``wanted`` as a tuple; one instance alone stands for a sequence of one."""
     if isinstance(value, wanted):
         return (value,)
-    if isinstance(value, (str, bytes, Mapping)) or not isinstance(value, Iterable):
-        kinds = wanted if isinstance(wanted, tuple) else (wanted,)
-        raise TypeError(f"{name} must be a sequence of {words or ' or '.join(k.__name__ for k in kinds)}, "
-                        f"got {described(value)}")
-    return tuple(instance(f"{name}[{i}]", item, wanted, words) for i, item in enumerate(value))
+    kinds = wanted if isinstance(wanted, tuple) else (wanted,)
+    found = listed(name, value, words or " or ".join(kind.__name__ for kind in kinds))
+    return tuple(instance(f"{name}[{i}]", item, wanted, words) for i, item in enumerate(found))
+
+
+def listed(name: str, value: Any, words: str) -> tuple[Any, ...]:
+    """Return a sequence as a tuple; ``words`` say of what. Text, mappings, single numbers and matrices are none."""
+    try:
+        if not isinstance(value, (str, bytes, Mapping, type)) and not sparse.issparse(value):
+            return tuple(value)
+    except TypeError:
+        pass
+    raise TypeError(f"{name} must be a sequence of {words}, got {described(value)}")
 
 
 def strings(name: str, value: Any) -> tuple[str, ...]:
     """Return a sequence of names as a tuple; a string is no sequence of names (it would be split into letters)."""
-    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-        raise TypeError(f"{name} must be a sequence of names such as ({value!r},), got {shown(value)}")
-    return tuple(boundary_name(f"{name}[{i}]", item) for i, item in enumerate(value))
+    words = f"names such as ({value!r},)" if isinstance(value, str) and value.isprintable() else "names"
+    return tuple(boundary_name(f"{name}[{i}]", item) for i, item in enumerate(listed(name, value, words)))
 
 
 def file_path(name: str, value: Any) -> Path:
@@ -233,6 +306,16 @@ def file_path(name: str, value: Any) -> Path:
         return Path(text).expanduser()
     except RuntimeError as error:
         raise ValueError(f"{name}: {text!r} has no home directory: {error}") from None
+
+
+def fits(name: str, size: float, words: str) -> None:
+    """ValueError if ``size`` bytes are more than the main memory of the machine; ``words`` say of what."""
+    try:
+        memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return  # the system does not say
+    if size > memory:
+        raise ValueError(f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory / 1e9:.3g} GB")
 
 
 def shown(value: Any) -> str:
@@ -264,7 +347,7 @@ def boundary_name(name: str, value: Any) -> str:
 
 
 def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: np.ndarray,
-          *, minimum: float | None = None) -> np.ndarray:
+          *, minimum: float | None = None, maximum: float = VAST) -> np.ndarray:
     """Evaluate a number or a function of position at points.
 
     Parameters
@@ -277,6 +360,8 @@ def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: 
         Where it is wanted, m.
     minimum : float, optional
         Smallest value allowed.
+    maximum : float
+        Largest absolute value allowed.
 
     Returns
     -------
@@ -284,19 +369,28 @@ def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: 
     """
     n = len(points)
     if callable(value):
-        result = np.asarray(value(points), dtype=np.float64)
+        returned = value(points)
+        try:
+            result = np.asarray(returned)
+        except (TypeError, ValueError):
+            result = np.asarray(None)
+        if result.dtype.kind not in "iuf":
+            raise TypeError(f"{name}: the function must return real numbers, got {shown(returned)}")
         if result.shape not in ((), (n,)):
             raise ValueError(f"{name}: the function must return shape ({n},) for points of shape {points.shape}, "
                              f"got {result.shape}")
+        result = result.astype(np.float64)
         result = np.broadcast_to(result, (n,)).copy()
     else:
         result = np.full(n, number(name, value))
-    bad = ~np.isfinite(result)
+    bad = ~(np.abs(result) <= maximum)
     if minimum is not None:
         bad |= ~(result >= minimum)
     if bad.any():
         i = int(np.flatnonzero(bad)[0])
         wanted = "finite" if minimum is None else f"finite and >= {minimum}"
+        if np.isfinite(result[i]) and abs(result[i]) > maximum:
+            wanted = f"at most {maximum:g} in SI units"
         raise ValueError(f"{name} must be {wanted}, got {result[i]} at {tuple(float(c) for c in points[i])}")
     return result
 

@@ -21,7 +21,8 @@ __all__ = ["Combination", "Common", "Cut", "Fuse", "Moved"]
 
 def _solid(name: str, value: object) -> SolidDomain | Box:
     if not isinstance(value, SolidDomain | Box):
-        raise TypeError(f"{name} must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), got {value!r}")
+        raise TypeError(f"{name} must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), "
+                        f"got {checks.described(value)}")
     return value
 
 
@@ -48,7 +49,7 @@ class Moved(SolidDomain):
     def __post_init__(self) -> None:
         _solid("solid", self.solid)
         object.__setattr__(self, "offset", triple("offset", self.offset))
-        object.__setattr__(self, "angle", checks.number("angle", self.angle))
+        object.__setattr__(self, "angle", checks.quantity("angle", self.angle))
         object.__setattr__(self, "axis", direction("axis", self.axis))
 
     @property
@@ -96,7 +97,7 @@ class Combination(SolidDomain):
         _solid("a", self.a)
         _solid("b", self.b)
         if not isinstance(self.rename, Mapping):
-            raise TypeError(f"rename must map names to names, got {self.rename!r}")
+            raise TypeError(f"rename must map names to names, got {checks.shown(self.rename)}")
         known = [key for part, solid in (("a", self.a), ("b", self.b)) for name in solid.boundaries
                  for key in (name, f"{part}.{name}")]
         for old, new in self.rename.items():

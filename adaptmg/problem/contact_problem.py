@@ -13,7 +13,19 @@ from adaptmg.problem.materials import Axisymmetric, Elastic
 from adaptmg.problem.obstacles import GapFunction, Plane
 from adaptmg.problem.pairs import ContactPair
 
-__all__ = ["Contact", "ContactProblem"]
+__all__ = ["CONTACT", "Contact", "ContactProblem", "check_law"]
+
+CONTACT = "contact"
+"""Name of all contact boundaries together."""
+
+_LOADS = (Pressure, Traction, BodyForce, InitialStrain)
+
+
+def check_law(law: object) -> None:
+    """TypeError unless ``law`` is an instance with the two methods of a law."""
+    words = "Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds"
+    for method in ("at_nodes", "bounds"):
+        checks.offers("law", law, method, words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +48,8 @@ class Contact:
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
-        if isinstance(self.obstacle, type) or not hasattr(self.obstacle, "contact"):
-            raise TypeError(f"obstacle must be a Plane or a GapFunction, got {self.obstacle!r}")
+        checks.offers("obstacle", self.obstacle, "contact", "a Plane or a GapFunction, or offer contact()")
+        checks.flag("allow_interference", self.allow_interference)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,31 +88,42 @@ class ContactProblem:
     def __post_init__(self) -> None:
         if not isinstance(self.material, Elastic):
             object.__setattr__(self, "material", _materials(self.material))
-        contact = (self.contact,) if isinstance(self.contact, Contact | ContactPair) else tuple(self.contact)
-        if not contact or not all(isinstance(c, Contact | ContactPair) for c in contact):
-            raise TypeError(f"contact must be a Contact, a ContactPair or a sequence of them, got {self.contact!r}")
-        if not isinstance(self.law, Law) or isinstance(self.law, type):
-            raise TypeError(f"law must be Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds, "
-                            f"got {self.law!r}")
+        contact = checks.items("contact", self.contact, (Contact, ContactPair))
+        if not contact:
+            raise ValueError("contact is empty: a contact problem needs a Contact or a ContactPair")
+        check_law(self.law)
         object.__setattr__(self, "contact", contact)
-        object.__setattr__(self, "loads", tuple(self.loads))
-        object.__setattr__(self, "supports", tuple(self.supports))
+        object.__setattr__(self, "loads", checks.items("loads", self.loads, _LOADS))
+        object.__setattr__(self, "supports", checks.items("supports", self.supports, Support))
+        checks.boundary_name("name", self.name)
+        checks.instance("reference", self.reference, Mapping, "a mapping of names to values")
         for load in self.loads:
             _check_load(load, self.dim)
         for support in self.supports:
-            if not isinstance(support, Support):
-                raise TypeError(f"supports must be Support, got {support!r}")
             support.components(self.dim)
         _check_contact(contact, self.dim)
+        self._check_name_contact()
         if self.domain is not None:
             self._check_domain(self.domain)
         if self.bodies:
             self.check_bodies(self.bodies)
 
+    def _check_name_contact(self) -> None:
+        """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""
+        if CONTACT in self._uses() and self.contact_boundaries != (CONTACT,):
+            raise ValueError(f"the name {CONTACT!r} stands for all contact boundaries together (as in "
+                             f"Result.resultant): it may only be that of the one contact boundary, or slave, of a "
+                             f"problem, but names a boundary used for {self._uses()[CONTACT]} where contact is on "
+                             f"{', '.join(map(repr, self.contact_boundaries))}; rename it")
+
+    def _uses(self) -> dict[str, str]:
+        """What each boundary that the problem names is used for."""
+        used = dict.fromkeys(self.pair_boundaries, "contact")
+        used |= {load.boundary: "a load" for load in self.loads if isinstance(load, Pressure | Traction)}
+        return used | {support.boundary: "a support" for support in self.supports}
+
     def _check_domain(self, domain: Domain) -> None:
-        if not isinstance(domain, Domain):
-            raise TypeError("domain must be a Domain (Rectangle, Box, Polygon, Outline, Assembly, ...), "
-                            f"got {domain!r}")
+        checks.instance("domain", domain, Domain, "a Domain (Rectangle, Box, Polygon, Outline, Assembly, ...)")
         if domain.dim != self.dim:
             raise ValueError(f"domain is {domain.dim}D, material {self.dim}D: use Solid in 3D, "
                              "PlaneStrain, PlaneStress or Axisymmetric in 2D")
@@ -157,10 +180,7 @@ class ContactProblem:
 
     def check_boundaries(self, known: tuple[str, ...]) -> None:
         """Raise ValueError unless every boundary named by the problem is one of ``known``."""
-        used = dict.fromkeys(self.pair_boundaries, "contact")
-        used |= {load.boundary: "a load" for load in self.loads if isinstance(load, Pressure | Traction)}
-        used |= {s.boundary: "a support" for s in self.supports}
-        for boundary, use in used.items():
+        for boundary, use in self._uses().items():
             if boundary not in known:
                 raise ValueError(f"boundary {boundary!r}, used for {use}, does not exist"
                                  f"{checks.suggestion(boundary, known)}; the boundaries are "
@@ -182,7 +202,9 @@ def _materials(material: object) -> dict[str, Elastic]:
     """Materials by body, checked to belong to one problem."""
     if not isinstance(material, Mapping) or not material or not all(isinstance(m, Elastic) for m in material.values()):
         raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or map each body's name to "
-                        f"one of them, got {material!r}")
+                        f"one of them, got {checks.described(material)}")
+    for name in material:
+        checks.boundary_name("the names of bodies in material", name)
     kinds = {name: type(m).__name__ for name, m in material.items()}
     if len({(m.dim, isinstance(m, Axisymmetric)) for m in material.values()}) > 1:
         raise ValueError(f"material: the bodies must be all Solid, all Axisymmetric, or all plane, got {kinds}")
@@ -190,12 +212,10 @@ def _materials(material: object) -> dict[str, Elastic]:
 
 
 def _check_load(load: Load, dim: int) -> None:
-    if not isinstance(load, Load):
-        raise TypeError(f"loads must be Pressure, Traction, BodyForce or InitialStrain, got {load!r}")
     if isinstance(load, Pressure) or (isinstance(load, InitialStrain) and dim == 2):
         return
     if len(load.components) != dim:
-        raise ValueError(f"{load!r} has {len(load.components)} components in a {dim}D problem")
+        raise ValueError(f"{checks.shown(load)} has {len(load.components)} components in a {dim}D problem")
 
 
 def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int) -> None:

@@ -53,8 +53,8 @@ class Rectangle(Domain):
     boundaries: ClassVar[tuple[str, ...]] = ("bottom", "right", "top", "left")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "width", checks.positive("width", self.width))
-        object.__setattr__(self, "height", checks.positive("height", self.height))
+        object.__setattr__(self, "width", checks.quantity("width", self.width, positive=True))
+        object.__setattr__(self, "height", checks.quantity("height", self.height, positive=True))
         object.__setattr__(self, "origin", tuple(map(float, checks.vector("origin", self.origin, 2))))
 
     @property
@@ -95,7 +95,7 @@ class Box(Domain):
 
     def __post_init__(self) -> None:
         for name in ("width", "depth", "height"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+            object.__setattr__(self, name, checks.quantity(name, getattr(self, name), positive=True))
         object.__setattr__(self, "origin", tuple(map(float, checks.vector("origin", self.origin, 3))))
 
     @property
@@ -107,6 +107,19 @@ class Box(Domain):
     def upper(self) -> np.ndarray:
         """Highest corner (3,), m."""
         return self.lower + np.array([self.width, self.depth, self.height])
+
+
+def edges(vertices: object, boundaries: object, least: int) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The vertices (n, 2) of an outline, at least so many, and the names of its edges, checked."""
+    points = checks.array("vertices", vertices, (None, 2))
+    if len(points) < least:
+        raise ValueError(f"vertices must be at least {least} pairs of numbers, got {checks.shown(vertices)}")
+    if not (np.abs(points) <= checks.VAST).all():
+        raise ValueError(f"vertices must be at most {checks.VAST:g} m, got {checks.shown(vertices)}")
+    names = checks.strings("boundaries", boundaries)
+    if len(names) != len(points):
+        raise ValueError(f"boundaries must name each of the {len(points)} edges, got {len(names)} names")
+    return points, names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,19 +139,13 @@ class Polygon(Domain):
     dim: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        points = np.array(self.vertices, dtype=float)
-        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3 or not np.isfinite(points).all():
-            raise ValueError(f"vertices must be at least 3 pairs of finite numbers, got {self.vertices!r}")
-        if len(self.boundaries) != len(points):
-            raise ValueError(f"boundaries must name each of the {len(points)} edges, got {len(self.boundaries)} names")
-        for name in self.boundaries:
-            checks.boundary_name("boundaries", name)
+        points, boundaries = edges(self.vertices, self.boundaries, 3)
         x, y = points.T
         area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
         if not area > 0:
             raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of {area}")
         object.__setattr__(self, "vertices", tuple((float(a), float(b)) for a, b in points))
-        object.__setattr__(self, "boundaries", tuple(self.boundaries))
+        object.__setattr__(self, "boundaries", boundaries)
 
     @property
     def polygon(self) -> Polygon:

@@ -35,20 +35,22 @@ class Law(Protocol):
 
 
 def _nodal(name: str, value: float | np.ndarray, n: int) -> np.ndarray:
-    result = np.asarray(value, dtype=np.float64)
-    if result.shape not in ((), (n,)):
-        raise ValueError(f"{name} must be a number or an array over the {n} contact nodes, got shape {result.shape}")
-    return np.array(np.broadcast_to(result, (n,)))
+    if np.shape(value) not in ((), (n,)):
+        raise ValueError(f"{name} must be a number or an array over the {n} contact nodes, got shape {np.shape(value)}")
+    return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (n,)))
 
 
 def _check_parameter(name: str, value: FieldLike | np.ndarray) -> None:
-    if callable(value):
+    if callable(value) and not isinstance(value, type):
         return
-    array = np.asarray(value)
+    try:
+        array = np.asarray(None if isinstance(value, np.ma.MaskedArray) else value)
+    except (TypeError, ValueError):
+        array = np.asarray(None)
     if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must be a number, a function of position or an array, got {value!r}")
-    if not (np.isfinite(array).all() and (array >= 0).all()):
-        raise ValueError(f"{name} must be finite and >= 0, got {value!r}")
+        raise TypeError(f"{name} must be a number, a function of position or an array, got {checks.described(value)}")
+    if not ((array >= 0) & (array <= checks.VAST)).all():
+        raise ValueError(f"{name} must be finite and >= 0, and at most {checks.VAST:g}, got {checks.shown(value)}")
 
 
 @dataclass(frozen=True, eq=False)

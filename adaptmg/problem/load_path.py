@@ -6,7 +6,7 @@ quasi-static, without time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -56,7 +56,8 @@ class LoadPath:
 
     def __post_init__(self) -> None:
         if not isinstance(self.factors, Mapping):
-            raise TypeError(f"factors must map names of boundaries or bodies to factors, got {self.factors!r}")
+            raise TypeError("factors must map names of boundaries or bodies to factors, got "
+                            f"{checks.described(self.factors)}")
         given = {}
         for name, value in self.factors.items():
             checks.boundary_name("the names in factors", name)
@@ -132,9 +133,11 @@ def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
 
 def _factors(name: str, value: Factors) -> np.ndarray:
     """A finite array of no or one dimension."""
-    if np.ndim(value) == 0:
-        return np.array(checks.number(name, value))
+    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0:
+        return np.array(checks.quantity(name, value))
     result = np.array(checks.vector(name, value))
+    if not (np.abs(result) <= checks.VAST).all():
+        raise ValueError(f"{name} must be at most {checks.VAST:g}, got {checks.shown(value)}")
     result[np.abs(result) <= _ROUNDING * np.abs(result).max(initial=0.0)] = 0.0
     return result
 

@@ -17,10 +17,14 @@ __all__ = ["BodyForce", "InitialStrain", "Load", "Pressure", "Support", "Tractio
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
 
 
+def _field(name: str, value: FieldLike) -> FieldLike:
+    """A number, or a function of position; a class is neither."""
+    return value if callable(value) and not isinstance(value, type) else checks.quantity(name, value)
+
+
 def _check_components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]:
-    if callable(values) or isinstance(values, str):
-        raise TypeError(f"{name} must be a sequence of numbers or functions, one a component, got {values!r}")
-    result = tuple(v if callable(v) else checks.number(name, v) for v in values)
+    listed = checks.listed(name, values, "numbers or functions, one a component")
+    result = tuple(_field(name, value) for value in listed)
     if len(result) not in (2, 3):
         raise ValueError(f"{name} must have 2 or 3 components, got {len(result)}")
     return result
@@ -43,8 +47,7 @@ class Pressure:
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
-        if not callable(self.value):
-            object.__setattr__(self, "value", checks.number("value", self.value))
+        object.__setattr__(self, "value", _field("value", self.value))
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,7 @@ class Support:
         for name in "xyz":
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, checks.number(name, value))
+                object.__setattr__(self, name, checks.quantity(name, value))
         if self.x is None and self.y is None and self.z is None:
             raise ValueError(f"support on {self.boundary!r} fixes nothing: give x, y or z a displacement in m")
 

@@ -15,6 +15,8 @@ from adaptmg.problem import checks
 
 __all__ = ["Axisymmetric", "Elastic", "PlaneStrain", "PlaneStress", "Solid"]
 
+_FROM_LIMIT = 1e-9  # nearer to its limits a ratio of Poisson makes one modulus rounding beside the other
+
 
 @dataclass(frozen=True, kw_only=True)
 class Elastic:
@@ -33,10 +35,11 @@ class Elastic:
     dim: ClassVar[int]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "young", checks.positive("young", self.young))
+        object.__setattr__(self, "young", checks.quantity("young", self.young, positive=True))
         poisson = checks.number("poisson", self.poisson)
-        if not -1 < poisson < 0.5:
-            raise ValueError(f"poisson must lie between -1 and 0.5 (both excluded), got {self.poisson!r}")
+        if not -1 + _FROM_LIMIT < poisson < 0.5 - _FROM_LIMIT:
+            raise ValueError(f"poisson must lie between -1 and 0.5 (both excluded, and by more than {_FROM_LIMIT:g}), "
+                             f"got {self.poisson!r}")
         object.__setattr__(self, "poisson", poisson)
 
     @property

@@ -35,10 +35,12 @@ class Plane:
 
     def __post_init__(self) -> None:
         point = checks.vector("point", self.point)
+        if point.size not in (2, 3):
+            raise ValueError(f"point must have 2 or 3 components, got {point.size}")
         normal = checks.vector("normal", self.normal, point.size)
         length = np.linalg.norm(normal)
         if not length > 0:
-            raise ValueError(f"normal must not be zero, got {self.normal!r}")
+            raise ValueError(f"normal must not be zero, got {checks.shown(self.normal)}")
         normal = normal / length
         normal.flags.writeable = False
         object.__setattr__(self, "point", point)
@@ -86,8 +88,9 @@ class GapFunction:
     function: Callable[[np.ndarray], np.ndarray]
 
     def __post_init__(self) -> None:
-        if not callable(self.function):
-            raise TypeError(f"function must be callable (points (n, dim) -> gaps (n,)), got {self.function!r}")
+        if not callable(self.function) or isinstance(self.function, type):
+            raise TypeError(f"function must be callable (points (n, dim) -> gaps (n,)), "
+                            f"got {checks.described(self.function)}")
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Contact normals and gaps at boundary points; see :meth:`Plane.contact`."""

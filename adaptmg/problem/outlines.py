@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from adaptmg.problem import checks
-from adaptmg.problem.domains import Domain, Polygon
+from adaptmg.problem.domains import Domain, Polygon, edges
 
 __all__ = ["Arc", "Outline"]
 
@@ -93,19 +93,13 @@ class Outline(Domain):
     dim: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        points = np.array(self.vertices, dtype=float)
-        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
-            raise ValueError(f"vertices must be at least 2 pairs of finite numbers, got {self.vertices!r}")
-        if isinstance(self.boundaries, str) or len(self.boundaries) != len(points):
-            raise ValueError(f"boundaries must name each of the {len(points)} edges, got {self.boundaries!r}")
-        for name in self.boundaries:
-            checks.boundary_name("boundaries", name)
+        points, boundaries = edges(self.vertices, self.boundaries, 2)
         if not isinstance(self.arcs, Mapping):
-            raise TypeError(f"arcs must map edge numbers to centres, got {self.arcs!r}")
+            raise TypeError(f"arcs must map edge numbers to centres, got {checks.shown(self.arcs)}")
         arcs = {checks.integer("the edge number in arcs", i): tuple(map(float, checks.vector(f"arcs[{i}]", c, 2)))
                 for i, c in self.arcs.items()}
         object.__setattr__(self, "vertices", tuple((float(a), float(b)) for a, b in points))
-        object.__setattr__(self, "boundaries", tuple(self.boundaries))
+        object.__setattr__(self, "boundaries", boundaries)
         object.__setattr__(self, "arcs", dict(sorted(arcs.items())))
         for i in arcs:
             if i >= len(points):

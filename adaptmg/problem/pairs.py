@@ -51,10 +51,11 @@ class ContactPair:
             raise ValueError(f"slave and master are both {self.slave!r}: name two different boundaries; where a "
                              "surface may touch itself, cut it into two boundaries")
         checks.choice("coupling", self.coupling, COUPLINGS)
+        checks.flag("allow_interference", self.allow_interference)
         if self.reach is not None:
-            object.__setattr__(self, "reach", checks.positive("reach", self.reach))
-        if self.gap is not None and not callable(self.gap):
-            object.__setattr__(self, "gap", checks.number("gap", self.gap))
+            object.__setattr__(self, "reach", checks.quantity("reach", self.reach, positive=True))
+        if self.gap is not None and (not callable(self.gap) or isinstance(self.gap, type)):
+            object.__setattr__(self, "gap", checks.quantity("gap", self.gap))
             if self.gap < 0 and not self.allow_interference:
                 raise ValueError(f"gap must be >= 0, got {self.gap!r}; for an interference fit set "
                                  "allow_interference=True")

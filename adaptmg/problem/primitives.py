@@ -39,13 +39,13 @@ def direction(name: str, value: object) -> Triple:
     vector = checks.vector(name, value, 3)
     length = float(np.linalg.norm(vector))
     if not length > 0:
-        raise ValueError(f"{name} must not be zero, got {value!r}")
+        raise ValueError(f"{name} must not be zero, got {checks.shown(value)}")
     return tuple(map(float, vector / length))
 
 
 def _profile(name: str, value: object) -> Profile:
     if not isinstance(value, Profile):
-        raise TypeError(f"{name} must be a Polygon, an Outline or a Rectangle, got {value!r}")
+        raise TypeError(f"{name} must be a Polygon, an Outline or a Rectangle, got {checks.described(value)}")
     return value
 
 
@@ -78,7 +78,7 @@ class Cylinder(SolidDomain):
         object.__setattr__(self, "point", triple("point", self.point))
         object.__setattr__(self, "axis", direction("axis", self.axis))
         for name in ("radius", "height"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+            object.__setattr__(self, name, checks.quantity(name, getattr(self, name), positive=True))
 
     @property
     def lower(self) -> np.ndarray:
@@ -115,7 +115,7 @@ class Ball(SolidDomain):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", triple("centre", self.centre))
-        object.__setattr__(self, "radius", checks.positive("radius", self.radius))
+        object.__setattr__(self, "radius", checks.quantity("radius", self.radius, positive=True))
 
     @property
     def lower(self) -> np.ndarray:
@@ -209,8 +209,8 @@ class Extrusion(SolidDomain):
 
     def __post_init__(self) -> None:
         _profile("polygon", self.polygon)
-        object.__setattr__(self, "height", checks.positive("height", self.height))
-        object.__setattr__(self, "base", checks.number("base", self.base))
+        object.__setattr__(self, "height", checks.quantity("height", self.height, positive=True))
+        object.__setattr__(self, "base", checks.quantity("base", self.base))
         if {"bottom", "top"} & set(self.polygon.boundaries):
             raise ValueError("the edges of polygon must not be called 'bottom' or 'top': these are the end planes")
 

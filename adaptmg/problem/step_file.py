@@ -41,14 +41,12 @@ class StepFile(Domain):
     bodies: ClassVar[None] = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.path, str | Path):
-            raise TypeError(f"path must be a string or a Path, got {self.path!r}")
-        object.__setattr__(self, "path", Path(self.path))
-        object.__setattr__(self, "unit", checks.positive("unit", self.unit))
+        object.__setattr__(self, "path", checks.file_path("path", self.path))
+        object.__setattr__(self, "unit", checks.quantity("unit", self.unit, positive=True))
         if self.names is None:
             object.__setattr__(self, "names", {})
         if not isinstance(self.names, Mapping):
-            raise TypeError(f"names must map names to names, got {self.names!r}")
+            raise TypeError(f"names must map names to names, got {checks.shown(self.names)}")
         object.__setattr__(self, "names", dict(self.names))
         for old, new in self.names.items():
             checks.boundary_name("the keys of names", old)

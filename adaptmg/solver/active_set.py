@@ -64,20 +64,17 @@ class ActiveSet:
     nested_start: bool = False
 
     def __post_init__(self) -> None:
-        if not callable(getattr(self.linear, "setup", None)):
-            raise TypeError(f"linear must be Direct(), AMG(...) or offer setup(), got {self.linear!r}")
+        checks.offers("linear", self.linear, "setup", "Direct(), AMG(...) or offer setup()")
         if self.condensed is None:
             object.__setattr__(self, "condensed", isinstance(self.linear, Direct))
         for name in ("condensed", "nested_start"):
-            if not isinstance(getattr(self, name), bool):
-                raise TypeError(f"{name} must be True or False, got {getattr(self, name)!r}")
+            checks.flag(name, getattr(self, name))
         if self.condensed and not isinstance(self.linear, Direct):
             raise ValueError("condensed=True factorises the interior directly: leave linear at Direct(), "
                              "or say condensed=False")
-        for name in ("rtol", "factor", "linear_rtol"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
-        if not self.linear_rtol < 1:
-            raise ValueError(f"linear_rtol must be < 1, got {self.linear_rtol!r}")
+        for name in ("rtol", "linear_rtol"):
+            object.__setattr__(self, name, checks.tolerance(name, getattr(self, name)))
+        object.__setattr__(self, "factor", checks.positive("factor", self.factor))
         checks.integer("max_steps", self.max_steps, 1)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:

@@ -52,6 +52,19 @@ class LinearSolution:
     converged: bool
 
 
+def solution_of(linear: object, prepared: object, rhs: np.ndarray, rtol: float) -> LinearSolution:
+    """What a linear solver, a user's own perhaps, returns for a right-hand side, checked."""
+    name = f"linear: what {checks.shown(linear)}"
+    checks.offers(f"{name} prepares", prepared, "solve", "an object that offers solve(rhs, start, rtol)")
+    solution = prepared.solve(rhs, rtol=rtol)
+    checks.instance(f"{name} returns", solution, LinearSolution, "a LinearSolution")
+    unknowns = solution.unknowns
+    if not isinstance(unknowns, np.ndarray) or unknowns.dtype != np.float64 or unknowns.shape != rhs.shape:
+        given = f"{unknowns.dtype} {unknowns.shape}" if isinstance(unknowns, np.ndarray) else checks.shown(unknowns)
+        raise TypeError(f"{name} returns must have unknowns of float64 {rhs.shape}, got {given}")
+    return solution
+
+
 class Prepared(Protocol):
     """A matrix made ready for solves."""
 

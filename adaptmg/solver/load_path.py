@@ -9,13 +9,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem import checks
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.solver.arguments import default_solver, displacement_argument, warn_of_large_friction
+from adaptmg.solver.arguments import (
+    displacement_argument,
+    grids_argument,
+    solver_argument,
+    warn_of_large_friction,
+)
 from adaptmg.solver.path_result import PathResult
 from adaptmg.solver.path_store import PathStore
 from adaptmg.solver.path_walk import PathWalk
@@ -25,6 +32,7 @@ from adaptmg.solver.status import NotConverged
 
 __all__ = ["StepNotConverged", "solve_path"]
 
+
 class StepNotConverged(NotConverged):
     """Raised by :func:`solve_path` when a step did not reach its tolerance.
 
@@ -33,15 +41,20 @@ class StepNotConverged(NotConverged):
     result : Result
         The last iterate of that step.
     step : int
+    described : str
+        The factors of that step.
     partial : PathResult
         The steps before it, and it.
     """
 
     def __init__(self, result: Result, step: int, described: str, partial: PathResult) -> None:
         super().__init__(result)
-        self.step, self.partial = step, partial
+        self.step, self.described, self.partial = step, described, partial
         self.args = (f"step {step} of {partial.n_steps} ({described}): {self.args[0]} Smaller load steps help where "
                      "the contact status changes much; the steps before it are in .partial.",)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.result, self.step, self.described, self.partial)
 
 
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
@@ -82,16 +95,12 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         Bad input, or a rigid motion that neither supports nor contact hold in a step.
     StepNotConverged
     """
-    if isinstance(grids, DiscreteProblem):
-        grids = Hierarchy.single(grids)
-    elif not isinstance(grids, Hierarchy):
-        raise TypeError(f"grids must be a Hierarchy or a DiscreteProblem, got {type(grids).__name__}")
-    if not isinstance(path, LoadPath):
-        raise TypeError(f"path must be a LoadPath, got {type(path).__name__}")
-    solver = default_solver(grids) if solver is None else solver
-    if not callable(getattr(solver, "run", None)):
-        raise TypeError("solver must be SingleGrid, Multigrid, FullMultigrid, ActiveSet or offer run(), "
-                        f"got {solver!r}")
+    grids = grids_argument(grids)
+    checks.instance("path", path, LoadPath, "a LoadPath")
+    solver = solver_argument(solver, grids)
+    checks.flag("throw", throw)
+    checks.optional_callable("callback", callback, "the number and Result of a step")
+    checks.optional_callable("progress", progress, "the number of a step and a row of its history")
     walk = PathWalk(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
     mark = {} if store is None else walk.fingerprint()
     kept = None if store is None else PathStore(store, walk.factors, len(path), mark)

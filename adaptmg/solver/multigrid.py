@@ -63,16 +63,15 @@ class Multigrid:
     def __post_init__(self) -> None:
         if self.correction is None:
             object.__setattr__(self, "correction", Monotone() if self._not_for_truncated() else Truncated())
-        if not isinstance(self.cycle, Cycle):
-            raise TypeError(f"cycle must be a Cycle, got {self.cycle!r}")
-        if not callable(getattr(self.smoother, "smooth", None)):
-            raise TypeError("smoother must offer smooth(system, contact, load, unknowns, sweeps) -> passes, "
-                            f"got {self.smoother!r}")
-        if not (isinstance(self.correction, Truncated) or callable(getattr(self.correction, "transport", None))):
-            raise TypeError("correction must be Monotone(), Truncated(), PaperCorrection() or offer transport, "
-                            f"got {self.correction!r}")
-        if not isinstance(self.coarse, CoarseSolve):
-            raise TypeError(f"coarse must be a CoarseSolve, got {self.coarse!r}")
+        checks.instance("cycle", self.cycle, Cycle, "a Cycle")
+        checks.offers("smoother", self.smoother, "smooth",
+                      "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes")
+        if not isinstance(self.correction, Truncated):
+            words = "Monotone(), Truncated(), PaperCorrection() or offer transport and needs_initial"
+            checks.offers("correction", self.correction, "transport", words)
+            checks.flag(f"needs_initial of correction {checks.shown(self.correction)}",
+                        getattr(self.correction, "needs_initial", None))
+        checks.instance("coarse", self.coarse, CoarseSolve, "a CoarseSolve")
         checks.choice("coarse_matrices", self.coarse_matrices, ("galerkin", "discretised"))
         checks.choice("stop", self.stop, ("error", "change"))
         self._check_rtol()
@@ -82,9 +81,9 @@ class Multigrid:
 
     def _check_rtol(self) -> None:
         if not isinstance(self.rtol, str):
-            object.__setattr__(self, "rtol", checks.positive("rtol", self.rtol))
+            object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         elif self.rtol != "discretisation":
-            raise ValueError(f"rtol must be a number > 0 or 'discretisation', got {self.rtol!r}")
+            raise ValueError(f"rtol must be a number > 0 and < 1 or 'discretisation', got {checks.shown(self.rtol)}")
         elif not (isinstance(self, FullMultigrid) and isinstance(self.correction, Truncated)):
             raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
                              "shows the discretisation error")
@@ -133,8 +132,7 @@ class FullMultigrid(Multigrid):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.start, NestedStart):
-            raise TypeError(f"start must be a NestedStart, got {self.start!r}")
+        checks.instance("start", self.start, NestedStart, "a NestedStart")
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level; see :class:`adaptmg.solver.run.Solver`."""

@@ -16,7 +16,7 @@ from scipy import linalg, sparse
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.smoother.system import LocalProblem, rotate
 from adaptmg.solver.condensation import Condensed, condense
-from adaptmg.solver.linear import Direct, LinearSolver, Prepared
+from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
 from adaptmg.solver.newton_state import Linearised
 from adaptmg.solver.run import Run
 
@@ -190,7 +190,7 @@ class SparseSteps:
             rhs[prescribed.reshape(-1)] = 0.0
         self._prepare(equations, matrix, prescribed, spring)
         with self.run.phase("solve"):
-            solution = self._prepared.solve(rhs, rtol=rtol)
+            solution = solution_of(self.linear, self._prepared, rhs, rtol)
         self.run.count(solution.passes, system.nonzeros)
         if not solution.converged and not isinstance(self.linear, Direct):
             message = (f"{self.linear!r} stopped after {solution.iterations} iterations at a relative residual of "

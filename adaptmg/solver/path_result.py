@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from adaptmg.atomic import write_bytes
+from adaptmg.problem import checks
 from adaptmg.smoother.state import OPEN, SLIP, STICK
+from adaptmg.solver import path_files
 from adaptmg.solver.result import Result
 
 if TYPE_CHECKING:
     import pandas
 
 __all__ = ["PathResult"]
-
-_FORMAT = 1
-_HEAD = "path.json"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,13 +106,8 @@ class PathResult(Sequence[Result]):
         ValueError
             If the folder holds another path already.
         """
-        target = Path(folder)
-        if (target / _HEAD).exists():
-            raise ValueError(f"{target} holds a load path already: give another folder, or remove it")
-        target.mkdir(parents=True, exist_ok=True)
-        for k, result in enumerate(self.results):
-            save_step(target, k, result)
-        save_head(target, self.factors, self.n_steps, self.fingerprint)
+        path_files.write(checks.file_path("folder", folder), self.results, self.factors, self.n_steps,
+                         self.fingerprint)
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> PathResult:
@@ -125,50 +116,10 @@ class PathResult(Sequence[Result]):
         Raises
         ------
         ValueError
-            If the folder holds no load path, or a file in it is damaged.
+            If the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
         """
-        source = Path(folder)
-        try:
-            head = json.loads((source / _HEAD).read_text(encoding="utf-8"))
-            wrong = not isinstance(head, dict) or head.get("format") != _FORMAT
-        except FileNotFoundError as error:
-            raise ValueError(f"{source} holds no load path: there is no {_HEAD}") from error
-        except ValueError as error:
-            raise ValueError(f"{source / _HEAD} is damaged: {error}") from error
-        if wrong:
-            raise ValueError(f"{source} was saved by another version of adaptmg; solve again")
-        results: list[Result] = []
-        while len(results) < head["steps"] and step_file(source, len(results)).exists():
-            results.append(_load_step(step_file(source, len(results)), results))
-        return cls(tuple(results), {name: np.array(values) for name, values in head["factors"].items()},
-                   head["fingerprint"], head["steps"])
-
-
-def step_file(folder: Path, step: int) -> Path:
-    """Where a step is kept."""
-    return folder / f"step_{step:04d}.npz"
-
-
-def save_head(folder: Path, factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[str, Any]) -> None:
-    """Write what all steps share."""
-    head = {"format": _FORMAT, "steps": steps, "factors": {name: list(values) for name, values in factors.items()},
-            "fingerprint": fingerprint}
-    write_bytes(folder / _HEAD, json.dumps(head, indent=1).encode())
-
-
-def save_step(folder: Path, step: int, result: Result) -> None:
-    """Write a step, whole or not at all; only the first carries the mesh."""
-    (result if step == 0 else replace(result, mesh=None)).save(step_file(folder, step))
-
-
-def _load_step(file: Path, before: list[Result]) -> Result:
-    try:
-        result = Result.load(file)
-    except Exception as error:
-        # whatever a broken archive makes numpy and zipfile raise
-        raise ValueError(f"{file} is damaged ({type(error).__name__}: {error}): remove it and those after it to have "
-                         "these steps solved again") from error
-    return replace(result, mesh=before[0].mesh) if before else result
+        head, results = path_files.read(checks.file_path("folder", folder))
+        return cls(results, head.factors, head.fingerprint, head.steps)
 
 
 def _counts(result: Result) -> dict[str, int]:

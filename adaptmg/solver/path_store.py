@@ -12,15 +12,16 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from adaptmg.atomic import make_folder
 from adaptmg.discretisation.load_steps import LoadSteps
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem import checks
+from adaptmg.solver import path_files
 from adaptmg.solver.labels import label
-from adaptmg.solver.path_result import PathResult, save_head, save_step
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
 
@@ -55,28 +56,30 @@ class PathStore:
 
     def __init__(self, folder: str | os.PathLike[str], factors: Mapping[str, np.ndarray], steps: int,
                  mark: Mapping[str, Any]) -> None:
-        self.folder = Path(folder)
+        self.folder = checks.file_path("store", folder)
         if self.folder.exists() and not self.folder.is_dir():
             raise ValueError(f"store must be a folder, {self.folder} is a file")
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder("store", self.folder)
         self.results: list[Result] = []
-        if any(self.folder.glob("step_*.npz")) or (self.folder / "path.json").exists():
-            found = PathResult.load(self.folder)
-            if not found.fingerprint:
-                raise ValueError(f"{self.folder} was written by PathResult.save, which does not know what it was "
-                                 "solved for: give another folder as store")
-            # as it comes back from JSON
-            different = _differences(found.fingerprint, json.loads(json.dumps(mark)))
-            if different:
-                raise ValueError(f"the store {self.folder} belongs to another run: {', '.join(different)} differ"
-                                 f"{'s' if len(different) == 1 else ''}; give another folder, or remove this one")
-            self.results = list(found)
-        else:
-            save_head(self.folder, factors, steps, mark)
+        self._head = path_files.PathHead(factors, steps, mark)
+        if not any(self.folder.glob("step_*.npz")) and not (self.folder / path_files.HEAD).exists():
+            path_files.write_head(self.folder, self._head)
+            return
+        # the head that is there stays: steps go by its key
+        self._head, results = path_files.read(self.folder)
+        if not self._head.fingerprint:
+            raise ValueError(f"{self.folder} was written by PathResult.save, which does not know what it was "
+                             "solved for: give another folder as store")
+        # as it comes back from JSON
+        different = _differences(self._head.fingerprint, json.loads(json.dumps(mark)))
+        if different:
+            raise ValueError(f"the store {self.folder} belongs to another run: {', '.join(different)} differ"
+                             f"{'s' if len(different) == 1 else ''}; give another folder, or remove this one")
+        self.results = list(results)
 
     def put(self, step: int, result: Result) -> None:
         """Keep a finished step."""
-        save_step(self.folder, step, result)
+        path_files.write_step(self.folder, self._head, step, result)
 
 
 def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Mapping[str, np.ndarray], steps: int,

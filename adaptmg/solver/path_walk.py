@@ -12,10 +12,12 @@ import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation.load_steps import LoadSteps, load_steps, whole_load
+from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.smoother.system import LocalProblem, local_contact, local_system, rotate
+from adaptmg.solver.arguments import checked_outcome
 from adaptmg.solver.path_machine import coarse_displacements, lifted_load
 from adaptmg.solver.path_store import fingerprint
 from adaptmg.solver.result import Result
@@ -93,11 +95,12 @@ class PathWalk:
         with run.phase("statics"):
             self._check_statics(k, grids)
         if self._at_rest():
-            result, coarse = self._undeformed(grids, run), None
+            result, coarse = self._undeformed(k, grids, run), None
         else:
             outcome, coarse = self.method.run(grids, self.local, run, past)
+            outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
             with run.phase("result"):
-                result = result_of(grids, self.local, run, outcome, self.solver)
+                result = result_of(grids, self.local, run, outcome, self.solver, self._stress_data(k))
         with run.phase("result"):
             self._remember(grids, result, forces, coarse)
         _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,
@@ -120,12 +123,15 @@ class PathWalk:
         slid = np.abs(contact.slip_reference).any(axis=1)
         return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
 
-    def _undeformed(self, grids: Hierarchy, run: Run) -> Result:
+    def _stress_data(self, k: int) -> StressData | None:
+        return self.loads[-1].stress_data(self._factors_at(k))
+
+    def _undeformed(self, k: int, grids: Hierarchy, run: Run) -> Result:
         """The result of a step in which nothing acts: no method could tell the relative error of its iterates."""
         rtol = getattr(self.solver, "rtol", None)
         outcome = Outcome(np.zeros(self.local.system.n_dofs), Status.CONVERGED, 0,
                           float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0)
-        result = result_of(grids, self.local, run, outcome, self.solver)
+        result = result_of(grids, self.local, run, outcome, self.solver, self._stress_data(k))
         # all forces vanish: a relative residual would be rounding over nothing
         return replace(result, status=Status.CONVERGED, residual=0.0)
 

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from adaptmg.atomic import write_bytes
+from adaptmg.discretisation.measures import StressData, von_mises
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
+from adaptmg.solver.result_file import read_result, write_result
 from adaptmg.solver.status import Status
 
 __all__ = ["ContactResult", "Result"]
-
-_FORMAT = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +162,8 @@ class Result:
         Finest mesh (without its NGSolve source after loading).
     start_work_units : float
         The part of ``work_units`` spent before the first cycle on the finest level (nested start).
+    stress_data : StressData or None
+        Material constants and initial strains, for :meth:`stresses`; None for a bare DiscreteProblem.
     """
 
     displacement: np.ndarray
@@ -185,6 +185,7 @@ class Result:
     mesh: MeshArrays | None = None
     start_work_units: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
+    stress_data: StressData | None = None
 
     @property
     def dim(self) -> int:
@@ -227,11 +228,9 @@ class Result:
 
         if self.mesh is None:
             raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .displacement")
-        points = np.atleast_2d(np.asarray(points, dtype=np.float64))
-        if points.ndim != 2 or points.shape[1] != self.dim:
-            raise ValueError(f"points must have shape (n, {self.dim}), got {points.shape}")
-        if not np.isfinite(points).all():
-            raise ValueError("points must be finite")
+        if getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points))):
+            points = [points]  # one point
+        points = checks.array("points", points, (None, self.dim))
         found = PointLocator(self.mesh).locate(points)
         outside = found.distance > 1e-6 * self.mesh.element_sizes[found.element]
         if outside.any():
@@ -239,6 +238,33 @@ class Result:
             raise ValueError(f"point {i} {points[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
         corners = self.displacement[self.mesh.elements[found.element]]
         return np.einsum("nk,nkd->nd", found.weights, corners)
+
+    def stresses(self) -> np.ndarray:
+        """Cauchy stress, constant on each element (but for the mean hoop stress of axisymmetric bodies).
+
+        Returns
+        -------
+        (n_elements, 6) array
+            Pa, tension positive: xx, yy, zz, xy, yz, xz. In 2D zz is the stress through the thickness (0 in plane
+            stress), yz and xz are 0; in axisymmetry x is r, y the axis and zz the hoop stress.
+
+        Raises
+        ------
+        ValueError
+            Without a mesh or materials, as of a bare DiscreteProblem.
+        """
+        return self._stress_tensors()[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+
+    def von_mises(self) -> np.ndarray:
+        """Von Mises stress of each element (n_elements,), Pa; errors as of :meth:`stresses`."""
+        return von_mises(self._stress_tensors())
+
+    def _stress_tensors(self) -> np.ndarray:
+        if self.mesh is None or self.stress_data is None:
+            raise ValueError("this result knows no materials to compute stresses from (it comes from a bare "
+                             "DiscreteProblem): solve on a Hierarchy of a ContactProblem, or give it mesh and "
+                             "stress_data=StressData.of(mesh, material) with dataclasses.replace")
+        return self.stress_data.tensors(self.mesh, self.displacement)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
         """Force and moment exerted on the body through a boundary.
@@ -266,6 +292,7 @@ class Result:
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
         """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node has both)."""
+        checks.instance("boundary", boundary, str, "the name of a boundary")
         c = self.contact
         slave = np.array([boundary in ("contact", name) for name in c.names])
         master = np.array([boundary == name != "" for name in c.masters or ("",) * len(c.names)])
@@ -292,49 +319,21 @@ class Result:
         return result
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write to an ``.npz`` file, whole or not at all (written beside it, then renamed)."""
-        arrays: dict[str, np.ndarray] = {"displacement": self.displacement, "reaction": self.reaction}
-        arrays |= {f"contact.{k}": v for k, v in vars(self.contact).items() if isinstance(v, np.ndarray)}
-        arrays |= {f"history.{k}": np.asarray(v) for k, v in self.history.items()}
-        meta = {"format": _FORMAT, "status": self.status.name, "cycles": self.cycles, "work_units": self.work_units,
-                "residual": self.residual, "error_estimate": self.error_estimate, "rate": self.rate, "rtol": self.rtol,
-                "timings": self.timings, "path": self.path, "levels": self.levels, "problem_name": self.problem_name,
-                "solver_name": self.solver_name, "start_work_units": self.start_work_units, "versions": self.versions,
-                "names": self.contact.names, "masters": self.contact.masters}
-        if self.mesh is not None:
-            arrays |= {f"mesh.{k}": getattr(self.mesh, k)
-                       for k in ("points", "elements", "facets", "facet_labels", "element_body")}
-            meta |= {"boundaries": self.mesh.boundaries, "bodies": self.mesh.bodies}
-        arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8)
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, **arrays)
-        write_bytes(path, buffer.getvalue())
+        """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.result_file`."""
+        write_result(path, self)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
-        """Read what :meth:`save` wrote; ValueError if it is something else."""
-        with np.load(path, allow_pickle=False) as data:
-            if "meta" not in data:
-                raise ValueError(f"{os.fspath(path)} is not a result saved by adaptmg")
-            meta = json.loads(data["meta"].tobytes())
-            if meta.pop("format") != _FORMAT:
-                raise ValueError(f"{os.fspath(path)} was saved by another version of adaptmg; solve again")
-            groups: dict[str, dict[str, np.ndarray]] = {"contact": {}, "history": {}, "mesh": {}}
-            for key in data.files:
-                group, _, name = key.partition(".")
-                if name:
-                    groups[group][name] = data[key]
-            mesh = None
-            if groups["mesh"]:
-                mesh = MeshArrays(**groups["mesh"], boundaries=tuple(meta.pop("boundaries")),
-                                  bodies=tuple(meta.pop("bodies")))
-            names = tuple(meta.pop("names"))
-            contact = ContactResult(**groups["contact"], names=names,
-                                    masters=tuple(meta.pop("masters", ())))
-            meta["status"] = Status[meta["status"]]
-            meta["path"] = [tuple(step) for step in meta["path"]]
-            return cls(displacement=data["displacement"], reaction=data["reaction"], contact=contact, mesh=mesh,
-                       history=groups["history"], **meta)
+        """Read what :meth:`save` wrote; ValueError, which names the file, if it is something else or damaged."""
+        return loaded(path)[0]
+
+
+def loaded(path: str | os.PathLike[str]) -> tuple[Result, dict[str, Any]]:
+    """The result in a file, and of which load path it is a part (empty if of none)."""
+    fields, part_of = read_result(path)
+    stress = fields["stress_data"]
+    return Result(**{**fields, "contact": ContactResult(**fields["contact"]),
+                     "stress_data": None if stress is None else StressData(**stress)}), part_of
 
 
 @dataclass(frozen=True, eq=False)

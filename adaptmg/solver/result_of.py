@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.convergence import Convergence
@@ -16,7 +17,8 @@ from adaptmg.solver.status import Status
 __all__ = ["result_of"]
 
 
-def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome, solver: Solver) -> Result:
+def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome, solver: Solver,
+              stress_data: StressData | None) -> Result:
     """The Result on the finest level; its residual is computed anew and must confirm the status.
 
     Parameters
@@ -30,6 +32,8 @@ def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome,
         What it returned; between bodies relative.
     solver : Solver
         For its name.
+    stress_data : StressData or None
+        For the stresses.
     """
     discrete = local.discrete
     solved = np.asarray(outcome.displacement).reshape(discrete.n_nodes, discrete.dim)
@@ -46,11 +50,13 @@ def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome,
                   error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(), problem_name=problem_name(grids),
                   solver_name=solver_name(solver, run), mesh=grids.finest.mesh, start_work_units=run.start_work_units,
-                  versions=versions())
+                  versions=versions(), stress_data=stress_data)
 
 
 def _confirmed(outcome: Outcome, residual: float) -> Status:
     """The status of a solver, unless the residual of what it returned, computed here anew, contradicts it."""
+    if not np.isfinite(residual):
+        return Status.DIVERGED
     wanted = max(Convergence.RESIDUAL_FACTOR * outcome.rtol, Convergence.ROUNDING_LIMIT)
     # twice: solvers sum the same numbers in another order
     if outcome.status.ok and not residual <= 2 * wanted:

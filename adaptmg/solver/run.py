@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from adaptmg.problem import checks
 from adaptmg.solver.status import Status
 
 if TYPE_CHECKING:
@@ -68,7 +69,8 @@ class Run:
     PATH_LIMIT = 100_000
 
     def count(self, passes: float, nonzeros: int) -> None:
-        """Count ``passes`` over a matrix of ``nonzeros`` stored entries."""
+        """Count ``passes`` over a matrix of ``nonzeros`` stored entries; those of a user's part are checked here."""
+        passes = checks.nonnegative("the passes over the matrix that a smoother or linear solver returns", passes)
         self.work_units += passes * nonzeros / self.unit
 
     def visit(self, level: int, action: str, times: int = 1) -> None:

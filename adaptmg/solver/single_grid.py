@@ -59,9 +59,10 @@ class SingleGrid:
 
     def __post_init__(self) -> None:
         self.smoother()
+        checks.flag("condensed", self.condensed)
         checks.choice("friction", self.friction, ("diagonal", "fixed point"))
         checks.choice("stop", self.stop, ("error", "change"))
-        object.__setattr__(self, "rtol", checks.positive("rtol", self.rtol))
+        object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
     def smoother(self) -> ProjectedGaussSeidel:

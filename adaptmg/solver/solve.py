@@ -7,9 +7,18 @@ from collections.abc import Callable
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem import checks
 from adaptmg.smoother.system import local_system
-from adaptmg.solver.arguments import default_solver, displacement_argument, warn_of_large_friction
+from adaptmg.solver.arguments import (
+    checked_outcome,
+    displacement_argument,
+    grids_argument,
+    solver_argument,
+    warn_of_large_friction,
+)
+from adaptmg.solver.critical_friction import warn_of_several_solutions
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_of import result_of
 from adaptmg.solver.run import Run, Solver
@@ -33,7 +42,9 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         ``SingleGrid()``. One's own offers ``run`` (see
         :class:`adaptmg.solver.run.Solver`).
     start : (n_nodes, dim) array or Result, optional
-        Where to start, m; default zero. FullMultigrid makes its own start and refuses one.
+        Where to start, m; default zero. FullMultigrid makes its own start and refuses one. With Coulomb friction there
+        may be several solutions (:func:`~adaptmg.cases.leaning_strut` has three): starts from other solutions, of the
+        problem without friction or with more of it, say, show whether there are.
     reference : (n_nodes, dim) array or Result, optional
         The exact discrete solution, m: the history then has the true relative A-norm error (``true_error``).
     throw : bool
@@ -52,22 +63,22 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         Bad input, or a rigid motion that neither supports nor contact hold.
     NotConverged
     """
-    if isinstance(grids, DiscreteProblem):
-        grids = Hierarchy.single(grids)
-    elif not isinstance(grids, Hierarchy):
-        raise TypeError(f"grids must be a Hierarchy or a DiscreteProblem, got {type(grids).__name__}")
-    solver = default_solver(grids) if solver is None else solver
-    if not callable(getattr(solver, "run", None)):
-        raise TypeError("solver must be SingleGrid, Multigrid, FullMultigrid, ActiveSet or offer run(), "
-                        f"got {solver!r}")
+    grids = grids_argument(grids)
+    solver = solver_argument(solver, grids)
+    checks.flag("throw", throw)
+    checks.optional_callable("callback", callback, "a row of the history")
     discrete = grids.finest.discrete
     check_statics(discrete)
     local = local_system(discrete)
     warn_of_large_friction(local)
+    warn_of_several_solutions(grids)
     known = displacement_argument("reference", reference, discrete)
     run = Run(unit=discrete.matrix.nnz, callback=callback, reference=known)
     outcome = solver.run(grids, run, displacement_argument("start", start, discrete))
-    result = result_of(grids, local, run, outcome, solver)
+    outcome = checked_outcome(outcome, solver, discrete)
+    posed, mesh = grids.problem, grids.finest.mesh
+    stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
+    result = result_of(grids, local, run, outcome, solver, stress_data)
     if throw and not result.status.ok:
         raise NotConverged(result)
     return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from adaptmg.solver.result import Result
@@ -44,3 +44,7 @@ class NotConverged(RuntimeError):
         super().__init__(f"{result.solver_name}: {result.status.name} after {result.cycles} cycles, natural residual "
                          f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}. "
                          "The last iterate is in the exception's .result; throw=False returns it instead.")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # exceptions are rebuilt from .args, which is the text here: a process that is handed one back must not fail
+        return type(self), (self.result,)

@@ -66,6 +66,8 @@ def parameter_value(name: str, value: Any) -> Value:
     value = _scalar(value)
     if isinstance(value, tuple):
         return tuple(parameter_value(name, v) for v in value)
+    if isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value):
+        raise ValueError(f"parameter {name!r} must be text that can be stored, got lone surrogates: {value!a}")
     if value is None or type(value) in (bool, int, float, str):
         return value
     raise TypeError(f"parameter {name!r} must be a number, string, bool, None or a tuple of those, got {value!r}; "

@@ -14,6 +14,7 @@ from typing import Any
 
 import pandas as pd
 
+from adaptmg.problem import checks
 from adaptmg.study.execute import Execute, Outcome, Point, RunFunction, in_turn
 from adaptmg.study.fingerprint import code_hash, environment
 from adaptmg.study.record import RESERVED, Record, Value, canonical, parameter_value
@@ -68,8 +69,8 @@ class Study:
         self.parameters = _checked_grid(parameters)
         self.fixed = {key: parameter_value(key, value) for key, value in (fixed or {}).items()}
         self.name = run.__name__ if name is None else name
-        if not isinstance(self.name, str) or not self.name:
-            raise TypeError(f"name must be a non-empty string, got {name!r}")
+        if name is not None:
+            checks.boundary_name("name", name)
         _check_names(run, self.parameters, self.fixed)
         self._store = Store(store)
 

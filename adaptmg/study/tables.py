@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from adaptmg.text import printable
+
 __all__ = ["as_html", "as_text"]
 
 
@@ -47,7 +49,7 @@ def as_text(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
 
     rows = [line(list(row)) for row in zip(*columns, strict=True)]
     body = [line(headers), "  ".join("-" * width for width in widths), *rows]
-    return "\n".join([caption] * bool(caption) + body + [note] * bool(note))
+    return printable("\n".join([caption] * bool(caption) + body + [note] * bool(note)))
 
 
 def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
@@ -61,14 +63,19 @@ def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
     """
     headers, columns = _cells(table, units, formats)
     classes = [' class="n"' if _numeric(table[name]) else "" for name in table.columns]
-    head = "".join(f"<th{c}>{html.escape(h)}</th>" for h, c in zip(headers, classes, strict=True))
-    rows = ("".join(f"<td{c}>{html.escape(cell)}</td>" for cell, c in zip(row, classes, strict=True))
+    head = "".join(f"<th{c}>{_escaped(h)}</th>" for h, c in zip(headers, classes, strict=True))
+    rows = ("".join(f"<td{c}>{_escaped(cell)}</td>" for cell, c in zip(row, classes, strict=True))
             for row in zip(*columns, strict=True))
     body = "\n".join(f"<tr>{row}</tr>" for row in rows)
-    top = f"<figcaption>{html.escape(caption)}</figcaption>\n" if caption else ""
-    bottom = f'\n<p class="note">{html.escape(note)}</p>' if note else ""
+    top = f"<figcaption>{_escaped(caption)}</figcaption>\n" if caption else ""
+    bottom = f'\n<p class="note">{_escaped(note)}</p>' if note else ""
     return (f'<figure class="table">\n{top}<div class="scroll"><table>\n<thead><tr>{head}</tr></thead>\n'
             f"<tbody>\n{body}\n</tbody>\n</table></div>{bottom}\n</figure>")
+
+
+def _escaped(text: str) -> str:
+    """A text as HTML takes it, control characters as codes."""
+    return html.escape(printable(text))
 
 
 def _cells(table: pd.DataFrame, units: Mapping[str, str] | None,
@@ -80,7 +87,9 @@ def _cells(table: pd.DataFrame, units: Mapping[str, str] | None,
         unknown = sorted(set(mapping) - set(table.columns))
         if unknown:
             raise ValueError(f"{what} names columns the table does not have: {unknown}; it has {list(table.columns)}")
-    headers = [f"{name} [{units[name]}]" if units.get(name) else str(name) for name in table.columns]
+    names = [_line(name) for name in table.columns]
+    headers = [f"{shown} [{_line(units[name])}]" if units.get(name) else shown
+               for name, shown in zip(table.columns, names, strict=True)]
     columns = [[_cell(value, formats.get(name)) for value in table[name]] for name in table.columns]
     return headers, columns
 
@@ -96,7 +105,12 @@ def _cell(value: Any, spec: str | None) -> str:
         return format(float(value), spec or ".4g")
     if isinstance(value, tuple):
         return ", ".join(_cell(v, spec) for v in value)
-    return " ".join(str(value).split())
+    return _line(value)
+
+
+def _line(value: Any) -> str:
+    """A text in one line, as wide as it is printed."""
+    return printable(" ".join(str(value).split()))
 
 
 def _numeric(column: pd.Series) -> bool:

@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import checks
 from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
 from adaptmg.transfer.location import nodes_of_bodies
 from adaptmg.transfer.protocol import Transfer
@@ -63,13 +64,7 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
     ValueError
         If the transfer returns a matrix of another shape, entries that are not finite, or rows that mix bodies.
     """
-    nodal = sparse.csr_array(transfer.build(coarse, fine))
-    wanted = (fine.n_nodes, coarse.n_nodes)
-    if nodal.shape != wanted:
-        raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
-                         f"got {nodal.shape}")
-    if not np.isfinite(nodal.data).all():
-        raise ValueError(f"transfer.build of {transfer!r} returned entries that are not finite")
+    nodal = _built(transfer, coarse, fine)
     contact, coupling = fine_problem.contact, fine_problem.coupling
     if coupling is not None:
         _check_bodies(nodal, coarse, fine, transfer)
@@ -88,6 +83,21 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
         if contact.masters[k] and len(known):
             surface = with_contact_rows(surface, nodes, _among(known, rows, fine.points[nodes], coarse.points))
     return LevelTransfer(relative, surface)
+
+
+def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+    """What the transfer returns, checked: kernels follow its indices."""
+    returned, wanted = transfer.build(coarse, fine), (fine.n_nodes, coarse.n_nodes)
+    if sparse.issparse(returned) and returned.shape != wanted:
+        raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
+                         f"got {returned.shape}")
+    nodal = checks.sparse_matrix(f"what transfer.build of {checks.shown(transfer)} returns", returned)
+    nodal = sparse.csr_array(nodal, dtype=np.float64)
+    largest = np.abs(nodal.data).max(initial=0.0)
+    if not 1 / checks.VAST <= largest <= checks.VAST:
+        raise ValueError(f"transfer.build of {checks.shown(transfer)} must return weights of about 1, the largest is "
+                         f"{largest:.3g}")
+    return nodal
 
 
 def _check_bodies(nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, transfer: Transfer) -> None:

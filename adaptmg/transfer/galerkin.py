@@ -13,9 +13,12 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
+from adaptmg.problem import checks
 from adaptmg.transfer.aggregation import without_fixed
 
 __all__ = ["coarse_spaces", "galerkin_product", "is_galerkin", "seen"]
+
+_SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
 
 
 @njit(cache=True)
@@ -184,6 +187,17 @@ def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: spars
     return bool(np.abs(difference).max() <= tolerance * np.abs(product).max())
 
 
+def _prolongation(name: str, value: Any) -> sparse.csr_array:
+    """One of a user's prolongations as csr, its indices and the size of its weights checked."""
+    # a copy: duplicates are summed in place
+    P = sparse.csr_array(checks.sparse_matrix(name, value), dtype=np.float64, copy=True)
+    P.sum_duplicates()
+    largest = np.abs(P.data).max(initial=0.0)
+    if not _SMALLEST <= largest <= 1 / _SMALLEST:
+        raise ValueError(f"{name} must have weights of about 1, the largest is {largest:.3g}")
+    return P
+
+
 def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[Any]
                   ) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
     """Check prolongations against a matrix and form the Galerkin matrices.
@@ -202,15 +216,8 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
         Coarsest first, without the finest; blocks of size 1 where the prolongations are of dofs. A coarse dof that
         nothing free reaches has a diagonal entry only.
     """
-    given = []
-    for k, P in enumerate(prolongations):
-        if not sparse.issparse(P):
-            raise TypeError(f"prolongations[{k}] must be a scipy sparse matrix, got {type(P).__name__}")
-        P = sparse.csr_array(P, dtype=np.float64)
-        P.sum_duplicates()
-        if not np.isfinite(P.data).all():
-            raise ValueError(f"prolongations[{k}] must be finite")
-        given.append(P)
+    listed = checks.listed("prolongations", prolongations, "scipy sparse matrices, coarse to fine")
+    given = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(listed)]
     if not given:
         raise ValueError("prolongations is empty: give at least one, or use Hierarchy.single")
     dim, n = matrix.blocksize[0], matrix.shape[0]
@@ -225,9 +232,9 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
     rows, finer = given[-1].shape[0], None
     for k in range(len(given) - 1, -1, -1):
         P = given[k]
-        if P.shape[0] != rows or P.shape[1] >= rows:
-            raise ValueError(f"prolongations[{k}] must have {rows} rows and fewer columns, got {P.shape}: they go from "
-                             "coarse to fine")
+        if P.shape[0] != rows or not 0 < P.shape[1] < rows:
+            raise ValueError(f"prolongations[{k}] must have {rows} rows and fewer columns, one at least, got "
+                             f"{P.shape}: they go from coarse to fine")
         rows = P.shape[1]
         finer = seen(P, finer)
         current = galerkin_product(current, finer)

@@ -10,6 +10,17 @@ __all__ = ["TABLES", "Hostile"]
 #: the tables: modules beside this one with a tuple INPUTS of Hostile rows
 TABLES = (
     "numbers_and_names",
+    "result_files",
+    "stores",
+    "outputs",
+    "command_line",
+    "problems",
+    "discrete_problems",
+    "user_parts",
+    "hierarchies_and_solvers",
+    "mesh_files",
+    "mesh_objects",
+    "domains_and_sizes",
 )
 
 

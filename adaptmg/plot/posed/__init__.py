@@ -1,0 +1,1 @@
+"""The pictures of what is posed: bodies, contact, loads, supports."""

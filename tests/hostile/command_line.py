@@ -1,0 +1,124 @@
+"""Bad input on the command line: one line on standard error that names the option, and exit code 2."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections.abc import Callable
+from pathlib import Path
+from unittest import mock
+
+from hostile_table import Hostile
+
+from adaptmg.cli import app, work
+
+
+def command(*arguments: str, code: int = 2) -> None:
+    """Run the command here, check how it ends and what it prints; raise what it says."""
+    out, err = io.StringIO(), io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            app(list(arguments), prog_name="adaptmg")
+        except SystemExit as end:
+            found = end.code
+    err.seek(0)
+    said = err.read()
+    lines = [line for line in said.splitlines() if line.startswith("adaptmg: ")]
+    if found != code or out.getvalue() or "Traceback" in said or (arguments[-1] != "usage" and len(lines) != 1):
+        raise AssertionError(f"exit code {found}, standard output {out.getvalue()!r}, standard error {said!r}")
+    raise ValueError(lines[-1])
+
+
+def usage(*arguments: str) -> None:
+    """Options that typer refuses itself, in a box."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            app(list(arguments), prog_name="adaptmg")
+        except SystemExit as end:
+            if end.code == 2 and not out.getvalue() and "Traceback" not in err.getvalue():
+                raise ValueError(err.getvalue()) from None
+            raise AssertionError(f"exit code {end.code}: {err.getvalue()}") from None
+
+
+def during(error: BaseException, code: int = 2) -> Callable[[], None]:
+    """The command where solving fails with ``error``."""
+    def run() -> None:
+        def failing(*arguments: object) -> None:
+            raise error
+
+        with mock.patch.object(work, "solved", failing):
+            command("solve", "greco_bar", "--divisions", "2,4", code=code)
+
+    return run
+
+
+_SOLVE = {
+    "divisions": ("0", "-4", "4,100000", "4,99999999999999999999999", "4,x", "", ",", "4.5", "nan", "1e3", "\udcff",
+                  "4\0", "9" * 5000, "30000"),
+    "sizes": ("0", "-1e-3", "1e-9", "nan", "inf", "1e400", "x", "", "1e-3;1e-4", "1e-300", "\udcff"),
+    "friction": ("-1", "nan", "inf"), "rtol": ("0", "-1", "nan"), "max-cycles": ("0", "-1"), "pre": ("-1",),
+    "post": ("-1",), "omega": ("0", "2", "-1", "nan"), "limit": ("-1", "nan"),
+}
+
+
+def _options():
+    for option, values in _SOLVE.items():
+        for value in values:
+            given = f"--{option}={value}"
+            yield Hostile(ascii(given)[:40], lambda g=given: command("solve", "greco_bar", g),
+                          "cycles" if option == "max-cycles" else option.rstrip("s"), ValueError)
+    yield Hostile("fine to coarse", lambda: command("solve", "greco_bar", "--divisions=8,4"), "coarse to fine",
+                  ValueError)
+    for option, value in {"friction": "much", "law": "hooke", "solver": "magic", "transfer": "x", "cycle": "Z",
+                          "pre": "1.5", "max-cycles": "many", "nothing": "1"}.items():
+        yield Hostile(f"--{option} {value}", lambda o=option, v=value: usage("solve", "greco_bar", f"--{o}", v),
+                      option, ValueError)
+    for label, case in {"unknown": "greco", "surrogate": "\udcff", "control": "a\x1b[31m", "empty": "", "zero": "a\0"
+                        }.items():
+        yield Hostile(f"case {label}", lambda c=case: command("solve", c), "there is no case", ValueError)
+    both = {"sizes and divisions": ("--sizes=1e-2", "--divisions=4", "--divisions"),
+            "ratio alone": ("--contact-ratio=2", "--divisions=4", "--contact-ratio"),
+            "ratio below one": ("--contact-ratio=0.5", "--sizes=1e-2", "ratio"),
+            "ratio not a number": ("--contact-ratio=nan", "--sizes=1e-2", "ratio"),
+            "ratio huge": ("--contact-ratio=1e300", "--sizes=1e-2", "sizes"),
+            "useless option": ("--solver=active-set", "--omega=1", "--omega"),
+            "law without friction": ("--law=coulomb", "--divisions=2", "--friction"),
+            "two laws": ("--friction=1", "--limit=1", "--limit")}
+    for name, (first, second, says) in both.items():
+        yield Hostile(name, lambda a=first, b=second: command("solve", "greco_bar", a, b), says, ValueError)
+
+
+def _outputs():
+    def solve(out: str, make: Callable[[], object] = lambda: None) -> None:
+        make()
+        command("solve", "greco_bar", "--divisions=2,4", f"--out={out}")
+
+    yield Hostile("--out a device", lambda: solve("/dev/null"), "--out", ValueError)
+    yield Hostile("--out below a device", lambda: solve("/dev/null/x"), "--out", ValueError)
+    yield Hostile("--out a file", lambda: solve("there", lambda: Path("there").write_text("")), "there", ValueError,
+                  writes=True)
+    yield Hostile("--out with a folder in the way", lambda: solve(
+        "there", lambda: Path("there/result.npz").mkdir(parents=True)), "result.npz", ValueError, writes=True)
+    yield Hostile("--out nobody's home", lambda: solve("~nobody-here/x"), "--out", ValueError)
+    yield Hostile("--out with a surrogate below a file", lambda: solve("there/\udcff", lambda: Path("there").write_text(
+        "")), "there", ValueError, writes=True)
+    yield Hostile("--out with a long name", lambda: solve("n" * 300), "n" * 300, ValueError)
+    yield Hostile("--out a dangling link in the way", lambda: solve("there", lambda: os.symlink("there", "there")),
+                  "there", ValueError, writes=True)
+
+
+def _failures():
+    """What may go wrong inside."""
+    for name, error, says in (
+            ("no memory", MemoryError("Unable to allocate 7 TiB"), "not enough memory"),
+            ("surrogates in an error", ValueError("the name '\udcff\x00' of \xb5"), "\\udcff\\x00"),
+            ("lines in an error", ValueError("one\ntwo\r\nthree"), "one two three"),
+            ("division by zero", ZeroDivisionError("float division by zero"), "ZeroDivisionError"),
+            ("a library's error", RuntimeError("Mesh Loading Error"), "Mesh Loading")):
+        yield Hostile(name, during(error), says, ValueError)
+    yield Hostile("Ctrl-C", during(KeyboardInterrupt(), 130), "interrupted", ValueError)
+
+
+INPUTS = (*_options(), *_outputs(), *_failures())

@@ -1,0 +1,231 @@
+"""Damaged mesh files and STEP files: each row writes its own, and every message names the file."""
+
+import gzip
+import struct
+from pathlib import Path
+
+from hostile_table import Hostile
+
+from adaptmg.mesh import as_mesh, from_step, step_names
+
+VOL = """mesh3d
+dimension
+2
+geomtype
+0
+surfaceelements
+2
+ 1 1 1 0 3 1 2 3
+ 1 1 1 0 3 1 3 4
+volumeelements
+0
+edgesegmentsgi2
+4
+ 1 0 1 2 -1 -1 1 0 1 0 1 1
+ 2 0 2 3 -1 -1 1 0 2 0 2 1
+ 3 0 3 4 -1 -1 1 0 3 0 3 1
+ 1 0 4 1 -1 -1 1 0 4 0 4 1
+points
+4
+ 0 0 0
+ 2 0 0
+ 2 1 0
+ 0 1 0
+materials
+1
+1 steel
+bcnames
+3
+1 side
+2 right
+3 top
+endmesh
+"""
+# what is replaced, and by what
+VOL_DAMAGE = {
+    "node too large": (" 3 1 2 3", " 3 1 2 9"), "node 0": (" 3 1 2 3", " 3 1 2 0"),
+    "node negative": (" 3 1 2 3", " 3 1 2 -1"), "node huge": (" 3 1 2 3", " 3 1 2 999999999"),
+    "node wraps": (" 3 1 2 3", " 3 1 2 4294967299"), "node float": (" 3 1 2 3", " 3 1 2 2.5"),
+    "node nan": (" 3 1 2 3", " 3 1 2 nan"), "node text": (" 3 1 2 3", " 3 1 2 x"),
+    "node missing": (" 3 1 2 3", " 3 1 2"), "quadrilateral": (" 3 1 2 3", " 4 1 2 3"),
+    "element of -3 nodes": (" 3 1 2 3", " -3 1 2 3"), "element of 10**9 nodes": (" 3 1 2 3", " 1000000000 1 2 3"),
+    "element twice": (" 1 1 1 0 3 1 3 4", " 1 1 1 0 3 1 2 3"), "flat element": (" 3 1 2 3", " 3 1 2 2"),
+    "elements negative": ("surfaceelements\n2", "surfaceelements\n-2"),
+    "elements 10**9": ("surfaceelements\n2", "surfaceelements\n1000000000"),
+    "elements 10**30": ("surfaceelements\n2", "surfaceelements\n1" + "0" * 30),
+    "elements fewer": ("surfaceelements\n2", "surfaceelements\n1"),
+    "elements more": ("surfaceelements\n2", "surfaceelements\n3"),
+    "no elements": ("surfaceelements\n2", "surfaceelements\n0"),
+    "points negative": ("points\n4", "points\n-4"), "points 10**9": ("points\n4", "points\n1000000000"),
+    "points fewer": ("points\n4", "points\n3"), "points float": ("points\n4", "points\n4.5"),
+    "points missing": ("points\n", "nothing\n"), "points twice": ("materials", "points"),
+    "coordinate nan": (" 2 1 0", " nan 1 0"), "coordinate inf": (" 2 1 0", " inf 1 0"),
+    "coordinate text": (" 2 1 0", " a 1 0"), "coordinate missing": (" 2 1 0", " 2 1"),
+    "not plane": (" 2 1 0", " 2 1 3"),
+    "folded over": (" 2 1 0", " -1 1 0"), "dimension 3": ("dimension\n2", "dimension\n3"),
+    "dimension 7": ("dimension\n2", "dimension\n7"), "dimension text": ("dimension\n2", "dimension\nx"),
+    "segment node": (" 1 0 1 2", " 1 0 1 99"), "segment negative": (" 1 0 1 2", " 1 0 1 -2"),
+    "segments 10**9": ("edgesegmentsgi2\n4", "edgesegmentsgi2\n1000000000"),
+    "segment left out": ("edgesegmentsgi2\n4", "edgesegmentsgi2\n3"),
+    "boundary 0": (" 2 0 2 3", " 0 0 2 3"), "boundary negative": (" 2 0 2 3", " -5 0 2 3"),
+    "boundary huge": (" 2 0 2 3", " 999999 0 2 3"), "boundary without name": (" 2 0 2 3", " 7 0 2 3"),
+    "name with control character": ("2 right", "2 ri\x1b[31mght"), "name without number": ("2 right", "right"),
+    "names 10**9": ("bcnames\n3", "bcnames\n1000000000"), "other file": ("mesh3d", "solid"), "no end": ("endmesh", ""),
+}
+
+MSH2 = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$PhysicalNames
+3
+1 1 "side"
+1 2 "top"
+2 3 "steel"
+$EndPhysicalNames
+$Nodes
+4
+1 0 0 0
+2 2 0 0
+3 2 1 0
+4 0 1 0
+$EndNodes
+$Elements
+6
+1 1 2 1 1 1 2
+2 1 2 1 2 2 3
+3 1 2 2 3 3 4
+4 1 2 1 4 4 1
+5 2 2 3 1 1 2 3
+6 2 2 3 1 1 3 4
+$EndElements
+"""
+MSH2_DAMAGE = {
+    "node too large": ("1 1 2 3\n", "1 1 2 9\n"), "node 0": ("1 1 2 3\n", "1 1 2 0\n"),
+    "node negative": ("1 1 2 3\n", "1 1 2 -1\n"), "node wraps": ("1 1 2 3\n", "1 1 2 4294967299\n"),
+    "node float": ("1 1 2 3\n", "1 1 2 2.5\n"), "node missing": ("1 1 2 3\n", "1 1 2\n"),
+    "nodes negative": ("$Nodes\n4", "$Nodes\n-4"), "nodes 10**9": ("$Nodes\n4", "$Nodes\n1000000000"),
+    "nodes 10**30": ("$Nodes\n4", "$Nodes\n1" + "0" * 30), "nodes fewer": ("$Nodes\n4", "$Nodes\n3"),
+    "node number float": ("\n3 2 1 0", "\n2.5 2 1 0"), "node number huge": ("\n3 2 1 0", "\n2000000000 2 1 0"),
+    "node number twice": ("\n3 2 1 0", "\n2 2 1 0"), "coordinate nan": ("\n3 2 1 0", "\n3 nan 1 0"),
+    "coordinate text": ("\n3 2 1 0", "\n3 x 1 0"), "not plane": ("\n3 2 1 0", "\n3 2 1 5"),
+    "folded over": ("\n3 2 1 0", "\n3 -1 1 0"), "elements 10**9": ("$Elements\n6", "$Elements\n1000000000"),
+    "elements negative": ("$Elements\n6", "$Elements\n-6"), "elements fewer": ("$Elements\n6", "$Elements\n5"),
+    "tags 10**9": ("5 2 2 3", "5 2 1000000000 3"), "tags negative": ("5 2 2 3", "5 2 -2 3"),
+    "unknown type": ("5 2 2 3", "5 77 2 3"), "quadrilateral": ("5 2 2 3 1 1 2 3", "5 3 2 3 1 1 2 3 4"),
+    "element twice": ("6 2 2 3 1 1 3 4", "6 2 2 3 1 1 2 3"), "version 9": ("2.2 0 8", "9.9 0 8"),
+    "nodes do not end": ("$EndNodes\n", ""), "elements do not end": ("$EndElements\n", ""),
+    "names do not end": ("$EndPhysicalNames\n", ""), "no nodes": ("$Nodes", "$Nods"),
+    "name with control character": ('"top"', '"to\x07p"'), "empty name": ('"top"', '""'),
+    "other file": ("$MeshFormat", "solid"),
+}
+MSH4 = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+2
+1 5 "rim"
+2 3 "steel"
+$EndPhysicalNames
+$Entities
+0 1 1 0
+1 0 0 0 2 1 0 1 5 0
+1 0 0 0 2 1 0 1 3 0
+$EndEntities
+$Nodes
+1 4 1 4
+2 1 0 4
+1
+2
+3
+4
+0 0 0
+2 0 0
+2 1 0
+0 1 0
+$EndNodes
+$Elements
+2 6 1 6
+1 1 1 4
+3 1 2
+4 2 3
+5 3 4
+6 4 1
+2 1 2 2
+1 1 2 3
+2 1 3 4
+$EndElements
+"""
+MSH4_DAMAGE = {
+    "4 blocks of nodes": ("$Nodes\n1 4", "$Nodes\n4 4"), "4 10**9 nodes": ("2 1 0 4\n", "2 1 0 1000000000\n"),
+    "4 negative nodes": ("2 1 0 4\n", "2 1 0 -4\n"), "4 node too large": ("1 1 2 3\n", "1 1 2 9\n"),
+    "4 node 0": ("1 1 2 3\n", "1 1 2 0\n"), "4 node number float": ("\n3\n", "\n2.5\n"),
+    "4 10**9 elements": ("2 1 2 2\n", "2 1 2 1000000000\n"),
+    "4 10**9 blocks": ("$Elements\n2 6", "$Elements\n1000000000 6"),
+    "4 unknown type": ("2 1 2 2\n", "2 1 99 2\n"), "4 no groups": (" 1 5 0\n", " 0 0\n"),
+    "4 fewer elements": ("$Elements\n2 6", "$Elements\n2 5"), "4 fewer nodes": ("$Nodes\n1 4", "$Nodes\n1 3"),
+}
+
+
+def _read(name: str, text: str | bytes) -> None:
+    Path(name).write_bytes(text.encode() if isinstance(text, str) else text)
+    as_mesh(name)
+
+
+def _damaged(kind: str, text: str, damage: dict[str, tuple[str, str]]):
+    for label, (old, new) in damage.items():
+        assert old in text, label
+        changed = text.replace(old, new, 1)
+        yield Hostile(f"{kind} {label}", lambda t=changed: _read(f"bad.{kind}", t), f"bad.{kind}", ValueError,
+                      writes=True)
+
+
+def _binary(nodes: int = 3, elements: int = 1, corner: int = 3) -> bytes:
+    points = b"".join(struct.pack("<i3d", i + 1, *p) for i, p in enumerate(((0, 0, 0), (1, 0, 0), (0, 1, 0))))
+    triangle = struct.pack("<9i", 2, elements, 2, 1, 1, 1, 1, 2, corner)
+    return (b"$MeshFormat\n2.2 1 8\n" + struct.pack("<i", 1) + b"\n$EndMeshFormat\n$Nodes\n%d\n" % nodes + points
+            + b"\n$EndNodes\n$Elements\n%d\n" % elements + triangle + b"\n$EndElements\n")
+
+
+def _step(change, run=step_names) -> None:
+    from netgen.occ import Box, Pnt
+
+    Box(Pnt(0, 0, 0), Pnt(1, 2, 3)).WriteStep("bad.step")
+    Path("bad.step").write_text(change(Path("bad.step").read_text()))
+    run("bad.step")
+
+
+def _other_files():
+    names = {"empty": b"", "zeros": bytes(1000), "noise": bytes(range(256)) * 20,
+             "not text": b"mesh3d\n\xff\xfe\nendmesh\n"}
+    for kind in ("vol", "msh"):
+        for label, data in names.items():
+            yield Hostile(f"{kind} {label}", lambda k=kind, d=data: _read(f"bad.{k}", d), f"bad.{kind}", ValueError,
+                          writes=True)
+        whole = VOL if kind == "vol" else MSH2
+        for share in (0.2, 0.5, 0.8, 0.95):
+            part = whole[:int(share * len(whole))]
+            yield Hostile(f"{kind} cut at {share}", lambda k=kind, t=part: _read(f"bad.{k}", t), f"bad.{kind}",
+                          ValueError, writes=True)
+    for label, data in {"nodes": _binary(nodes=10**9), "elements": _binary(elements=10**9),
+                        "corner": _binary(corner=77),
+                        "negative": _binary(nodes=-3), "cut": _binary()[:120]}.items():
+        yield Hostile(f"binary msh {label}", lambda d=data: _read("bad.msh", d), "bad.msh", ValueError, writes=True)
+    packed = gzip.compress(VOL.encode())
+    for label, data in {"not packed": VOL.encode(), "cut": packed[:60], "damaged": packed[:40] + b"xx" + packed[42:],
+                        "bomb": gzip.compress(b"mesh3d\n" + b"0" * 50_000_000, compresslevel=1)}.items():
+        yield Hostile(f"vol.gz {label}", lambda d=data: _read("bad.vol.gz", d), "bad.vol.gz", ValueError, writes=True)
+
+
+def _step_files():
+    changes = {"empty": lambda t: "", "half": lambda t: t[:len(t) // 2], "text": lambda t: "not a step file\n" * 50,
+               "crash in OCC": lambda t: t.replace("FACE_BOUND('',#", "FACE_BOUND('',#9"),
+               "points are directions": lambda t: t.replace("CARTESIAN_POINT", "DIRECTION"),
+               "no solids": lambda t: t.replace("MANIFOLD_SOLID_BREP", "MANIFOLD_SOLID_BRAP")}
+    for label, change in changes.items():
+        yield Hostile(f"step {label}", lambda c=change: _step(c), "bad.step", ValueError, writes=True)
+    yield Hostile("step size of 1e-9", lambda: _step(str, lambda p: from_step(p, 1e-9)), "nodes", ValueError,
+                  writes=True)
+
+
+INPUTS = (*_damaged("vol", VOL, VOL_DAMAGE), *_damaged("msh", MSH2, MSH2_DAMAGE), *_damaged("msh", MSH4, MSH4_DAMAGE),
+          *_other_files(), *_step_files())

@@ -1,0 +1,199 @@
+"""Damaged and hostile files of results: each is refused by one ValueError that names the file."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import os
+import pickle
+import struct
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from hostile_table import Hostile
+
+import adaptmg as am
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+FILE = "damaged.npz"
+
+
+@functools.cache
+def whole() -> tuple[bytes, dict[str, np.ndarray], str]:
+    """A good file, its arrays, and its JSON text."""
+    from made import result_on, square
+
+    result_on(square(2)).save("good.npz")
+    data = Path("good.npz").read_bytes()
+    with np.load(io.BytesIO(data)) as arrays:
+        parts = {name: arrays[name] for name in arrays.files}
+    am.Result.load("good.npz")
+    return data, parts, parts.pop("meta").tobytes().decode()
+
+
+def load(data: bytes) -> None:
+    Path(FILE).write_bytes(data)
+    am.Result.load(FILE)
+
+
+def packed(arrays: dict[str, np.ndarray], meta: bytes | None, compressed: bool = True) -> bytes:
+    buffer = io.BytesIO()
+    more = {} if meta is None else {"meta": np.frombuffer(meta, dtype=np.uint8)}
+    (np.savez_compressed if compressed else np.savez)(buffer, **arrays, **more)
+    return buffer.getvalue()
+
+
+def zipped(method: int = zipfile.ZIP_DEFLATED, **entries: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, content in entries.items():
+            archive.writestr(name.replace("_npy", ".npy"), content)
+    return buffer.getvalue()
+
+
+def _files():
+    """What is no archive, or a broken one."""
+    raw = {"empty": lambda d: b"", "junk": lambda d: bytes(range(256)) * 50, "text": lambda d: b"a result\n" * 9,
+           "zip magic": lambda d: b"PK\x03\x04", "half": lambda d: d[:len(d) // 2], "end cut off": lambda d: d[:-10],
+           "start cut off": lambda d: d[100:], "no arrays": lambda d: zipped(),
+           "another file": lambda d: packed({"a": np.ones(3)}, None), "array alone": lambda d: _npy(np.ones(3)),
+           "a text in it": lambda d: zipped(readme=b"hello"), "lzma": lambda d: zipped(zipfile.ZIP_LZMA, meta_npy=b"x"),
+           "pickle": lambda d: pickle.dumps({"displacement": 1}),
+           "one byte changed": lambda d: _flipped(d, b"displacement.npy"), "encrypted": _encrypted,
+           "listed twice": lambda d: d.replace(b"contact.gap.npy", b"contact.u_n.npy"),
+           "an array behind a folder": lambda d: zipped(**{"../meta_npy": b"x"})}
+    for name, make in raw.items():
+        yield Hostile(name, lambda make=make: load(make(whole()[0])), FILE, ValueError, writes=True)
+    yield Hostile("a folder", lambda: (Path(FILE).mkdir(), am.Result.load(FILE)), FILE, ValueError, writes=True)
+    yield Hostile("a pipe", lambda: (os.mkfifo(FILE), am.Result.load(FILE)), FILE, ValueError, writes=True)
+    yield Hostile("no file", lambda: am.Result.load(FILE), FILE, FileNotFoundError)
+    yield Hostile("no bytes ever", lambda: am.Result.load("/dev/null"), "/dev/null", ValueError)
+    yield Hostile("bytes without end", lambda: am.Result.load("/dev/zero"), "/dev/zero", ValueError)
+    for label, path in {"None": None, "number": 3, "empty": "", "zero byte": "a\0b", "bytes": b"a", "class": Path,
+                        "no such user": "~nobody-here/x"}.items():
+        yield Hostile(f"path {label}", lambda path=path: am.Result.load(path), "path")
+
+
+def _npy(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=True)
+    return buffer.getvalue()
+
+
+def _flipped(data: bytes, entry: bytes) -> bytes:
+    at = data.index(entry) + len(entry) + 80
+    return data[:at] + bytes([data[at] ^ 0xFF]) + data[at + 1:]
+
+
+def _encrypted(data: bytes) -> bytes:
+    """The flag in the central directory of every entry."""
+    parts = data.split(b"PK\x01\x02")
+    return parts[0] + b"".join(b"PK\x01\x02" + p[:4] + bytes([p[4] | 1]) + p[5:] for p in parts[1:])
+
+
+def _declared(data: bytes, size: int) -> bytes:
+    """Another unpacked size in the central directory of the first entry."""
+    at = data.index(b"PK\x01\x02") + 24
+    return data[:at] + struct.pack("<I", size) + data[at + 4:]
+
+
+def _header(text: str, body: bytes = b"\0" * 64, version: int = 1, length: int | None = None) -> bytes:
+    text += "\n"
+    form = "<H" if version == 1 else "<I"
+    return b"\x93NUMPY" + bytes([version, 0]) + struct.pack(form, len(text) if length is None else length) \
+        + text.encode() + body
+
+
+def _bombs():
+    """Little that says it is much, or that would have Python run it."""
+    shape = "{'descr': '<f8', 'fortran_order': False, 'shape': %s, }"
+    headers = {
+        "terabytes in a header": _header(shape % "(1000000000000,)"),
+        "sizes that wrap": _header(shape % "(4294967296, 4294967296)"), "negative size": _header(shape % "(-8,)"),
+        "size of text": _header(shape % "('8',)"), "objects": _npy(np.array([{}, None], dtype=object)),
+        "code in a header": _header("__import__('os').mkdir('was-here')"), "no shape": _header("{'descr': '<f8'}"),
+        "list for a header": _header("[1, 2]"), "deep header": _header("(" * 5000 + ")" * 5000),
+        "long header": _header(shape % "(8,)", version=2, length=2**32 - 1), "cut header": b"\x93NUMPY\x01\0",
+        "new version": _header(shape % "(8,)", version=9), "records": _npy(np.zeros(3, dtype=[("a", "<f8")])),
+        "unknown type": _header((shape % "(8,)").replace("<f8", "<q99")), "dates": _npy(np.zeros(3, "M8[s]")),
+        "too few bytes": _header(shape % "(9,)"), "too many bytes": _header(shape % "(7,)")}
+    for name, content in headers.items():
+        yield Hostile(name, lambda c=content: load(zipped(displacement_npy=c)), FILE, ValueError, writes=True)
+    yield Hostile("zeros without end", lambda: load(zipped(displacement_npy=_npy(np.zeros((5_000_000, 2))))), FILE,
+                  ValueError, writes=True)
+    yield Hostile("4 GB in the directory", lambda: load(_declared(whole()[0], 2**32 - 2)), FILE, ValueError,
+                  writes=True)
+    yield Hostile("many entries", lambda: load(zipped(zipfile.ZIP_STORED, **{f"{k}_npy": b"" for k in range(10_001)})),
+                  FILE, ValueError, writes=True)
+
+
+def _texts():
+    """Wrong JSON."""
+    texts = {"no text": None, "no JSON": b"{", "list": b"[1]", "bad UTF-8": b'{"format": "\xff"}',
+             "deep": b"[" * 100_000 + b"]" * 100_000, "null": b"null"}
+    for name, text in texts.items():
+        yield Hostile(f"meta: {name}", lambda t=text: load(packed(whole()[1], t)), FILE, ValueError, writes=True)
+    changes = {"format": 99, "status": "FINE", "names": "contact", "masters": ["a", "b"], "cycles": -1,
+               "rtol": "small", "work_units": None, "timings": {"setup": "long"}, "path": [[0, "smooth"]],
+               "levels": ["fine"], "versions": {"numpy": 2}, "problem_name": 3, "boundaries": ["bottom"],
+               "bodies": [], "part_of": "a path"}
+    more = {"status as number": ("status", 1), "status true": ("status", True), "no names": ("names", []),
+            "a name of no text": ("names", [None]), "half a cycle": ("cycles", 1.5), "cycles true": ("cycles", True),
+            "rate true": ("rate", True), "path of numbers": ("path", [[0, 1, 2]]), "path is text": ("path", "abc"),
+            "no list of levels": ("levels", {"level": 0}), "no mapping of timings": ("timings", [1])}
+    rows = {name: (name, value) for name, value in changes.items()} | more
+    for name, (key, value) in rows.items():
+        yield Hostile(f"meta: {name} {value!r}"[:60], lambda k=key, v=value: load(
+            packed(whole()[1], json.dumps(json.loads(whole()[2]) | {k: v}).encode())), FILE, ValueError, writes=True)
+    for key in ("status", "format", "names", "masters", "path", "rtol", "bodies", "problem_name", "versions"):
+        yield Hostile(f"meta without {key}", lambda k=key: load(packed(whole()[1], json.dumps(
+            {name: v for name, v in json.loads(whole()[2]).items() if name != k}).encode())), FILE, ValueError,
+            writes=True)
+
+
+def _at(index: int, value: float):
+    def change(array: np.ndarray) -> np.ndarray:
+        array = array.astype(np.int64) if array.dtype.kind == "i" and abs(value) > 100 else array.copy()
+        array.reshape(-1)[index] = value
+        return array
+
+    return change
+
+
+def _arrays():
+    """Arrays that point outside, of another kind or length, or not finite."""
+    nan, text = float("nan"), np.array(["a", "b"])
+    changes = {
+        "contact.node": {"outside": _at(0, 9), "negative": _at(0, -1), "far": _at(1, 2**40), "floats": lambda a: a + .5,
+                         "text": lambda a: text, "short": lambda a: a[1:], "none": lambda a: a[:0]},
+        "contact.boundary": {"outside": _at(0, 1), "negative": _at(0, -1)},
+        "contact.state": {"unknown": _at(0, 3), "negative": _at(0, -2), "bools": lambda a: a > 0},
+        "contact.master_node": {"outside": lambda a: np.array([99])}, "contact.gap": {"short": lambda a: a[:-1],
+                                                                                     "nan": _at(0, nan)},
+        "contact.frames": {"flat": lambda a: a[:, 0], "3D": lambda a: np.zeros((3, 3, 3))},
+        "contact.force_n": {"infinite": _at(0, np.inf), "objects": lambda a: a.astype(object)},
+        "contact.weights": {"complex": lambda a: a + 1j}, "contact.u_t": {"column": lambda a: a[:, :0]},
+        "displacement": {"nan": _at(0, nan), "short": lambda a: a[:-1], "single": lambda a: a.astype(np.float32),
+                         "whole": lambda a: a.astype(int), "flat": lambda a: a.reshape(-1), "number": lambda a: a[0, 0],
+                         "empty": lambda a: a[:0], "four components": lambda a: np.zeros((9, 4))},
+        "reaction": {"short": lambda a: a[:3], "nan": _at(1, nan)},
+        "history.cycle": {"short": lambda a: a[:-1], "square": lambda a: np.zeros((12, 2))},
+        "mesh.elements": {"outside": _at(0, 9), "negative": _at(0, -1), "far": _at(0, 2**33), "tetrahedra":
+                          lambda a: np.zeros((3, 4), int), "floats": lambda a: a.astype(float)},
+        "mesh.facets": {"outside": _at(0, 9), "negative": _at(0, -5)}, "mesh.facet_labels": {
+            "outside": _at(0, 4), "short": lambda a: a[1:]}, "mesh.element_body": {"outside": _at(0, 1)},
+        "mesh.points": {"nan": _at(0, nan), "short": lambda a: a[1:], "3D": lambda a: np.zeros((9, 3))}}
+    for name, kinds in changes.items():
+        for label, change in kinds.items():
+            yield Hostile(f"{name} {label}", lambda n=name, c=change: load(packed(
+                whole()[1] | {n: c(whole()[1][n])}, whole()[2].encode())), FILE, ValueError, writes=True)
+    for name in ("displacement", "reaction", "contact.node", "contact.frames", "contact.master_node", "mesh.points"):
+        yield Hostile(f"without {name}", lambda n=name: load(packed(
+            {k: v for k, v in whole()[1].items() if k != n}, whole()[2].encode())), FILE, ValueError, writes=True)
+
+
+INPUTS = (*_files(), *_bombs(), *_texts(), *_arrays())

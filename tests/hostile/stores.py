@@ -1,0 +1,229 @@
+"""Damaged stores: of load paths (a folder of step files) and of studies (a database); each error names the file."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+import sqlite3
+import sys
+from pathlib import Path
+
+import numpy as np
+from hostile_table import Hostile
+
+import adaptmg as am
+from adaptmg.solver import path_files
+from adaptmg.study import store as study_store
+from adaptmg.study.record import Record
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+STEPS, FACTORS = 3, {"left": np.array([0.5, 1.0, 0.0])}
+
+
+@functools.cache
+def results() -> tuple[am.Result, ...]:
+    from made import result_on, square
+
+    return tuple(result_on(square(2), cycles=k) for k in range(STEPS))
+
+
+@functools.cache
+def files(mark: str, mesh_of: int) -> dict[str, bytes]:
+    """Those of a whole store of a load path."""
+    from made import result_on, square
+
+    found = results() if mesh_of == 2 else [result_on(square(mesh_of))] * STEPS
+    folder = Path(f"made-{mark}")
+    path_files.write(folder, found, FACTORS, STEPS, {"problem": mark})
+    am.PathResult.load(folder)
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def kept(name: str, mark: str = "mine", mesh_of: int = 2) -> Path:
+    """A whole store of a load path."""
+    folder = Path(name)
+    folder.mkdir()
+    for file, data in files(mark, mesh_of).items():
+        (folder / file).write_bytes(data)
+    return folder
+
+
+def _swapped(folder: Path) -> None:
+    (folder / "step_0001.npz").rename(folder / "x")
+    (folder / "step_0002.npz").rename(folder / "step_0001.npz")
+    (folder / "x").rename(folder / "step_0002.npz")
+
+
+def _copied(source: str, target: str):
+    return lambda folder: shutil.copy(folder / source, folder / target)
+
+
+def _cut(name: str, size: int | None = None):
+    def change(folder: Path) -> None:
+        data = (folder / name).read_bytes()
+        (folder / name).write_bytes(data[:len(data) // 2 if size is None else size])
+
+    return change
+
+
+def _head(**changes: object):
+    """Another path.json, with the key that was there."""
+    def change(folder: Path) -> None:
+        text = json.loads((folder / "path.json").read_text())
+        (folder / "path.json").write_text(json.dumps({k: v for k, v in (text | changes).items() if v != "gone"}))
+
+    return change
+
+
+def _foreign(**options: object):
+    return lambda folder: shutil.copy(kept("other", **options) / "step_0001.npz", folder / "step_0001.npz")
+
+
+def _alone(folder: Path) -> None:
+    results()[1].save(folder / "step_0001.npz")
+
+
+def _written(name: str, data: bytes):
+    return lambda folder: (folder / name).write_bytes(data)
+
+
+def _as_folder(name: str):
+    return lambda folder: ((folder / name).unlink(), (folder / name).mkdir())
+
+
+#: what is done to a whole store, by the part of it that the message names
+_PATHS = {
+    "step_0000.npz": {
+        "the first step junk": _written("step_0000.npz", b"junk" * 99),
+        "the first step missing": lambda folder: (folder / "step_0000.npz").unlink()},
+    "step_0001.npz": {
+        "steps swapped": _swapped, "the first step copied": _copied("step_0000.npz", "step_0001.npz"),
+        "a step of another path": _foreign(mark="another"), "a step on another mesh": _foreign(mark="a", mesh_of=3),
+        "a result that is no step": _alone, "half a step": _cut("step_0001.npz"),
+        "a step that is a folder": _as_folder("step_0001.npz"),
+        "a step missing": lambda folder: (folder / "step_0001.npz").unlink()},
+    "step_0002.npz": {
+        "a step copied": _copied("step_0001.npz", "step_0002.npz"), "an empty step": _cut("step_0002.npz", 0)},
+    "step_0003.npz": {"a step too many": _copied("step_0002.npz", "step_0003.npz")},
+    "path.json": {
+        "no head": lambda folder: (folder / "path.json").unlink(), "half a head": _cut("path.json"),
+        "an empty head": _cut("path.json", 0), "a head that is a folder": _as_folder("path.json"),
+        "bad UTF-8": _written("path.json", b"\xff\xfe{}"), "a list": _written("path.json", b"[]"),
+        "deep": _written("path.json", b"[" * 10**5), "other factors": _head(factors={"left": [0.5, 1.0, 0.1]}),
+        "fewer steps": _head(steps=2), "many steps": _head(steps=10**30), "steps of text": _head(steps="3"),
+        "no steps": _head(steps="gone"), "factors of text": _head(factors={"left": "abc"}),
+        "no factors": _head(factors="gone"), "another key": _head(key="0"), "no key": _head(key="gone"),
+        "another fingerprint": _head(fingerprint={"problem": "theirs"}), "norms of text": _head(norms="ab")},
+    "store": {"an older version": _head(format=1), "a newer version": _head(format=10)},
+}
+
+
+def _paths():
+    for says, changes in _PATHS.items():
+        for name, change in changes.items():
+            yield Hostile(f"path: {name}", lambda c=change: (c(kept("store")), am.PathResult.load("store")), says,
+                          ValueError, writes=True)
+    yield Hostile("path: no folder", lambda: am.PathResult.load("nowhere"), "nowhere", ValueError)
+    yield Hostile("path: a file", lambda: (Path("a-file").write_text(""), am.PathResult.load("a-file")), "a-file",
+                  ValueError, writes=True)
+    yield Hostile("path: None", lambda: am.PathResult.load(None), "folder")
+
+
+@functools.cache
+def good(rows: int) -> bytes:
+    """The file of a store of a study."""
+    made = study_store.Store("good.sqlite")
+    made._connection.execute("PRAGMA synchronous = OFF")
+    for k in range(rows):
+        made.put("s", Record(parameters={"n": k}, status="done", results={"m": 1.5}, versions={"python": "3"}))
+    assert len(made.get("s")) == rows
+    made._connection.close()
+    return Path("good.sqlite").read_bytes()
+
+
+def database(change: str | None = None, rows: int = 1) -> Path:
+    """A store of a study, changed by SQL."""
+    Path("study.sqlite").write_bytes(good(rows))
+    if change is not None:
+        with sqlite3.connect("study.sqlite") as connection:
+            connection.executescript(change)
+        connection.close()
+    return Path("study.sqlite")
+
+
+def read(path: object = "study.sqlite") -> None:
+    store = study_store.Store(path)
+    store.studies()
+    store.get("s")
+    store.put("s", Record(parameters={"n": 0}, status="done"))
+
+
+def _locked() -> None:
+    database()
+    other = sqlite3.connect("study.sqlite", isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    study_store._PATIENCE_S = 0.05
+    try:
+        read()
+    finally:
+        study_store._PATIENCE_S = 60.0
+        other.close()
+
+
+def _overwritten(at: int, data: bytes):
+    def change() -> None:
+        content = database(rows=200).read_bytes()
+        Path("study.sqlite").write_bytes(content[:at] + data + content[at + len(data):])
+
+    return change
+
+
+def _protected() -> None:
+    """Root may write whatever the permissions say: opened read-only instead."""
+    database()
+    store = study_store.Store("study.sqlite")
+    store._connection.execute("PRAGMA query_only = ON")
+    store.put("s", Record(parameters={"n": 0}, status="done"))
+
+
+_STUDIES = {
+    "bad UTF-8": "UPDATE runs SET results = CAST(x'7b22ff' AS TEXT)", "junk JSON": "UPDATE runs SET results = '{\"'",
+    "a list": "UPDATE runs SET results = '[1]'", "a nested result": "UPDATE runs SET results = '{\"a\": [1]}'",
+    "numbers for JSON": "UPDATE runs SET versions = 3", "junk parameters": "UPDATE runs SET parameters = 'n=1'",
+    "seconds of text": "UPDATE runs SET seconds = 'long'", "an error that is a blob": "UPDATE runs SET error = x'00ff'",
+    "deep JSON": f"UPDATE runs SET results = '{'[' * 10**5}'",
+    "another table": "DROP TABLE runs; CREATE TABLE runs (id, name)", "no table": "DROP TABLE runs",
+    "a newer version": "PRAGMA user_version = 7", "another program": "DROP TABLE runs; CREATE TABLE t (a); "
+                                                                     "PRAGMA user_version = 0"}
+
+
+def _studies():
+    for name, change in _STUDIES.items():
+        yield Hostile(f"study: {name}", lambda c=change: (database(c), read()), "study.sqlite", ValueError, writes=True)
+    files = {"junk": lambda: Path("study.sqlite").write_bytes(b"junk" * 999),
+             "pages of junk": _overwritten(4096, b"\xa5" * 8000),
+             "header only": lambda: Path("study.sqlite").write_bytes(good(1)[:64]),
+             "a folder": lambda: Path("study.sqlite").mkdir(), "a pipe": lambda: os.mkfifo("study.sqlite")}
+    for name, make in files.items():
+        yield Hostile(f"study: {name}", lambda m=make: (m(), read()), "study.sqlite", ValueError, writes=True)
+    yield Hostile("study: locked", _locked, "study.sqlite", OSError, writes=True)
+    yield Hostile("study: write-protected", _protected, "study.sqlite", OSError, writes=True)
+    yield Hostile("study: cut", lambda: (os.truncate(database(rows=200), 9000), read()), "study.sqlite",
+                  (ValueError, OSError), writes=True)
+    yield Hostile("study: below a file", lambda: (Path("file").write_text(""), read("file/s.sqlite")), "file", OSError,
+                  writes=True)
+    yield Hostile("study: a device", lambda: read("/dev/null"), "/dev/null", ValueError)
+    for label, path in {"number": 3, "empty": "", "zero byte": "a\0b", "bytes": b"a"}.items():
+        yield Hostile(f"study: path {label}", lambda p=path: read(p), "store")
+
+    def run(n: object) -> dict[str, object]:
+        return {"m": 1}
+
+    yield Hostile("study: a surrogate", lambda: am.Study(run, {"n": ["\udcff"]}).run(progress=False), "'n'")
+    yield Hostile("study: a name of control characters", lambda: am.Study(run, {"n": [1]}, name="a\x00b"), "name")
+
+
+INPUTS = (*_paths(), *_studies())
