@@ -39,6 +39,7 @@ _WHERE = {
     "adaptmg.solver.solve": ("solve",),
     "adaptmg.solver.load_path": ("solve_path",),
     "adaptmg.solver.path_result": ("PathResult",),
+    "adaptmg.solver.certificate": ("Certificate",),
     "adaptmg.solver.result": ("Result",),
     "adaptmg.solver.status": ("NotConverged", "Status"),
     "adaptmg.study.study": ("Study",),

@@ -18,6 +18,7 @@ from adaptmg.level import Level, ratio_to
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.on_demand import OnDemand
 from adaptmg.problem import ContactProblem, checks
+from adaptmg.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
@@ -186,7 +187,7 @@ class Hierarchy:
         problem.check_boundaries(first.boundaries)
         meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
         limits = limits_of_bisection(meshes, problem.pair_boundaries)
-        return cls._build(problem, meshes, None, f"bisected near contact {levels} times", begin, limits=limits)
+        return cls._build(problem, meshes, None, f"bisected {levels} times near contact", begin, limits=limits)
 
     @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
@@ -229,8 +230,7 @@ class Hierarchy:
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = time.perf_counter()
         given, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
-        levels = [Level(None, galerkin=matrices[0])]
-        levels += [Level(None, None, P, galerkin=A) for P, A in zip(given[:-1], matrices[1:], strict=True)]
+        levels = [Level(None, None, P, galerkin=A) for P, A in zip([None, *given[:-1]], matrices, strict=True)]
         levels.append(Level(discrete, None, given[-1]))
         return cls(tuple(levels), None, "given prolongations", {"transfer": time.perf_counter() - begin})
 
@@ -263,6 +263,7 @@ class Hierarchy:
         return cls(made.levels, None, "smoothed aggregation", {"transfer": time.perf_counter() - begin})
 
     @classmethod
+    @one_blas_thread()
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
                begin: float, contact_rows: bool = True, limits: str = "") -> Hierarchy:
         from adaptmg.discretisation.discretise import discretise

@@ -21,12 +21,14 @@ from adaptmg.exchange import find_carriers
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.on_demand import OnDemand
 from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.threads import one_blas_thread
 
 __all__ = ["discretise"]
 
 _LOG = logging.getLogger(__name__)
 
 
+@one_blas_thread()
 def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
                ) -> DiscreteProblem:
     """Discretise by P1 elements.

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from adaptmg.threads import one_blas_thread
+
 __all__ = ["rigid_body_modes"]
 
 
+@one_blas_thread()
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
     """Rigid-body modes about the centroid, orthonormal.
 

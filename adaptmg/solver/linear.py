@@ -24,6 +24,7 @@ from scipy.sparse.linalg import LinearOperator, SuperLU, splu
 
 from adaptmg.problem import checks
 from adaptmg.solver.dissection import nested_dissection, node_graph
+from adaptmg.threads import seeded
 
 __all__ = ["AMG", "Direct", "LinearSolution", "LinearSolver", "Prepared"]
 
@@ -244,12 +245,13 @@ class AMG:
         basis = matrix if preconditioner is None else preconditioner
         smoother = (self.smoother, {"sweep": self.sweep, "iterations": self.sweeps})
         improve = ("block_gauss_seidel", {"sweep": "symmetric", "iterations": self.candidate_sweeps})
-        hierarchy = pyamg.smoothed_aggregation_solver(
-            sparse.bsr_matrix(basis), B=near_nullspace, symmetry="symmetric",
-            strength=("symmetric", {"theta": self.strength}), smooth=("jacobi", {"omega": self.prolongation_omega}),
-            presmoother=smoother, postsmoother=smoother,
-            improve_candidates=(improve if self.candidate_sweeps else None, None), max_levels=self.max_levels,
-            max_coarse=self.max_coarse)
+        with seeded():
+            hierarchy = pyamg.smoothed_aggregation_solver(
+                sparse.bsr_matrix(basis), B=near_nullspace, symmetry="symmetric",
+                strength=("symmetric", {"theta": self.strength}), smooth=("jacobi", {"omega": self.prolongation_omega}),
+                presmoother=smoother, postsmoother=smoother,
+                improve_candidates=(improve if self.candidate_sweeps else None, None), max_levels=self.max_levels,
+                max_coarse=self.max_coarse)
         return Preconditioned(matrix, hierarchy, symmetric, self, eliminated)
 
     def _may_keep(self, before: np.ndarray | None, now: np.ndarray | None) -> bool:

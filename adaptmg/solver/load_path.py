@@ -29,6 +29,7 @@ from adaptmg.solver.path_walk import PathWalk
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
 from adaptmg.solver.status import NotConverged
+from adaptmg.threads import one_blas_thread
 
 __all__ = ["StepNotConverged", "solve_path"]
 
@@ -57,6 +58,7 @@ class StepNotConverged(NotConverged):
         return type(self), (self.result, self.step, self.described, self.partial)
 
 
+@one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
                start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
                throw: bool = True, callback: Callable[[int, Result], None] | None = None,

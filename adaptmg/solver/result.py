@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation.measures import StressData, von_mises
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
+from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.result_file import read_result, write_result
 from adaptmg.solver.status import Status
 
@@ -164,6 +166,8 @@ class Result:
         The part of ``work_units`` spent before the first cycle on the finest level (nested start).
     stress_data : StressData or None
         Material constants and initial strains, for :meth:`stresses`; None for a bare DiscreteProblem.
+    checked : Certificate or None
+        What :meth:`certificate` returns.
     """
 
     displacement: np.ndarray
@@ -186,6 +190,7 @@ class Result:
     start_work_units: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     stress_data: StressData | None = None
+    checked: Certificate | None = None
 
     @property
     def dim(self) -> int:
@@ -204,7 +209,36 @@ class Result:
                 f"{states[0]} open, {states[1]} slip, {states[2]} stick\n"
                 f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
                 f"  natural residual {self.residual:.2e}, estimated error {self.error_estimate:.2e} "
-                f"(rtol {self.rtol:g})")
+                f"(rtol {self.rtol:g})" + self._certified())
+
+    def _certified(self) -> str:
+        if self.checked is None:
+            return ""
+        worst = self.checked.worst
+        return (f"\n  certificate: worst {worst.name} {worst.largest:.2e} {worst.unit} (relative "
+                f"{worst.relative:.2e}), energy error {self.checked.energy_error:.2e}")
+
+    def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
+        """By how much each condition of the contact problem is violated, by code that shares nothing with the solvers.
+
+        Parameters
+        ----------
+        problem : DiscreteProblem, optional
+            Check against it anew. Default: what was found when the problem was solved.
+        bound : bool
+            The energy error by a sparse factorisation; needs ``problem``.
+
+        Returns
+        -------
+        Certificate
+        """
+        if problem is not None:
+            checks.instance("problem", problem, DiscreteProblem)
+            return certify(problem, self.displacement, self.contact, bound)
+        if bound or self.checked is None:
+            raise ValueError("problem: this result keeps no matrix; give the DiscreteProblem that was solved "
+                             "(grids.finest.discrete)")
+        return self.checked
 
     def probe(self, points: np.ndarray) -> np.ndarray:
         """Displacement at points.

@@ -18,6 +18,7 @@ from adaptmg.atomic import write_bytes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.solver.archive import DAMAGES, read_arrays
+from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.status import Status
 from adaptmg.text import printable
 
@@ -106,7 +107,8 @@ def _said(result: Result) -> dict[str, Any]:
     """What goes into the JSON text."""
     names = (*_TEXTS, *_NUMBERS, "cycles", "timings", "path", "levels", "versions")
     meta = {name: getattr(result, name) for name in names}
-    meta |= {"status": result.status.name, "names": result.contact.names, "masters": result.contact.masters}
+    meta |= {"status": result.status.name, "names": result.contact.names, "masters": result.contact.masters,
+             "checked": None if result.checked is None else result.checked.as_dict()}
     if result.mesh is not None:
         meta |= {"boundaries": result.mesh.boundaries, "bodies": result.mesh.bodies}
     return meta
@@ -149,7 +151,9 @@ def _fields(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, An
               "timings": _mapping("timings", meta["timings"], float),
               "path": [_visit(k, step) for k, step in enumerate(_list("path", meta["path"]))],
               "levels": [_mapping(f"levels[{k}]", row, float) for k, row in enumerate(_list("levels", meta["levels"]))],
-              "versions": _mapping("versions", meta["versions"], str)}
+              "versions": _mapping("versions", meta["versions"], str), "checked": None}
+    if meta.get("checked") is not None:
+        fields["checked"] = Certificate.from_dict(checks.instance("checked", meta["checked"], dict))
     fields |= {name: _number(name, meta[name]) for name in _NUMBERS}
     return fields | {name: _text(name, meta[name]) for name in _TEXTS}
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import LocalProblem
+from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.finish import contact_result, relative_residual
 from adaptmg.solver.labels import problem_name, solver_name, versions
@@ -15,6 +18,8 @@ from adaptmg.solver.run import Outcome, Run, Solver
 from adaptmg.solver.status import Status
 
 __all__ = ["result_of"]
+
+_LOG = logging.getLogger(__name__)
 
 
 def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome, solver: Solver,
@@ -44,21 +49,28 @@ def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome,
     residual = relative_residual(local, unknowns)
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
-    return Result(displacement=discrete.physical(solved), reaction=reaction.reshape(solved.shape),
-                  status=_confirmed(outcome, residual), cycles=outcome.cycles,
-                  contact=contact_result(local, unknowns, solved), work_units=run.work_units, residual=residual,
-                  error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
+    displacement, contact = discrete.physical(solved), contact_result(local, unknowns, solved)
+    with run.phase("certificate"):
+        checked = certify(discrete, displacement, contact)
+    return Result(displacement=displacement, reaction=reaction.reshape(solved.shape), checked=checked,
+                  status=_confirmed(outcome, residual, checked), cycles=outcome.cycles, contact=contact,
+                  work_units=run.work_units, residual=residual, error_estimate=outcome.error_estimate,
+                  rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(), problem_name=problem_name(grids),
                   solver_name=solver_name(solver, run), mesh=grids.finest.mesh, start_work_units=run.start_work_units,
                   versions=versions(), stress_data=stress_data)
 
 
-def _confirmed(outcome: Outcome, residual: float) -> Status:
-    """The status of a solver, unless the residual of what it returned, computed here anew, contradicts it."""
+def _confirmed(outcome: Outcome, residual: float, checked: Certificate) -> Status:
+    """The status of a solver, unless what it returned, examined here anew, contradicts it."""
     if not np.isfinite(residual):
         return Status.DIVERGED
     wanted = max(Convergence.RESIDUAL_FACTOR * outcome.rtol, Convergence.ROUNDING_LIMIT)
     # twice: solvers sum the same numbers in another order
     if outcome.status.ok and not residual <= 2 * wanted:
         return Status.DIVERGED if not residual < 1 else Status.STALLED
+    if outcome.status.ok and checked.contradictions(outcome.rtol):
+        _LOG.info("said to be converged, contradicted by %s\n%s", ", ".join(checked.contradictions(outcome.rtol)),
+                  checked)
+        return Status.STALLED
     return outcome.status

@@ -24,10 +24,12 @@ from adaptmg.solver.result_of import result_of
 from adaptmg.solver.run import Run, Solver
 from adaptmg.solver.statics import check_statics
 from adaptmg.solver.status import NotConverged
+from adaptmg.threads import one_blas_thread
 
 __all__ = ["solve"]
 
 
+@one_blas_thread()
 def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, start: np.ndarray | Result | None = None,
           reference: np.ndarray | Result | None = None, throw: bool = True,
           callback: Callable[[dict[str, float]], None] | None = None) -> Result:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from adaptmg.threads import one_blas_thread, seeded
+
 __all__ = ["aggregated_prolongations", "without_fixed"]
 
 
@@ -47,8 +49,9 @@ def aggregated_prolongations(matrix: sparse.bsr_array, near_nullspace: np.ndarra
     if near_nullspace is None:
         near_nullspace = np.tile(np.eye(dim), (matrix.shape[0] // dim, 1))
     modes = np.where(fixed[:, None], 0.0, near_nullspace)
-    made = pyamg.smoothed_aggregation_solver(
-        sparse.bsr_matrix(without_fixed(matrix, fixed)), B=modes, strength=("symmetric", {"theta": strength}),
-        max_coarse=max_coarse, max_levels=max_levels)
+    with one_blas_thread(), seeded():
+        made = pyamg.smoothed_aggregation_solver(
+            sparse.bsr_matrix(without_fixed(matrix, fixed)), B=modes, strength=("symmetric", {"theta": strength}),
+            max_coarse=max_coarse, max_levels=max_levels)
     found = [sparse.csr_array(level.P) for level in made.levels[:-1]]
     return found[::-1]
