@@ -15,134 +15,31 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
+from adaptmg.contact_nodes import ContactNodes
 from adaptmg.coupling import Coupling
 from adaptmg.discrete_input import (
-    SMALLEST,
     bounded,
     check_bounds,
     check_size,
     checked_bodies,
     checked_mask,
     checked_matrix,
+    with_positive_diagonal,
 )
-from adaptmg.exchange import NEGLIGIBLE, Exchange, ScaledLaw, facing_part, find_carriers, rows_of_carriers
+from adaptmg.exchange import NEGLIGIBLE, Exchange, exchanged, facing_part
+from adaptmg.geometry.rigid_modes import rigid_body_modes
+from adaptmg.on_demand import OnDemand, made_on_demand
 from adaptmg.problem import checks
-from adaptmg.problem.contact_problem import CONTACT, check_law
+from adaptmg.problem.contact_problem import check_law
 from adaptmg.problem.laws import Law
-from adaptmg.threads import one_blas_thread
 
-__all__ = ["ContactNodes", "DiscreteProblem"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ContactNodes:
-    """Nodes that may touch an obstacle.
-
-    Parameters
-    ----------
-    nodes : (n_contact,) array of int
-        Node numbers, each once.
-    normals : (n_contact, dim) array
-        Unit normals, out of the body.
-    gaps : (n_contact,) array
-        Initial gap g0 along the normal, m; >= 0 unless ``allow_interference``.
-    weights : (n_contact,) array, optional
-        Lumped boundary mass (m in 2D, m^2 in 3D), to turn nodal forces into tractions. Default 1.
-    slip_reference : (n_contact, dim) array, optional
-        Displacement against which slip is measured, m (only its tangential part counts). Default 0.
-    allow_interference : bool
-        Accept negative gaps.
-    boundary : (n_contact,) array of int, optional
-        Index of the contact boundary of each node, for resultants; default 0.
-    names : tuple of str
-        Names of the contact boundaries.
-    masters : tuple of str, optional
-        For each of ``names`` the boundary of another body that it may touch; "" (the default) is a rigid obstacle.
-    """
-
-    nodes: np.ndarray
-    normals: np.ndarray
-    gaps: np.ndarray
-    weights: np.ndarray | None = None
-    slip_reference: np.ndarray | None = None
-    allow_interference: bool = False
-    boundary: np.ndarray | None = None
-    names: tuple[str, ...] = ("contact",)
-    masters: tuple[str, ...] | None = None
-
-    def __post_init__(self) -> None:
-        nodes = checks.array("nodes", self.nodes, (None,), integer=True)
-        n = len(nodes)
-        if n == 0:
-            raise ValueError("nodes is empty: a contact problem needs at least one contact node")
-        if len(np.unique(nodes)) < n or nodes.min() < 0:
-            raise ValueError("nodes must be distinct and >= 0")
-        checks.flag("allow_interference", self.allow_interference)
-        normals = bounded("normals", self.normals, (n, None), 2.0)
-        if normals.shape[1] not in (2, 3):
-            raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
-        lengths = np.linalg.norm(normals, axis=1)
-        if np.abs(lengths - 1).max() > 1e-6:
-            i = int(np.argmax(np.abs(lengths - 1)))
-            raise ValueError(f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}")
-        normals = normals / lengths[:, None]
-        normals.flags.writeable = False
-        gaps = bounded("gaps", self.gaps, (n,), checks.VAST)
-        if not self.allow_interference and gaps.min() < 0:
-            i = int(np.argmin(gaps))
-            raise ValueError(f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
-                             "for an interference fit say allow_interference=True")
-        weights = bounded("weights", np.ones(n) if self.weights is None else self.weights, (n,))
-        if not weights.min() > 0 or weights.min() < SMALLEST:
-            raise ValueError(f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}")
-        reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
-        reference = bounded("slip_reference", reference, normals.shape, checks.VAST)
-        names, masters = self._names()
-        boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
-        boundary = checks.array("boundary", boundary, (n,), integer=True)
-        if boundary.min() < 0 or boundary.max() >= len(names):
-            wrong = boundary.min() if boundary.min() < 0 else boundary.max()
-            raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")
-        for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
-                            ("slip_reference", reference), ("boundary", boundary), ("names", names),
-                            ("masters", masters)):
-            object.__setattr__(self, name, value)
-
-    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Names of the contact boundaries and of what they may touch, checked."""
-        names = checks.strings("names", self.names)
-        if not names:
-            raise ValueError("names is empty: give one name at least")
-        masters = ("",) * len(names)
-        if self.masters is not None:
-            masters = tuple("" if isinstance(item, str) and not item else checks.boundary_name(f"masters[{i}]", item)
-                            for i, item in enumerate(checks.listed("masters", self.masters, "names")))
-        if len(masters) != len(names):
-            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
-        return names, masters
-
-    def check_name_contact(self) -> None:
-        """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""
-        if CONTACT in self.masters or (CONTACT in self.names and len(self.names) > 1):
-            raise ValueError(f"contact: the name {CONTACT!r} stands for all contact boundaries together; of several "
-                             f"names and masters none may be it, got {self.names} and {self.masters}")
-
-    def check_nodes(self, n_nodes: int) -> None:
-        """ValueError unless there are so many nodes that each of these is one."""
-        if self.nodes.max() >= n_nodes:
-            raise ValueError(f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes")
-
-    def __len__(self) -> int:
-        return len(self.nodes)
-
-    @property
-    def dim(self) -> int:
-        """Space dimension."""
-        return self.normals.shape[1]
+__all__ = ["ContactNodes", "DiscreteProblem", "rigid_body_modes"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,9 +89,21 @@ class DiscreteProblem:
     exchange: Exchange | None = None
 
     @classmethod
+    def assembled(cls, **parts: Any) -> DiscreteProblem:
+        """From a matrix of this package's own assembly, which is not searched for what a stranger's may have wrong.
+
+        Parameters as of the class. The matrix, in dim x dim blocks with sorted columns and symmetric, is kept without
+        a copy; ``near_nullspace`` may be :class:`~adaptmg.on_demand.OnDemand`.
+        """
+        result = cls.__new__(cls)
+        object.__setattr__(result, "_assembled", True)
+        result.__init__(**parts)
+        return result
+
+    @classmethod
     def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law,
                 contact: ContactNodes, weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
-                coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | None = None,
+                coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | OnDemand | None = None,
                 name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None
                 ) -> DiscreteProblem:
         """Several bodies in contact, from their uncoupled matrix and load.
@@ -217,22 +126,28 @@ class DiscreteProblem:
         check_law(law)
         contact.check_name_contact()
         dim, fixed = contact.dim, checked_mask("fixed", fixed)
-        blocks, n = checked_matrix(matrix, dim), len(fixed)
+        # only the package's own assembly gives modes on demand
+        own = isinstance(near_nullspace, OnDemand)
+        blocks, n = matrix if own else checked_matrix(matrix, dim), len(fixed)
         if blocks.shape[0] != n:
             raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
         weights = checks.sparse_matrix("weights", weights, (n // dim, n // dim))
         contact.check_nodes(n // dim)
         check_bounds(law, len(contact))
-        contact, weights, law, exchange = _exchanged(contact, weights, fixed, law)
+        contact, weights, law, exchange = exchanged(contact, weights, fixed, law)
         coupling = Coupling(weights, fixed)
-        if near_nullspace is not None:
-            near_nullspace = bounded("near_nullspace", near_nullspace, (n, None))
+        if own:
+            near_nullspace = OnDemand(partial(_relative_modes, near_nullspace))
+        elif near_nullspace is not None:
+            near_nullspace = coupling.relative(bounded("near_nullspace", near_nullspace, (n, None)))
         elif coordinates is not None:
-            near_nullspace = rigid_body_modes(bounded("coordinates", coordinates, (n // dim, dim), checks.VAST))
-        return cls(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
-                   load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
-                   coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
-                   near_nullspace=None if near_nullspace is None else coupling.relative(near_nullspace))
+            points = bounded("coordinates", coordinates, (n // dim, dim), checks.VAST)
+            near_nullspace = coupling.relative(rigid_body_modes(points))
+        make = cls.assembled if own else cls
+        return make(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
+                    load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
+                    coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
+                    near_nullspace=near_nullspace)
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:
         """Displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: the same without a coupling."""
@@ -302,7 +217,8 @@ class DiscreteProblem:
         check_law(self.law)
         checks.boundary_name("name", self.name)
         dim = self.contact.dim
-        matrix = checked_matrix(self.matrix, dim)
+        own = "_assembled" in self.__dict__
+        matrix = with_positive_diagonal(self.matrix) if own else checked_matrix(self.matrix, dim)
         n = matrix.shape[0]
         self.contact.check_nodes(n // dim)
         if self.exchange is None:
@@ -318,12 +234,14 @@ class DiscreteProblem:
         arrays = {"matrix": matrix, "load": load, "fixed": fixed, "fixed_values": values}
         if self.coordinates is not None:
             arrays["coordinates"] = bounded("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
-        if self.near_nullspace is not None:
-            arrays["near_nullspace"] = bounded("near_nullspace", self.near_nullspace, (n, None))
-            if not arrays["near_nullspace"].any():
+        modes = self.__dict__["near_nullspace"]
+        if modes is None and self.coordinates is not None:
+            modes = OnDemand(_own_modes)
+        if modes is not None and not isinstance(modes, OnDemand):
+            modes = bounded("near_nullspace", modes, (n, None))
+            if not modes.any():
                 raise ValueError("near_nullspace holds no mode: give the rigid-body motions, a column each, or None")
-        elif self.coordinates is not None:
-            arrays["near_nullspace"] = rigid_body_modes(arrays["coordinates"])
+        arrays["near_nullspace"] = modes
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
         if self.bodies is not None:
@@ -361,55 +279,12 @@ class DiscreteProblem:
         return self.n_dofs // self.dim
 
 
-def _exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
-               ) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
-    """Contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
-    weights = sparse.csr_array(weights, dtype=np.float64)
-    places, carriers, unmatched = find_carriers(contact.nodes, weights, fixed, law)
-    if len(unmatched):
-        raise ValueError(f"contact: slave node {contact.nodes[unmatched[0]]} has a supported tangential component, and "
-                         "no node that it faces can take its place (each belongs to another one, too): exchange slave "
-                         "and master, or leave the node out and let its neighbours take its part")
-    if not len(places):
-        return contact, weights, law, None
-    slaves = contact.nodes[places]
-    sigma = np.ones(len(contact))
-    sigma[places] = -weights[slaves, carriers]
-    posed = Exchange(contact, sparse.csr_array(weights[contact.nodes]), sigma)
-    nodes, boundary, pairs = contact.nodes.copy(), contact.boundary.copy(), len(contact.names)
-    nodes[places] = carriers
-    boundary[places] += pairs
-    masters = tuple(master or name for name, master in zip(contact.names, contact.masters, strict=True))
-    size = np.abs(sigma)
-    turned = ContactNodes(nodes=nodes, normals=contact.normals * np.sign(sigma)[:, None], gaps=contact.gaps / size,
-                          weights=contact.weights * size, slip_reference=contact.slip_reference / sigma[:, None],
-                          allow_interference=contact.allow_interference, boundary=boundary,
-                          names=(*contact.names, *masters), masters=(*contact.masters, *contact.names))
-    return turned, rows_of_carriers(weights, slaves, carriers), ScaledLaw(law, size), posed
+def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:
+    return problem.coupling.relative(modes.make(problem))
 
 
-@one_blas_thread()
-def rigid_body_modes(points: np.ndarray) -> np.ndarray:
-    """Rigid-body modes about the centroid, orthonormal.
+def _own_modes(problem: DiscreteProblem) -> np.ndarray:
+    return rigid_body_modes(problem.coordinates)
 
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
 
-    Returns
-    -------
-    (n_nodes * dim, 3 or 6) array
-        Translations, then rotations; orthonormalised.
-    """
-    n, dim = points.shape
-    x = points - points.mean(axis=0)
-    modes = np.zeros((n, dim, 3 if dim == 2 else 6))
-    for k in range(dim):
-        modes[:, k, k] = 1.0
-    if dim == 2:
-        modes[:, 0, 2], modes[:, 1, 2] = -x[:, 1], x[:, 0]
-    else:
-        for k, (a, b) in enumerate(((0, 1), (1, 2), (2, 0))):
-            modes[:, a, 3 + k], modes[:, b, 3 + k] = -x[:, b], x[:, a]
-    return np.linalg.qr(modes.reshape(n * dim, -1))[0]
+DiscreteProblem.near_nullspace = made_on_demand("near_nullspace", "Rigid-body modes (n_dofs, k), or None.")

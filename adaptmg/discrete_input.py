@@ -10,7 +10,8 @@ from scipy import sparse
 from adaptmg.problem import checks
 from adaptmg.problem.laws import Law
 
-__all__ = ["SMALLEST", "bounded", "check_bounds", "check_size", "checked_bodies", "checked_mask", "checked_matrix"]
+__all__ = ["SMALLEST", "bounded", "check_bounds", "check_size", "checked_bodies", "checked_mask", "checked_matrix",
+           "with_positive_diagonal"]
 
 # entries of matrices and nodal forces beyond these come from no physical problem: energies leave the range of float64
 LARGEST, SMALLEST = 1e140, 1e-140
@@ -69,11 +70,18 @@ def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
     if not scale > 0:
         raise ValueError("matrix is zero")
     check_size("matrix", scale)
-    diagonal = matrix.diagonal()
+    with_positive_diagonal(matrix)
+    _check_symmetry(matrix, matrix.diagonal())
+    return matrix
+
+
+def with_positive_diagonal(matrix: sparse.bsr_array) -> sparse.bsr_array:
+    """The matrix itself, if its diagonal is positive, of a size that a physical problem can have."""
+    diagonal, dim = matrix.diagonal(), matrix.blocksize[0]
     if not (diagonal > 0).all():
         i = int(np.argmin(diagonal))
         raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
-    _check_symmetry(matrix, diagonal)
+    check_size("matrix", diagonal.max())
     return matrix
 
 

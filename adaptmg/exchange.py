@@ -18,14 +18,14 @@ nodes lie closer than those of the master, say) j must do without a multiplier, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import sparse
 
+from adaptmg.contact_nodes import ContactNodes
 from adaptmg.problem.laws import Law
 
-__all__ = ["NEGLIGIBLE", "Exchange", "ScaledLaw", "facing_part", "find_carriers", "rows_of_carriers"]
+__all__ = ["NEGLIGIBLE", "Exchange", "ScaledLaw", "exchanged", "facing_part", "find_carriers", "rows_of_carriers"]
 
 #: the largest weight that counts as none
 NEGLIGIBLE = 1e-6
@@ -40,14 +40,14 @@ class Exchange:
     Attributes
     ----------
     contact : ContactNodes
-        With the slave nodes (:class:`adaptmg.discrete.ContactNodes`).
+        With the slave nodes .
     weights : (n_contact, n_nodes) csr_array
         What they face.
     sigma : (n_contact,) array
         Displacement relative to what the posed node faces, over that of the contact node: 1 where none was exchanged.
     """
 
-    contact: Any
+    contact: ContactNodes
     weights: sparse.csr_array
     sigma: np.ndarray
 
@@ -137,3 +137,30 @@ def rows_of_carriers(weights: sparse.csr_array, slaves: np.ndarray, carriers: np
     values = np.concatenate([-(old.data * factor[at])[~own], factor])
     new = sparse.csr_array((values, (rows, columns)), shape=(n, n))
     return sparse.csr_array(sparse.diags_array(kept, format="csr") @ weights + new)
+
+
+def exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
+               ) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
+    """Contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
+    weights = sparse.csr_array(weights, dtype=np.float64)
+    places, carriers, unmatched = find_carriers(contact.nodes, weights, fixed, law)
+    if len(unmatched):
+        raise ValueError(f"contact: slave node {contact.nodes[unmatched[0]]} has a supported tangential component, and "
+                         "no node that it faces can take its place (each belongs to another one, too): exchange slave "
+                         "and master, or leave the node out and let its neighbours take its part")
+    if not len(places):
+        return contact, weights, law, None
+    slaves = contact.nodes[places]
+    sigma = np.ones(len(contact))
+    sigma[places] = -weights[slaves, carriers]
+    posed = Exchange(contact, sparse.csr_array(weights[contact.nodes]), sigma)
+    nodes, boundary, pairs = contact.nodes.copy(), contact.boundary.copy(), len(contact.names)
+    nodes[places] = carriers
+    boundary[places] += pairs
+    masters = tuple(master or name for name, master in zip(contact.names, contact.masters, strict=True))
+    size = np.abs(sigma)
+    turned = ContactNodes(nodes=nodes, normals=contact.normals * np.sign(sigma)[:, None], gaps=contact.gaps / size,
+                          weights=contact.weights * size, slip_reference=contact.slip_reference / sigma[:, None],
+                          allow_interference=contact.allow_interference, boundary=boundary,
+                          names=(*contact.names, *masters), masters=(*contact.masters, *contact.names))
+    return turned, rows_of_carriers(weights, slaves, carriers), ScaledLaw(law, size), posed

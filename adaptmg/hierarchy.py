@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.hierarchy_input import check_coarse_to_fine, each, label, limits_of_bisection, need_domain, need_problem
+from adaptmg.level import Level, ratio_to
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.on_demand import OnDemand
 from adaptmg.problem import ContactProblem, checks
 from adaptmg.threads import one_blas_thread
 
@@ -24,69 +27,6 @@ __all__ = ["Hierarchy", "Level"]
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
-    """One grid.
-
-    Attributes
-    ----------
-    discrete : DiscreteProblem or None
-        The problem discretised on this grid; None where only a coarse space is known.
-    mesh : MeshArrays or None
-    prolongation : csr_array or None
-        Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse spaces, its dofs
-        (n_dofs, n_dofs coarse); None on the coarsest.
-    mesh_ratio : float
-        Largest local ratio of mesh sizes, next coarser over this; NaN if unknown.
-    galerkin : bsr_array or None
-        The matrix of a coarse space without a discrete problem.
-    surface_prolongation : csr_array or None
-        With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for corrections that need
-        it (:mod:`adaptmg.transfer.between_levels`).
-    """
-
-    discrete: DiscreteProblem | None
-    mesh: MeshArrays | None = None
-    prolongation: sparse.csr_array | None = None
-    mesh_ratio: float = float("nan")
-    galerkin: sparse.bsr_array | None = None
-    surface_prolongation: sparse.csr_array | None = None
-
-    def __post_init__(self) -> None:
-        if self.discrete is not None:
-            checks.instance("discrete", self.discrete, DiscreteProblem, "a DiscreteProblem or None")
-        elif not (sparse.issparse(self.galerkin) and self.galerkin.format == "bsr"):
-            raise TypeError("galerkin must be a bsr_array where there is no discrete problem, got "
-                            f"{checks.described(self.galerkin)}")
-        if self.galerkin is not None:
-            rows, columns = checks.sparse_matrix("galerkin", self.galerkin).shape
-            if rows != columns:
-                raise ValueError(f"galerkin must be square, got {(rows, columns)}")
-        if self.mesh is not None:
-            checks.instance("mesh", self.mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts")
-        for name in ("prolongation", "surface_prolongation"):
-            value = getattr(self, name)
-            if value is not None:
-                value = checks.sparse_matrix(name, value)
-                as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
-                object.__setattr__(self, name, value if as_csr else sparse.csr_array(value, dtype=np.float64))
-
-    @property
-    def contact_prolongation(self) -> sparse.csr_array | None:
-        """The form of the prolongation for corrections that carry constraints to the coarse contact nodes."""
-        return self.prolongation if self.surface_prolongation is None else self.surface_prolongation
-
-    @property
-    def matrix(self) -> sparse.bsr_array:
-        """The discretised matrix, or the Galerkin one of a coarse space."""
-        return self.galerkin if self.discrete is None else self.discrete.matrix
-
-    @property
-    def n_nodes(self) -> int:
-        """Nodes; of a coarse space the rows of blocks of its matrix."""
-        return self.matrix.shape[0] // self.matrix.blocksize[0]
-
-
-@dataclass(frozen=True, eq=False)
 class Hierarchy:
     """Levels, coarsest first, and how they were made. Printing it shows a table.
 
@@ -94,6 +34,15 @@ class Hierarchy:
 
     Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`,
     :meth:`from_prolongations`, :meth:`algebraic`, :meth:`single`.
+
+    Attributes
+    ----------
+    levels : tuple of Level
+    problem : ContactProblem or None
+    origin : str
+        How they were made, in words.
+    timings : dict of str to float
+        Wall time of making them by phase, s: "mesh", "assembly", "transfer". They add up to the whole.
     """
 
     levels: tuple[Level, ...]
@@ -107,7 +56,7 @@ class Hierarchy:
         if not levels:
             raise ValueError("levels is empty: a hierarchy needs at least one level")
         if self.problem is not None:
-            _need_problem(self.problem)
+            need_problem(self.problem)
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
             wanted = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete is None and coarse.matrix.blocksize[0] == 1:
@@ -176,14 +125,13 @@ class Hierarchy:
         diagonal : {"right", "left", "alternating"}
             How squares are cut (2D).
         """
+        begin = time.perf_counter()
         from adaptmg.mesh import structured
 
-        _need_domain(problem)
-        divisions = _each("divisions", divisions, (int, np.integer, Mapping))
-        begin = time.perf_counter()
+        need_domain(problem)
+        divisions = each("divisions", divisions, (int, np.integer, Mapping))
         meshes = [structured(problem.domain, n, diagonal=diagonal) for n in divisions]
-        seconds = time.perf_counter() - begin
-        return cls._build(problem, meshes, None, f"uniform {', '.join(map(_label, divisions))}", seconds)
+        return cls._build(problem, meshes, None, f"uniform {', '.join(map(label, divisions))}", begin)
 
     @classmethod
     def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]],
@@ -204,15 +152,14 @@ class Hierarchy:
         contact_rows : bool
             See :meth:`from_meshes`.
         """
+        begin = time.perf_counter()
         from adaptmg.mesh import graded
 
-        _need_domain(problem)
-        sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
-        begin = time.perf_counter()
+        need_domain(problem)
+        sizes = each("sizes", sizes, (float, int, np.number, Mapping))
         meshes = [graded(problem.domain, size, problem.pair_boundaries, contact_ratio) for size in sizes]
-        seconds = time.perf_counter() - begin
-        origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
-        return cls._build(problem, meshes, transfer, origin, seconds, contact_rows)
+        origin = f"graded {', '.join(map(label, sizes))} m, ratio {label(contact_ratio)} at contact"
+        return cls._build(problem, meshes, transfer, origin, begin, contact_rows)
 
     @classmethod
     def bisected(cls, problem: ContactProblem, coarsest: Any, levels: int) -> Hierarchy:
@@ -232,16 +179,15 @@ class Hierarchy:
         the error of a recorded example falls from 1.40e-3 to 1.36e-3). Printing the hierarchy says so, with the sizes.
         Meshes that follow the whole solution come from :meth:`graded` or :meth:`from_meshes`.
         """
+        begin = time.perf_counter()
         from adaptmg.mesh import as_mesh, refine_near
 
-        _need_problem(problem)
-        begin = time.perf_counter()
+        need_problem(problem)
         first = as_mesh(coarsest)
         problem.check_boundaries(first.boundaries)
         meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
-        seconds = time.perf_counter() - begin
-        made = cls._build(problem, meshes, None, f"bisected {levels} times near contact", seconds)
-        return replace(made, limits=_limits_of_bisection(meshes, problem.pair_boundaries))
+        limits = limits_of_bisection(meshes, problem.pair_boundaries)
+        return cls._build(problem, meshes, None, f"bisected {levels} times near contact", begin, limits=limits)
 
     @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
@@ -259,13 +205,13 @@ class Hierarchy:
             Replace the rows of fine contact nodes by linear interpolation along the coarse contact boundary, whatever
             the transfer does elsewhere: the monotone correction is proven only so (or where the transfer does it).
         """
+        begin = time.perf_counter()
         from adaptmg.mesh import as_mesh
 
-        _need_problem(problem)
-        begin = time.perf_counter()
+        need_problem(problem)
         alone = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
-        arrays = [as_mesh(mesh) for mesh in _each("meshes", (meshes,) if alone else meshes, ())]
-        return cls._build(problem, arrays, transfer, "given meshes", time.perf_counter() - begin, contact_rows)
+        arrays = [as_mesh(mesh) for mesh in each("meshes", (meshes,) if alone else meshes, ())]
+        return cls._build(problem, arrays, transfer, "given meshes", begin, contact_rows)
 
     @classmethod
     def from_prolongations(cls, discrete: DiscreteProblem, prolongations: Sequence[Any]) -> Hierarchy:
@@ -319,27 +265,25 @@ class Hierarchy:
     @classmethod
     @one_blas_thread()
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
-               mesh_seconds: float, contact_rows: bool = True) -> Hierarchy:
+               begin: float, contact_rows: bool = True, limits: str = "") -> Hierarchy:
         from adaptmg.discretisation.discretise import discretise
-        from adaptmg.transfer import Interpolation, mesh_ratio
+        from adaptmg.transfer import Interpolation
         from adaptmg.transfer.between_levels import between_levels
 
         transfer = Interpolation() if transfer is None else transfer
         checks.offers("transfer", transfer, "build", "a transfer, which offers build(coarse, fine) -> sparse matrix")
         checks.flag("contact_rows", contact_rows)
-        _check_coarse_to_fine(meshes)
-        begin = time.perf_counter()
+        check_coarse_to_fine(meshes)
+        meshed = time.perf_counter()
         discretes = [discretise(problem, mesh) for mesh in meshes]
         assembled = time.perf_counter()
         levels = [Level(discretes[0], meshes[0])]
         for k in range(1, len(meshes)):
             found = between_levels(transfer, meshes[k - 1], meshes[k], discretes[k - 1], discretes[k], contact_rows)
-            levels.append(Level(discretes[k], meshes[k], found.prolongation, surface_prolongation=found.surface))
-        transferred = time.perf_counter()
-        levels[1:] = [replace(fine, mesh_ratio=mesh_ratio(coarse.mesh, fine.mesh)) for coarse, fine in pairwise(levels)]
-        timings = {"mesh": mesh_seconds, "assembly": assembled - begin, "transfer": transferred - assembled,
-                   "mesh ratios": time.perf_counter() - transferred}
-        return cls(tuple(levels), problem, origin, timings)
+            ratio = OnDemand(partial(ratio_to, meshes[k - 1]))
+            levels.append(Level(discretes[k], meshes[k], found.prolongation, ratio, surface_prolongation=found.surface))
+        timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
+        return cls(tuple(levels), problem, origin, timings, limits=limits)
 
     # -- what it is ---------------------------------------------------------------------------------------------
 
@@ -371,50 +315,3 @@ class Hierarchy:
         lines.append(f"grid complexity {self.grid_complexity:.3f}, "
                      f"operator complexity (discretised) {self.operator_complexity:.3f}")
         return "\n".join(lines + [self.limits] * bool(self.limits))
-
-
-def _limits_of_bisection(meshes: Sequence[MeshArrays], boundaries: Sequence[str]) -> str:
-    """Words on what bisection near contact leaves: the elements that no level has touched, and what they do."""
-    first, last = meshes[0].element_sizes, meshes[-1]
-    contact = np.unique(np.concatenate([last.boundary_nodes(name) for name in boundaries]))
-    near = np.isin(last.elements, contact).any(axis=1)
-    bulk, fine = float(last.element_sizes.max()), float(last.element_sizes[near].max())
-    kept = float(last.volumes[last.element_sizes >= 0.5 * first.max()].sum() / last.volumes.sum())
-    words = (f"limits: only elements at contact are refined (to {fine:.3g} m); away from it {100 * kept:.0f} % of the "
-             f"domain keeps elements of up to {bulk:.3g} m")
-    if bulk > 6 * fine:
-        words += ": their part of the error stays, and more levels hardly help"
-    return words
-
-
-def _need_problem(problem: ContactProblem) -> None:
-    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
-
-
-def _each(name: str, value: Any, one: tuple[type, ...]) -> tuple[Any, ...]:
-    """A sequence with a value a level; an instance of ``one`` stands for one level."""
-    if isinstance(value, one) and not isinstance(value, bool):
-        return (value,)
-    values = checks.listed(name, value, "values, one a level, coarse to fine")
-    if not values:
-        raise ValueError(f"{name} is empty: no meshes; give at least one, coarse to fine")
-    return values
-
-
-def _need_domain(problem: ContactProblem) -> None:
-    _need_problem(problem)
-    if problem.domain is None:
-        raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
-
-
-def _check_coarse_to_fine(meshes: list[MeshArrays]) -> None:
-    sizes = [mesh.n_nodes for mesh in meshes]
-    if any(a >= b for a, b in pairwise(sizes)):
-        raise ValueError(f"meshes must go from coarse to fine; they have {sizes} nodes")
-
-
-def _label(value: Any) -> str:
-    """A size, a ratio or divisions in words: a number, some, or by body."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{body}: {_label(part)}" for body, part in value.items()) + "}"
-    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -11,7 +11,7 @@ from scipy import sparse
 from adaptmg.discretisation import fixed_dofs, load_vector
 from adaptmg.discretisation.elasticity import stiffness
 from adaptmg.discretisation.measures import element_strain, full_stress, hoop_strain, von_mises
-from adaptmg.discretisation.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
+from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.problem import BodyForce, PlaneStrain, Pressure, Rectangle, Solid, Support, Traction
 from adaptmg.problem.loads import InitialStrain

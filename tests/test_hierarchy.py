@@ -1,10 +1,17 @@
 """Hierarchies: constructors, the table, and what is refused."""
 
+import pickle
+import time
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import sparse
 
 import adaptmg as am
+from adaptmg.mesh import check_mesh
+
+COARSE = am.mesh.structured(am.cases.greco_bar().domain, 4)
 
 
 @pytest.fixture(scope="module")
@@ -132,3 +139,67 @@ def test_a_transfer_that_mixes_bodies_is_refused():
     # bodies that touch have nodes at the same places
     with pytest.raises(ValueError, match=r"lets node \d+ of body '\w+' follow body '\w+': build the rows of each body"):
         am.Hierarchy.graded(am.cases.dovetail(), sizes=(10e-3, 6e-3), contact_ratio=2, transfer=Nearest())
+
+
+@pytest.mark.parametrize("make", [
+    lambda p: am.Hierarchy.uniform(p, divisions=(2, 4, 8, 16, 32, 64, 128)),
+    lambda p: am.Hierarchy.graded(p, sizes=(20e-3, 10e-3, 5e-3)),
+    lambda p: am.Hierarchy.bisected(p, COARSE, levels=3)])
+def test_timings_add_up_to_the_wall_time(problem, make):
+    shares = []
+    for _ in range(3):  # another process may take the time between the clocks
+        begin = time.perf_counter()
+        grids = make(problem)
+        wall = time.perf_counter() - begin
+        assert set(grids.timings) == {"mesh", "assembly", "transfer"} and min(grids.timings.values()) > 0
+        shares.append(sum(grids.timings.values()) / wall)
+    assert 0.97 < max(shares) <= 1
+
+
+def test_nothing_is_made_that_nobody_asked_for(problem, monkeypatch):
+    from importlib import import_module
+
+    from adaptmg import transfer
+    from adaptmg.mesh import build, check
+
+    assembling = import_module("adaptmg.discretisation.discretise")
+
+    def refuse(*_args, **_kwargs):
+        raise AssertionError("made without being asked for")
+
+    for module, name in ((build, "to_ngsolve"), (check, "facet_table"), (transfer, "mesh_ratio"),
+                         (assembling, "rigid_motions")):
+        monkeypatch.setattr(module, name, refuse)
+    grids = am.Hierarchy.uniform(problem, divisions=(2, 4, 8))
+    for level in grids.levels:
+        with pytest.raises(AssertionError, match="without being asked"):
+            level.mesh.source  # noqa: B018
+        with pytest.raises(AssertionError, match="without being asked"):
+            level.discrete.near_nullspace  # noqa: B018
+    with pytest.raises(AssertionError, match="without being asked"):
+        repr(grids)
+    monkeypatch.undo()
+    assert grids.finest.mesh.source is grids.finest.mesh.source and grids.finest.mesh.source.nv == 81
+    assert grids.finest.discrete.near_nullspace is grids.finest.discrete.near_nullspace
+    assert grids.finest.discrete.near_nullspace.shape == (162, 3) and grids[1].mesh_ratio == pytest.approx(2)
+
+
+def test_levels_nobody_asked_can_be_pickled(problem):
+    grids = am.Hierarchy.uniform(problem, divisions=(2, 4))
+    back = pickle.loads(pickle.dumps(grids))
+    assert back[1].mesh_ratio == pytest.approx(2)
+    np.testing.assert_array_equal(back[1].discrete.near_nullspace, grids[1].discrete.near_nullspace)
+
+
+@pytest.mark.parametrize("make", [
+    lambda: am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4)),
+    lambda: am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), contact_ratio=2),
+    lambda: am.Hierarchy.uniform(am.cases.two_block_patch(), divisions=(4, 8))])
+def test_what_the_package_assembles_passes_the_checks_of_a_strangers_problem(make):
+    for level in make().levels:
+        given = level.discrete
+        again = replace(given)
+        assert "_assembled" in vars(given) and "_assembled" not in vars(again)
+        np.testing.assert_array_equal(again.matrix.data, given.matrix.data)
+        np.testing.assert_array_equal(again.near_nullspace, given.near_nullspace)
+        check_mesh(replace(level.mesh, source=None))

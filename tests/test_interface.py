@@ -1,4 +1,4 @@
-"""Averaged normals of a surface, and what an Interface refuses."""
+"""Averaged normals of a surface, and what an MortarInterface refuses."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 from scipy import sparse
 from test_mortar_2d import arc
 
-from adaptmg.discretisation.interface import Interface
-from adaptmg.discretisation.surface_normals import surface_normals
+from adaptmg.discretisation.mortar.interface import MortarInterface
+from adaptmg.discretisation.mortar.surface_normals import surface_normals
 
 
 class TestNormals:
@@ -46,7 +46,7 @@ GOOD = {"nodes": np.array([0, 2]), "normals": np.eye(2), "weights": np.ones(2), 
 
 class TestInterface:
     def test_good(self):
-        interface = Interface(**GOOD)
+        interface = MortarInterface(**GOOD)
         assert len(interface) == 2 and interface.dim == 2 and not interface.gaps.flags.writeable
 
     @pytest.mark.parametrize(("changes", "match"), [
@@ -61,10 +61,10 @@ class TestInterface:
     ])
     def test_refusals(self, changes, match):
         with pytest.raises(ValueError, match=match):
-            Interface(**(GOOD | changes))
+            MortarInterface(**(GOOD | changes))
 
     def test_types(self):
         with pytest.raises(TypeError, match="integers"):
-            Interface(**(GOOD | {"nodes": np.array([0.0, 2.0])}))
+            MortarInterface(**(GOOD | {"nodes": np.array([0.0, 2.0])}))
         with pytest.raises(TypeError, match="sparse"):
-            Interface(**(GOOD | {"coupling": np.zeros((2, 4))}))
+            MortarInterface(**(GOOD | {"coupling": np.zeros((2, 4))}))

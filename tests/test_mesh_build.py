@@ -155,6 +155,12 @@ def test_as_mesh_takes_arrays_and_netgen_files(tmp_path):
         as_mesh(replace(mesh, facets=mesh.facets[:, ::-1]))
 
 
+def test_as_mesh_does_not_build_what_nobody_asked_for(monkeypatch):
+    mesh = structured(Rectangle(width=1, height=1), 2)
+    monkeypatch.setattr("adaptmg.mesh.build.to_ngsolve", lambda *_, **__: pytest.fail("built"))
+    assert as_mesh(mesh) is mesh and as_mesh(replace(mesh, source=None)).sound
+
+
 def test_as_mesh_refuses_other_files(tmp_path):
     with pytest.raises(TypeError, match="got list"):
         as_mesh([1, 2])

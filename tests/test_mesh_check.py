@@ -22,7 +22,22 @@ def interior_element(mesh: MeshArrays) -> int:
 
 @BOTH
 def test_sound_mesh_is_returned_unchanged(mesh):
-    assert check_mesh(mesh, mesh.boundaries) is mesh
+    unchecked = replace(mesh, source=None)
+    assert check_mesh(unchecked, mesh.boundaries) is unchecked
+
+
+def test_a_sound_mesh_is_not_searched_again_but_a_changed_one_is(monkeypatch):
+    mesh = replace(structured(Rectangle(width=1, height=1), 2), source=None)
+    assert not mesh.sound and check_mesh(mesh).sound
+    monkeypatch.setattr("adaptmg.mesh.check.facet_table", lambda *_: pytest.fail("searched again"))
+    assert check_mesh(mesh) is mesh
+    with pytest.raises(ValueError, match="boundary 'rim' does not exist"):
+        check_mesh(mesh, "rim")
+    monkeypatch.undo()
+    broken = replace(mesh, facets=mesh.facets[1:], facet_labels=mesh.facet_labels[1:])
+    assert not broken.sound
+    with pytest.raises(ValueError, match="has a hole"):
+        check_mesh(broken)
 
 
 @BOTH

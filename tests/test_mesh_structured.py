@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adaptmg.mesh import check_mesh, quality, structured
+from adaptmg.mesh.topology import facet_table
 from adaptmg.problem import Box, Polygon, Rectangle
 
 RECTANGLE = Rectangle(width=0.3, height=0.7, origin=(-0.1, 0.2))
@@ -71,6 +73,21 @@ def test_diagonals():
     assert set(np.bincount(mesh.elements.ravel())[inner]) == {4, 8}
 
 
+@pytest.mark.parametrize(("domain", "divisions", "diagonal"), [
+    (RECTANGLE, (5, 3), "right"), (RECTANGLE, (2, 5), "left"), (RECTANGLE, (4, 3), "alternating"),
+    (RECTANGLE, 1, "left"), (BOX, (3, 1, 4), "right"), (BOX, (1, 2, 2), "right")])
+def test_boundary_is_that_of_the_elements_side_by_side(domain, divisions, diagonal):
+    mesh = structured(domain, divisions, diagonal)
+    table = facet_table(mesh.elements, mesh.n_nodes)
+    outer = table.facets[table.counts == 1]
+    rows = np.lexsort(np.sort(outer, axis=1).T[::-1])
+    mine = np.lexsort(np.sort(mesh.facets, axis=1).T[::-1])
+    np.testing.assert_array_equal(mesh.facets[mine], outer[rows])
+    order = np.lexsort((mesh.facets.min(axis=1), mesh.facet_labels))
+    np.testing.assert_array_equal(order, np.arange(len(mesh.facets)))
+    assert mesh.sound and check_mesh(replace(mesh, source=None)).sound
+
+
 def test_kuhn_cubes_are_not_flat():
     assert quality(structured(Box(width=1, depth=1, height=1), 2)).min_angle == pytest.approx(45)
 
@@ -92,6 +109,7 @@ def test_bad_input():
 
 def test_importing_the_package_does_not_import_ngsolve():
     code = ("import sys, adaptmg.mesh as m; assert 'ngsolve' not in sys.modules and 'netgen' not in sys.modules; "
+            "m.structured(__import__('adaptmg').Rectangle(width=1, height=1), 2); assert 'ngsolve' not in sys.modules; "
             "m.sized; m.graded; assert all(callable(getattr(m, n)) for n in m.__all__)")
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 

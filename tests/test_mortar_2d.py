@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from adaptmg.discretisation import mortar_2d as module
-from adaptmg.discretisation import mortar_kernels_2d as kernels
-from adaptmg.discretisation.interface import NEVER_FACING
-from adaptmg.discretisation.mortar_2d import mortar_2d
-from adaptmg.discretisation.surface_normals import surface_normals
+from adaptmg.discretisation.mortar import kernels_2d as kernels
+from adaptmg.discretisation.mortar import mortar_2d as module
+from adaptmg.discretisation.mortar.interface import NEVER_FACING
+from adaptmg.discretisation.mortar.mortar_2d import mortar_2d
+from adaptmg.discretisation.mortar.surface_normals import surface_normals
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
 

@@ -12,11 +12,11 @@ import pytest
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 
-from adaptmg.discretisation import polygon_kernels as kernels
 from adaptmg.discretisation.facets import area_vectors
-from adaptmg.discretisation.interface import NEVER_FACING
-from adaptmg.discretisation.mortar_3d import mortar_3d
-from adaptmg.discretisation.surface_normals import surface_normals
+from adaptmg.discretisation.mortar.interface import NEVER_FACING
+from adaptmg.discretisation.mortar.mortar_3d import mortar_3d
+from adaptmg.discretisation.mortar.surface_normals import surface_normals
+from adaptmg.geometry import polygons as kernels
 
 HERE = Path(__file__).parent
 DOWN, UP = False, True

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptmg.discretisation.interface import NEVER_FACING
-from adaptmg.discretisation.mortar_2d import mortar_2d
-from adaptmg.discretisation.node_coupling import node_to_node
-from adaptmg.discretisation.surface_normals import surface_normals
+from adaptmg.discretisation.mortar.interface import NEVER_FACING
+from adaptmg.discretisation.mortar.mortar_2d import mortar_2d
+from adaptmg.discretisation.mortar.node_to_node import node_to_node
+from adaptmg.discretisation.mortar.surface_normals import surface_normals
 
 
 def lines(x, gap, seed=None):

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_transfer_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
 
+from adaptmg.geometry.box_tree import BoxTree
+from adaptmg.geometry.morton import morton_order
 from adaptmg.mesh import MeshArrays
 from adaptmg.transfer import PointLocator
-from adaptmg.transfer.box_tree import BoxTree
-from adaptmg.transfer.morton import morton_order
 
 MESHES = {"random 2D": random_box(80, 2, 1), "random 3D": random_box(60, 3, 1), "graded 2D": log_graded(1000, 2),
           "graded 3D": structured(8, 3, 4.0), "one triangle": mesh_of([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]]),

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_transfer_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
 
+from adaptmg.geometry.quadrature import simplex_rule
 from adaptmg.mesh import MeshArrays
 from adaptmg.transfer import CLIP, L2, Interpolation, LumpedL2, PseudoL2, QuasiInterpolation, Transfer
-from adaptmg.transfer.coupling import coupling, simplex_rule
-from adaptmg.transfer.l2 import mass_matrix
+from adaptmg.transfer.projections.l2 import mass_matrix
+from adaptmg.transfer.projections.mixed_mass import mixed_mass
 
 ALL = (Interpolation(), L2(), PseudoL2(), LumpedL2(), QuasiInterpolation())
 AFFINE = (Interpolation(), L2(), PseudoL2(), QuasiInterpolation())
@@ -102,7 +103,7 @@ def test_between_equal_meshes_it_is_the_identity(transfer, mesh):
 def test_coupling_integrals_are_exact(pair):
     """The integral of phi_i phi_j cannot depend on which of the meshes is clipped against the other."""
     first, second = PAIRS[pair]
-    forth, back = coupling(first, second, 0.25), coupling(second, first, 0.25)
+    forth, back = mixed_mass(first, second, 0.25), mixed_mass(second, first, 0.25)
     B = forth.assemble(forth.shape_coefficients())
     C = back.assemble(back.shape_coefficients())
     assert abs(B - C.T).max() < 1e-13 * max(second.volumes.max(), first.volumes.max())
@@ -118,7 +119,7 @@ def test_coupling_integrals_are_exact(pair):
 @pytest.mark.parametrize("pair", ["2D", "3D"])
 def test_l2_solves_the_mass_system(pair):
     coarse, fine = PAIRS[pair]
-    integrals = coupling(coarse, fine, 0.25)
+    integrals = mixed_mass(coarse, fine, 0.25)
     B = integrals.assemble(integrals.shape_coefficients()).toarray()
     exact = np.linalg.solve(mass_matrix(fine).toarray(), B)
     for tolerance, bound in ((1e-8, 1e-7), (1e-3, 6e-3)):
@@ -128,7 +129,7 @@ def test_l2_solves_the_mass_system(pair):
 def test_mass_matrix_and_lumped_mass():
     mesh = random_box(30, 3, 8)
     M = mass_matrix(mesh)
-    np.testing.assert_allclose(M.sum(axis=1), coupling(mesh, mesh, 0.25).lumped_mass, atol=1e-15)
+    np.testing.assert_allclose(M.sum(axis=1), mixed_mass(mesh, mesh, 0.25).lumped_mass, atol=1e-15)
     assert mesh.points[:, 0] @ (M @ mesh.points[:, 0]) == pytest.approx(1 / 3, abs=1e-13)
 
 

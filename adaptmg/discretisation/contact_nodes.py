@@ -5,7 +5,7 @@ With the area vectors :math:`a_F` of the facets F of the contact boundary at nod
 .. math:: n_i = \sum_F a_F \Big/ \Big|\sum_F a_F\Big|, \qquad w_i = \sum_F \int_F \varphi_i ,
 
 the area-weighted average normal and, in front of a rigid obstacle, the row sum of the boundary mass matrix (in
-axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.discretisation.pair_nodes`.
+axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.discretisation.mortar.pair_nodes`.
 
 A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it faces is found,
 there. In front of obstacles, facets of the other boundary count in its mass by the part that faces the same way. In a
@@ -22,9 +22,9 @@ from scipy import sparse
 
 from adaptmg.discrete import ContactNodes
 from adaptmg.discretisation.facets import area_vectors, named_facets, shape_integrals
-from adaptmg.discretisation.pair_nodes import pair_interface
+from adaptmg.discretisation.mortar.pair_nodes import pair_interface
+from adaptmg.discretisation.mortar.surface_normals import surface_normals
 from adaptmg.discretisation.supports import fixed_dofs
-from adaptmg.discretisation.surface_normals import surface_normals
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.problem.contact_problem import Contact, ContactProblem

@@ -6,6 +6,7 @@ Bodies that touch each other are coupled by relative coordinates (:mod:`adaptmg.
 from __future__ import annotations
 
 import logging
+from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -18,6 +19,7 @@ from adaptmg.discretisation.rigid_motions import rigid_motions
 from adaptmg.discretisation.supports import fixed_dofs
 from adaptmg.exchange import find_carriers
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.on_demand import OnDemand
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.threads import one_blas_thread
 
@@ -69,11 +71,17 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     parts = {"matrix": stiffness(mesh, problem.material), "load": load_vector(mesh, problem.loads, problem.material),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
-             "near_nullspace": rigid_motions(mesh, problem.axisymmetric),
+             "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if weights is None:
-        return DiscreteProblem(**parts)
+        return DiscreteProblem.assembled(**parts)
     return DiscreteProblem.coupled(**parts, weights=weights)
+
+
+def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) -> np.ndarray:
+    motions = rigid_motions(mesh, axisymmetric)
+    motions.flags.writeable = False
+    return motions
 
 
 def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, fixed: np.ndarray
@@ -95,14 +103,21 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
 
 def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
     """Nodes of each body."""
-    return {name: np.unique(mesh.elements[mesh.element_body == k]) for k, name in enumerate(mesh.bodies)}
+    result = {}
+    for k, name in enumerate(mesh.bodies):
+        used = np.zeros(mesh.n_nodes, dtype=bool)
+        used[mesh.elements if len(mesh.bodies) == 1 else mesh.elements[mesh.element_body == k]] = True
+        result[name] = np.flatnonzero(used)
+    return result
 
 
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
     """Raise ValueError if a body has neither a support nor a surface in contact."""
     holding = [*problem.pair_boundaries, *(support.boundary for support in problem.supports)]
-    held = np.unique(np.concatenate([mesh.boundary_nodes(name) for name in holding]))
+    held = np.zeros(mesh.n_nodes, dtype=bool)
+    for name in holding:
+        held[mesh.boundary_facets(name)] = True
     for name, nodes in bodies.items():
-        if not np.isin(nodes, held).any():
+        if not held[nodes].any():
             raise ValueError(f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
                              "support or a contact pair, or leave it out")

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from adaptmg.discretisation import element_kernels as kernels
 from adaptmg.discretisation.body_materials import Materials, body_materials, is_axisymmetric, lame_constants
-from adaptmg.discretisation.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
+from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 
 __all__ = ["stiffness"]

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptmg.discretisation.body_materials import Materials, body_materials, is_axisymmetric, lame_constants
-from adaptmg.discretisation.quadrature import (
+from adaptmg.geometry.quadrature import (
     AXISYMMETRIC_DEGREE,
     PLAIN_DEGREE,
     quadrature_points,

@@ -16,7 +16,7 @@ import numpy as np
 from adaptmg.discretisation.body_materials import Materials, body_materials, is_axisymmetric
 from adaptmg.discretisation.facets import area_vectors, named_facets
 from adaptmg.discretisation.initial_strain import body_elements, initial_strain_load
-from adaptmg.discretisation.quadrature import (
+from adaptmg.geometry.quadrature import (
     AXISYMMETRIC_DEGREE,
     PLAIN_DEGREE,
     quadrature_points,

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg.discrete import rigid_body_modes
+from adaptmg.geometry.rigid_modes import rigid_body_modes
 from adaptmg.mesh.arrays import MeshArrays
 
 __all__ = ["rigid_motions"]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-__all__ = ["MeshArrays"]
+from adaptmg.on_demand import made_on_demand
+
+__all__ = ["MeshArrays", "trusted"]
 
 
 # of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
@@ -17,6 +19,9 @@ _LABELS = ("facet_labels", "element_body")
 
 def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
     """A read-only copy; node numbers are not rounded from floats, nor wrapped from more than 32 bits."""
+    if (type(array) is np.ndarray and array.dtype == dtype and array.base is None and array.flags.c_contiguous
+            and not array.flags.writeable):
+        return array
     given = np.asarray(array)
     whole = name in _LABELS and (given.dtype.kind == "b" or (given.dtype.kind == "f" and (given == given // 1).all()))
     if given.dtype.kind not in ("iuf" if dtype is np.float64 else "iu") and given.size and not whole:
@@ -52,7 +57,14 @@ class MeshArrays:
         Names of the bodies.
     source : ngsolve.Mesh, optional
         A straight ngsolve.Mesh of these arrays, with the same node and element numbers, for work in
-        NGSolve. Neither saved nor pickled: :func:`adaptmg.mesh.build.with_source` makes one anew. Copies share it.
+        NGSolve. Meshes made by adaptmg build it when it is first read. Neither saved nor pickled:
+        :func:`adaptmg.mesh.build.with_source` makes one anew. Copies share it.
+
+    Attributes
+    ----------
+    sound : bool
+        Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction: the arrays are
+        frozen, so that it need not be checked again.
     """
 
     points: np.ndarray
@@ -63,6 +75,7 @@ class MeshArrays:
     element_body: np.ndarray | None = None
     bodies: tuple[str, ...] = ("body",)
     source: Any = field(default=None, repr=False)
+    sound: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
@@ -79,7 +92,7 @@ class MeshArrays:
                             self.element_body, self.bodies)
 
     def __copy__(self) -> MeshArrays:
-        return replace(self)
+        return trusted(self, vars(self)["source"], sound=self.sound)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> MeshArrays:
         # frozen arrays need no second copy, and an ngsolve.Mesh belongs to one mesh however often that is copied
@@ -119,3 +132,14 @@ class MeshArrays:
         corners = self.points[self.elements]
         edges = corners[:, 1:] - corners[:, :1]
         return np.linalg.det(edges) / (2 if self.dim == 2 else 6)
+
+
+def trusted(mesh: MeshArrays, source: Any, sound: bool = True) -> MeshArrays:
+    """The same arrays, not copied, as a mesh that is known to be sound, with another source."""
+    result = object.__new__(MeshArrays)
+    result.__dict__.update(mesh.__dict__)
+    result.__dict__.update(source=source, sound=sound)
+    return result
+
+
+MeshArrays.source = made_on_demand("source", "A straight ngsolve.Mesh of these arrays, or None.")

@@ -8,6 +8,8 @@ from typing import TypeVar
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.check import check_mesh
+from adaptmg.mesh.on_demand_source import sound_by_construction
 from adaptmg.problem import checks
 
 __all__ = ["boundaries_of", "merged", "per_body"]
@@ -54,9 +56,9 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
     parts = list(meshes.values())
     nodes = _starts(mesh.n_nodes for mesh in parts)
     labels = _starts(len(mesh.boundaries) for mesh in parts)
-    from adaptmg.mesh.build import with_source
-
-    return with_source(MeshArrays(
+    for mesh in parts:
+        check_mesh(mesh)
+    return sound_by_construction(MeshArrays(
         points=np.concatenate([mesh.points for mesh in parts]),
         elements=np.concatenate([mesh.elements + start for mesh, start in zip(parts, nodes, strict=True)]),
         facets=np.concatenate([mesh.facets + start for mesh, start in zip(parts, nodes, strict=True)]),

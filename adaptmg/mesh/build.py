@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import netgen.meshing
 import ngsolve
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.check import check_mesh
 from adaptmg.mesh.normalise import normalised
 from adaptmg.mesh.overlap import check_overlap
+from adaptmg.on_demand import OnDemand
 
 __all__ = ["from_ngsolve", "own_mesh", "to_ngsolve", "with_source"]
 
@@ -112,10 +112,15 @@ def with_source(mesh: MeshArrays) -> MeshArrays:
     Returns
     -------
     MeshArrays
+        Its source is built when it is first read.
     """
     check_mesh(mesh)
-    return replace(mesh, source=to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
-                                           element_body=mesh.element_body, bodies=mesh.bodies))
+    return trusted(mesh, OnDemand(_source))
+
+
+def _source(mesh: MeshArrays) -> ngsolve.Mesh:
+    return to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
+                      element_body=mesh.element_body, bodies=mesh.bodies)
 
 
 def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:

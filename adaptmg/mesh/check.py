@@ -47,11 +47,13 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
     """
     if not isinstance(mesh, MeshArrays):
         raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}; as_mesh converts")
-    _check_shapes(mesh)
-    _check_elements(mesh)
-    table = facet_table(mesh.elements, mesh.n_nodes)
-    _check_closed(mesh, table)
-    _check_bodies(mesh, table)
+    if not mesh.sound:
+        _check_shapes(mesh)
+        _check_elements(mesh)
+        table = facet_table(mesh.elements, mesh.n_nodes)
+        _check_closed(mesh, table)
+        _check_bodies(mesh, table)
+        object.__setattr__(mesh, "sound", True)
     _check_names(mesh, (boundaries,) if isinstance(boundaries, str) else boundaries)
     return mesh
 

@@ -158,7 +158,7 @@ def _onto_planes(domain: Domain, mesh: MeshArrays, scale: float) -> MeshArrays:
         points[nodes, axis] = value
     boundaries = tuple(dict.fromkeys(domain.boundaries))
     labels = np.array([boundaries.index(name) for name in mesh.boundaries])[mesh.facet_labels]
-    return replace(mesh, points=points, facet_labels=labels, boundaries=boundaries)
+    return replace(mesh, points=points, facet_labels=labels, boundaries=boundaries, source=None)
 
 
 def _box(domain: Box, lower: np.ndarray, scale: float, sides: dict[str, float]) -> OCCGeometry:

@@ -180,7 +180,7 @@ def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[s
     mesh = shape_mesh(shape, names, lower, scale, sizes, domain)
     order = tuple(name for name in domain.boundaries if name in mesh.boundaries)
     labels = np.array([order.index(name) for name in mesh.boundaries])[mesh.facet_labels]
-    return with_source(replace(mesh, facet_labels=labels, boundaries=order))
+    return with_source(replace(mesh, facet_labels=labels, boundaries=order, source=None))
 
 
 def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, sizes: SolidSizes, domain: Domain
@@ -237,7 +237,8 @@ def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, 
     mesh = _in_planes(_placed(unit, lower, scale))
     order = tuple(dict.fromkeys(names))
     faces = np.array([order.index(names[int(face)]) for face in mesh.boundaries])
-    return replace(mesh, facet_labels=faces[mesh.facet_labels], boundaries=order, bodies=("body",))
+    return replace(mesh, facet_labels=faces[mesh.facet_labels], boundaries=order, bodies=("body",),
+                   source=None)
 
 
 def _read(mesh: ngsolve.Mesh) -> MeshArrays:
@@ -339,4 +340,4 @@ def _in_planes(mesh: MeshArrays) -> MeshArrays:
         nodes = mesh.boundary_nodes(face)
         for axis in np.flatnonzero(np.ptp(points[nodes], axis=0) < _FLAT * reach):
             points[nodes, axis] = round(float(np.median(points[nodes, axis])), digits) + 0.0
-    return replace(mesh, points=points)
+    return replace(mesh, points=points, source=None)

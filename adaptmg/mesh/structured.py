@@ -17,6 +17,7 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import merged, per_body
 from adaptmg.mesh.geometry import BOX_SIDES
+from adaptmg.mesh.on_demand_source import sound_by_construction
 from adaptmg.mesh.topology import facet_table
 from adaptmg.problem import checks
 from adaptmg.problem.assembly import Assembly
@@ -49,8 +50,8 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     Returns
     -------
     MeshArrays
-        With its source; nested in the mesh of n times the divisions (alternating: n = 2, 4, 8, ...). The bodies of an
-        assembly share no nodes, see :func:`adaptmg.mesh.merged`.
+        Its source is built when it is first read; nested in the mesh of n times the divisions (alternating: n = 2, 4,
+        8, ...). The bodies of an assembly share no nodes, see :func:`adaptmg.mesh.merged`.
 
     Raises
     ------
@@ -61,45 +62,70 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
         return merged({body: _lattice(part, apart[body], diagonal) for body, part in domain.parts.items()})
-    from adaptmg.mesh.build import with_source
-
-    return with_source(_lattice(domain, divisions, diagonal))
+    return _lattice(domain, divisions, diagonal)
 
 
 def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> MeshArrays:
-    """See :func:`structured`; one body, without source."""
+    """See :func:`structured`; one body."""
     if not isinstance(domain, Rectangle | Box):
         raise TypeError(f"domain must be a Rectangle or a Box, or an Assembly of them, got {domain!r}; graded meshes "
                         "other domains")
     if isinstance(divisions, Mapping):
         raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
     dim = domain.dim
-    wanted = _divisions(divisions, dim)
-    nodes = math.prod(n + 1 for n in wanted)
-    if nodes > _MAX_NODES[dim]:
+    counts = _divisions(divisions, dim)
+    if math.prod(n + 1 for n in counts) > _MAX_NODES[dim]:
         raise ValueError(f"divisions ask for more than {_MAX_NODES[dim]:.0e} nodes, got {checks.shown(divisions)}; "
                          "take fewer")
-    counts = np.array(wanted)
     checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
     if dim == 3 and diagonal != "right":
         raise ValueError(f"diagonal must be 'right' in 3D, got {diagonal!r}")
-    stride = np.cumprod(np.r_[1, counts[:-1] + 1])
-    axes = [np.arange(n + 1) for n in counts]
+    sides = [lower + np.arange(n + 1) / n * (upper - lower)
+             for lower, upper, n in zip(domain.lower, domain.upper, counts, strict=True)]
+    cells = _cells(counts, np.arange(counts[-1]))
+    elements = _triangles(cells, counts, diagonal) if dim == 2 else _kuhn(cells, counts)
+    facets, labels = _boundary(domain.boundaries, counts)
     # x fastest: the last axis goes first in the lattice
-    lattice = np.stack(np.meshgrid(*axes[::-1], indexing="ij")[::-1], axis=-1).reshape(-1, dim)
-    cells = np.flatnonzero((lattice < counts).all(axis=1))
-    elements = _triangles(cells, lattice, stride, diagonal) if dim == 2 else _kuhn(cells, stride)
-    facets = facet_table(elements, len(lattice))
-    facets = facets.facets[facets.counts == 1]
-    labels = np.full(len(facets), -1)
-    for label, name in enumerate(domain.boundaries):
+    points = np.stack(np.meshgrid(*sides[::-1], indexing="ij")[::-1], axis=-1).reshape(-1, dim)
+    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries))
+
+
+def _cells(counts: tuple[int, ...], last: np.ndarray, *, axis: int = -1) -> np.ndarray:
+    """Lowest nodes of the cells whose place along ``axis`` is in ``last``, in ascending order."""
+    axis %= len(counts)
+    result, stride = np.zeros(1, dtype=np.int32), 1
+    for k, n in enumerate(counts):
+        places = last if k == axis else np.arange(n)
+        result = (places.astype(np.int32)[:, None] * np.int32(stride) + result).reshape(-1)
+        stride *= n + 1
+    return result
+
+
+def _strides(counts: tuple[int, ...]) -> np.ndarray:
+    """How far apart neighbours along each axis are numbered."""
+    return np.cumprod([1, *(n + 1 for n in counts[:-1])]).astype(np.int32)
+
+
+def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Outward facets and their labels: side by side, along each in the order of the nodes.
+
+    All cells of a side have the same facets there: those of one cell are moved along the side.
+    """
+    dim, stride = len(counts), _strides(counts)
+    corners = np.stack(np.meshgrid(*[[0, 1]] * dim, indexing="ij")[::-1], axis=-1).reshape(-1, dim)
+    first = np.zeros(1, dtype=np.int32)
+    single = (1,) * dim
+    table = facet_table(_triangles(first, single, "right") if dim == 2 else _kuhn(first, single), len(corners))
+    outer = table.facets[table.counts == 1]
+    facets = []
+    for name in names:
         axis, end = BOX_SIDES[name]
         axis = min(axis, dim - 1)
-        labels[(lattice[facets, axis] == end * counts[axis]).all(axis=1)] = label
-    # the order of a walk: side by side, along each in the order of the nodes
-    order = np.lexsort((facets.min(axis=1), labels))
-    points = domain.lower + lattice / counts * (domain.upper - domain.lower)
-    return MeshArrays(points, elements, facets[order], labels[order], domain.boundaries)
+        here = corners[outer[(corners[outer, axis] == end).all(axis=1)]] @ stride
+        cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
+        found = (cells[:, None, None] + here).reshape(-1, dim)
+        facets.append(found[np.lexsort(np.sort(found, axis=1).T[::-1])])
+    return np.concatenate(facets), np.repeat(np.arange(len(facets)), [len(found) for found in facets])
 
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
@@ -114,22 +140,23 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     return counts
 
 
-def _triangles(cells: np.ndarray, lattice: np.ndarray, stride: np.ndarray, diagonal: str) -> np.ndarray:
+def _triangles(cells: np.ndarray, counts: tuple[int, ...], diagonal: str) -> np.ndarray:
     """Two triangles a cell, given by its lower left node, one after the other."""
-    a, b, c, d = cells, cells + 1, cells + stride[1] + 1, cells + stride[1]
-    right = np.stack([a, b, c, a, c, d], axis=1)
-    left = np.stack([a, b, d, b, c, d], axis=1)
+    above = int(_strides(counts)[1])
+    right = np.array([0, 1, above + 1, 0, above + 1, above], dtype=np.int32)
+    left = np.array([0, 1, above, 1, above + 1, above], dtype=np.int32)
+    offsets = left if diagonal == "left" else right
     if diagonal == "alternating":
-        even = (lattice[cells].sum(axis=1) % 2 == 0)[:, None]
-        return np.where(even, right, left).reshape(-1, 3)
-    return (right if diagonal == "right" else left).reshape(-1, 3)
+        even = (cells // above + cells % above) % 2 == 0
+        offsets = np.where(even[:, None], right, left)
+    return (cells[:, None] + offsets).reshape(-1, 3)
 
 
-def _kuhn(cells: np.ndarray, stride: np.ndarray) -> np.ndarray:
+def _kuhn(cells: np.ndarray, counts: tuple[int, ...]) -> np.ndarray:
     """Six tetrahedra a cell, given by its lowest node, positively oriented."""
-    tetrahedra = []
+    stride, tetrahedra = _strides(counts), []
     for path in permutations(range(3)):
         offsets = np.cumsum(np.r_[0, stride[list(path)]])
         odd = np.linalg.det(np.eye(3)[list(path)]) < 0
         tetrahedra.append(offsets[[0, 1, 3, 2]] if odd else offsets)
-    return (cells[:, None, None] + np.array(tetrahedra)).reshape(-1, 4)
+    return (cells[:, None, None] + np.array(tetrahedra, dtype=np.int32)).reshape(-1, 4)

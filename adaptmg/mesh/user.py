@@ -13,6 +13,7 @@ from adaptmg.mesh.check import check_mesh
 from adaptmg.mesh.gmsh import from_gmsh
 from adaptmg.mesh.netgen_file import from_netgen_file
 from adaptmg.mesh.overlap import check_overlap
+from adaptmg.on_demand import OnDemand
 from adaptmg.problem import checks
 
 __all__ = ["as_mesh"]
@@ -63,6 +64,8 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
 
 def _fits(mesh: MeshArrays) -> bool:
     """Whether the source is still that of the arrays: dataclasses.replace keeps it beside new ones."""
+    if isinstance(vars(mesh)["source"], OnDemand):
+        return mesh.sound
     if not isinstance(mesh.source, ngsolve.Mesh) or mesh.points.ndim != 2:
         return False
     ngmesh = mesh.source.ngmesh

@@ -3,6 +3,7 @@
 Loads no ngsolve.
 """
 
+from adaptmg.geometry.location import Location
 from adaptmg.transfer.aggregation import aggregated_prolongations, without_fixed
 from adaptmg.transfer.constraints import (
     Supports,
@@ -19,13 +20,13 @@ from adaptmg.transfer.constraints import (
 from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
 from adaptmg.transfer.galerkin import galerkin_product, is_galerkin
 from adaptmg.transfer.interpolation import Interpolation
-from adaptmg.transfer.l2 import L2
-from adaptmg.transfer.location import Location, PointLocator
-from adaptmg.transfer.lumped_l2 import LumpedL2
+from adaptmg.transfer.location import PointLocator
 from adaptmg.transfer.operators import expand, injection, mask, mesh_ratio, restriction
+from adaptmg.transfer.projections.l2 import L2
+from adaptmg.transfer.projections.lumped_l2 import LumpedL2
+from adaptmg.transfer.projections.pseudo_l2 import PseudoL2
+from adaptmg.transfer.projections.quasi_interpolation import QuasiInterpolation
 from adaptmg.transfer.protocol import Transfer
-from adaptmg.transfer.pseudo_l2 import PseudoL2
-from adaptmg.transfer.quasi_interpolation import QuasiInterpolation
 from adaptmg.transfer.rows import CLIP
 
 __all__ = [

@@ -24,7 +24,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
-from adaptmg.transfer.fine_nodes import nodes_of_bodies
+from adaptmg.transfer.location import nodes_of_bodies
 from adaptmg.transfer.protocol import Transfer
 
 __all__ = ["LevelTransfer", "between_levels"]

@@ -16,8 +16,8 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.compiled import kernel
+from adaptmg.geometry.box_tree import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.transfer.box_tree import BoxTree
 from adaptmg.transfer.rows import csr_from_weights
 
 __all__ = ["surface_interpolation", "with_contact_rows"]

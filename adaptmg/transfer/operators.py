@@ -12,7 +12,7 @@ from scipy import sparse
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
-from adaptmg.transfer.fine_nodes import OUTSIDE_TOLERANCE, body_locators, locate_nodes
+from adaptmg.transfer.location import OUTSIDE_TOLERANCE, body_locators, locate_nodes
 from adaptmg.transfer.rows import csr_from_weights
 
 __all__ = ["expand", "injection", "mask", "mesh_ratio", "restriction"]

@@ -1,14 +1,16 @@
 r"""Quadrature on edges, triangles and tetrahedra: barycentric points inside the cell, positive weights of sum 1.
 
 Gauss on edges; on triangles the 3-point rule of degree 2 (Strang and Fix 1973) and the 7-point rule of degree 5 (Radon
-1948); on tetrahedra the 4-point rule of degree 2 (Keast 1986, doi:10.1016/0045-7825(86)90059-9).
+1948); on tetrahedra the 4-point rule of degree 2 (Keast 1986, doi:10.1016/0045-7825(86)90059-9). Of any degree: the
+conical product rules (Stroud 1971).
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import roots_jacobi
 
-__all__ = ["AXISYMMETRIC_DEGREE", "PLAIN_DEGREE", "quadrature_points", "quadrature_rule"]
+__all__ = ["AXISYMMETRIC_DEGREE", "PLAIN_DEGREE", "quadrature_points", "quadrature_rule", "simplex_rule"]
 
 PLAIN_DEGREE = 2
 """Linear data times a shape function."""
@@ -66,3 +68,24 @@ def quadrature_rule(corners: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
 def quadrature_points(points: np.ndarray, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
     """Positions (n_cells, n, dim) of the ``rule``'s barycentric points (n, corners) in ``cells`` (n_cells, corners)."""
     return np.einsum("qk,ckd->cqd", rule, points[cells])
+
+
+def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1.
+
+    Returns
+    -------
+    shape : (n**dim, dim + 1) array
+        Barycentric coordinates of the points, all inside.
+    weights : (n**dim,) array
+        > 0, sum 1; exact for polynomials of degree 2 n - 2 and more.
+    """
+    shape, weights = np.ones((1, 1)), np.ones(1)
+    for level in range(dim):
+        # collapse the last coordinate: what is left of the simplex there has measure (1 - x)^level
+        x, w = roots_jacobi(n, level, 0)
+        x, w = (1 + x) / 2, w / w.sum()
+        shape = np.concatenate([np.multiply.outer(1 - x, shape), np.multiply.outer(x, np.ones((len(shape), 1)))],
+                               axis=2).reshape(-1, level + 2)
+        weights = np.multiply.outer(w, weights).ravel()
+    return shape, weights

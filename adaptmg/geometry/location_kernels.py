@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.compiled import inner_kernel, kernel
-from adaptmg.transfer.box_tree import STACK, leaf_range, nearest_simplex
+from adaptmg.geometry.box_tree import STACK, leaf_range, nearest_simplex
 
 __all__ = ["INSIDE", "affine_maps", "locate"]
 

@@ -37,9 +37,10 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.discretisation.facets import area_vectors
-from adaptmg.discretisation.interface import NEVER_FACING, Interface, Surfaces
-from adaptmg.discretisation.mortar_kernels_3d import common_moments, find_opposite
-from adaptmg.discretisation.polygon_kernels import MOMENTS
+from adaptmg.discretisation.mortar.interface import NEVER_FACING, MortarInterface, Surfaces
+from adaptmg.discretisation.mortar.kernels_3d import common_moments, find_opposite
+from adaptmg.geometry.box_tree import BoxTree
+from adaptmg.geometry.polygons import MOMENTS
 from adaptmg.problem.checks import nonnegative, positive
 
 __all__ = ["mortar_3d"]
@@ -47,11 +48,10 @@ __all__ = ["mortar_3d"]
 _DEEPEST = 0.25  # of the size of the surfaces: overlap that is found without a given reach
 _NEGLIGIBLE = 1e-13  # of the largest entry in a row of B, and of the area around a node
 _STRIP = 1e-3  # S of a smaller ratio det(S) / trace(S)^2 is taken in its principal axes
-_LEAF = 4  # largest number of facets in a leaf of the tree
 
 
 def mortar_3d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
-              excluded: Iterable[int] = (), reach: float | None = None, min_coverage: float = 1e-6) -> Interface:
+              excluded: Iterable[int] = (), reach: float | None = None, min_coverage: float = 1e-6) -> MortarInterface:
     r"""Couple the nodes of a slave surface to a master surface.
 
     Parameters
@@ -62,7 +62,7 @@ def mortar_3d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.nd
         Triangles, counter-clockwise seen from outside of their body. No common nodes.
     normals : (n_nodes, 3) array
         Unit normals out of the slave body; rows of slave nodes are read, see
-        :func:`~adaptmg.discretisation.surface_normals.surface_normals`.
+        :func:`~adaptmg.discretisation.mortar.surface_normals.surface_normals`.
     excluded : iterable of int
         Nodes that carry no multiplier (of another pair, or held); those not on the slave surface are ignored.
     reach : float, optional
@@ -74,7 +74,7 @@ def mortar_3d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.nd
 
     Returns
     -------
-    Interface
+    MortarInterface
         Slave nodes with the master opposite to a part, at least, of one of their triangles. The coupling may have
         negative entries, as dual functions change sign; they are large, of the order of one over its width, where
         only a small part in the middle of a triangle is covered. At nodes of triangles with excluded nodes the gap is
@@ -85,7 +85,7 @@ def mortar_3d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.nd
     ------
     ValueError
         If no part of the slave surface has the master surface opposite within reach, and on arrays that do not fit
-        together (see :class:`~adaptmg.discretisation.interface.Surfaces`).
+        together (see :class:`~adaptmg.discretisation.mortar.interface.Surfaces`).
 
     Notes
     -----
@@ -211,13 +211,14 @@ def _candidates(surfaces: Surfaces, frames: np.ndarray, backward: float, forward
                 ) -> tuple[np.ndarray, np.ndarray]:
     """Master facets that may be opposite to a slave facet: where those of each begin, and their numbers."""
     corners = surfaces.points[surfaces.master]
-    boxes, order = _box_tree(corners)
+    tree = BoxTree(surfaces.points, surfaces.master)
     origins, local = _local(surfaces, frames)
     low, high = local.min(axis=1), local.max(axis=1)
     low[:, 2] -= backward
     high[:, 2] += forward
     start = np.zeros(len(frames) + 1, dtype=np.int64)
-    arguments = frames, origins, low, high, boxes, order, corners, area_vectors(surfaces.points, surfaces.master), start
+    arguments = (frames, origins, low, high, tree.boxes, tree.order, corners,
+                 area_vectors(surfaces.points, surfaces.master), start)
     find_opposite(*arguments, False, np.empty(0, dtype=np.int64))
     np.cumsum(start, out=start)
     found = np.empty(start[-1], dtype=np.int64)
@@ -225,30 +226,12 @@ def _candidates(surfaces: Surfaces, frames: np.ndarray, backward: float, forward
     return start, found
 
 
-def _box_tree(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounding boxes (2 n_leaves - 1, 6) of facets (n, 3, 3), halved at medians, and the order of the facets."""
-    n, centroids = len(corners), corners.mean(axis=1)
-    order, boxes = np.arange(n), []
-    blocks = 1
-    while True:
-        bounds = np.arange(blocks + 1) * n // blocks
-        own = corners[order]
-        boxes.append(np.hstack([np.minimum.reduceat(own.min(axis=1), bounds[:-1]),
-                                np.maximum.reduceat(own.max(axis=1), bounds[:-1])]))
-        if blocks * _LEAF >= n:
-            return np.concatenate(boxes), order
-        block = np.repeat(np.arange(blocks), np.diff(bounds))
-        longest = np.argmax(boxes[-1][:, 3:] - boxes[-1][:, :3], axis=1)
-        order = order[np.lexsort((centroids[order, longest[block]], block))]
-        blocks *= 2
-
-
 def _clipped(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, found: np.ndarray, backward: float,
              forward: float) -> _Parts:
     origins, local = _local(surfaces, frames)
     corners, slave = surfaces.points[surfaces.master], np.repeat(np.arange(len(frames)), np.diff(start))
     along = np.einsum("pkd,pd->pk", corners[found] - origins[slave][:, None], frames[slave, 0])
-    found = found[np.lexsort((along.min(axis=1), slave))]
+    found = found[np.lexsort((found, along.min(axis=1), slave))]
     moments = np.zeros((len(found), MOMENTS))
     common_moments(local, frames, origins, corners, start, found, backward, forward, moments)
     real = moments[:, 0] > 0
@@ -263,8 +246,8 @@ def _barycentric(corners: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.nd
     return values, np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1) / double[..., None]
 
 
-def _integrate(surfaces: Surfaces, parts: _Parts) -> Interface:
-    """Interface from the common parts."""
+def _integrate(surfaces: Surfaces, parts: _Parts) -> MortarInterface:
+    """MortarInterface from the common parts."""
     slave, n_nodes = surfaces.slave, len(surfaces.points)
     centroid, covariance, off = parts.means()
     normal = area_vectors(surfaces.points, slave)
@@ -291,7 +274,7 @@ def _integrate(surfaces: Surfaces, parts: _Parts) -> Interface:
     around = np.bincount(slave.ravel(), np.repeat(size / 3, 3), minlength=n_nodes)
     nodes = np.flatnonzero(diagonal > _NEGLIGIBLE * around)
     coupling = sparse.csr_array(sparse.diags_array(1 / diagonal[nodes]) @ total[nodes])
-    return Interface(nodes=nodes, normals=surfaces.normals[nodes], weights=diagonal[nodes],
+    return MortarInterface(nodes=nodes, normals=surfaces.normals[nodes], weights=diagonal[nodes],
                      gaps=gaps[nodes] / diagonal[nodes], coupling=_without_rounding(coupling))
 
 

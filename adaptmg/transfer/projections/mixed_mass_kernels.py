@@ -1,12 +1,12 @@
-"""Kernels of the coupling integrals: find and clip overlapping elements, and add up over patches."""
+"""Kernels of the integrals of two meshes: find and clip overlapping elements, and add up over patches."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from adaptmg.compiled import inner_kernel, kernel
-from adaptmg.transfer.box_tree import STACK, box_overlaps, leaf_range
-from adaptmg.transfer.clipping import PIECES, SNAP, common_moments
+from adaptmg.geometry.box_tree import STACK, bounding_box, overlapping
+from adaptmg.geometry.simplex_clipping import PIECES, SNAP, common_moments
 
 __all__ = ["clip_elements", "count_rows", "fill_rows"]
 
@@ -33,9 +33,9 @@ def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_point
         e = chosen[c]
         start = count
         covered[c] = 0.0
-        _bounding_box(points, elements[e], box)
+        bounding_box(points, elements[e], box)
         full = False
-        for at in range(_overlapping(boxes, box, coarse_points, coarse, stack, candidates)):
+        for at in range(overlapping(boxes, box, coarse_points, coarse, stack, candidates)):
             s = candidates[at]
             if (_apart(coarse_points, coarse[s], fine_maps, e, mu) or _apart(points, elements[e], maps, s, mu)):
                 continue
@@ -52,53 +52,6 @@ def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_point
         if full:
             return c, start
     return len(chosen), count
-
-
-@inner_kernel
-def _bounding_box(points, corners, box):
-    dim = len(corners) - 1
-    for c in range(dim):
-        box[c], box[dim + c] = np.inf, -np.inf
-        for v in corners:
-            box[c], box[dim + c] = min(box[c], points[v, c]), max(box[dim + c], points[v, c])
-
-
-@inner_kernel
-def _overlapping(boxes, box, points, simplices, stack, candidates):
-    """Write the positions of all simplices whose bounding box meets ``box``; returns their number."""
-    n, k = simplices.shape
-    dim = k - 1
-    n_leaves = (len(boxes) + 1) // 2
-    count = 0
-    stack[0] = 0
-    depth = 1
-    while depth > 0:
-        depth -= 1
-        node = stack[depth]
-        if not box_overlaps(boxes, node, box, dim):
-            continue
-        if node < n_leaves - 1:
-            stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
-            depth += 2
-            continue
-        first, last = leaf_range(node, n_leaves, n)
-        for s in range(first, last):
-            if _simplex_meets(points, simplices[s], box, dim):
-                candidates[count] = s
-                count += 1
-    return count
-
-
-@inner_kernel
-def _simplex_meets(points, corners, box, dim):
-    """Whether the bounding box of a simplex meets ``box``."""
-    for c in range(dim):
-        low, high = np.inf, -np.inf
-        for v in corners:
-            low, high = min(low, points[v, c]), max(high, points[v, c])
-        if high < box[c] or low > box[dim + c]:
-            return False
-    return True
 
 
 @kernel

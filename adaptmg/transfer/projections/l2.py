@@ -17,8 +17,8 @@ from scipy import sparse
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
-from adaptmg.transfer.coupling import coupling
-from adaptmg.transfer.fine_nodes import OUTSIDE_TOLERANCE
+from adaptmg.transfer.location import OUTSIDE_TOLERANCE
+from adaptmg.transfer.projections.mixed_mass import mixed_mass
 from adaptmg.transfer.rows import CLIP, clipped_rows, dropped
 
 __all__ = ["L2"]
@@ -32,7 +32,8 @@ class L2:
 
     Row sums 1; entries may be negative. Reproduces constants always and, as the moments of a row are restored after
     entries were dropped, affine fields where the coarse mesh covers the fine one. On nested meshes it is the canonical
-    embedding. The most expensive transfer, with the densest matrices. Integrals: :mod:`adaptmg.transfer.coupling`.
+    embedding. The most expensive transfer, with the densest matrices. Integrals:
+    :mod:`adaptmg.transfer.projections.mixed_mass`.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ class L2:
 
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
-        integrals = coupling(coarse, fine, self.outside_tolerance)
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
         rhs = integrals.assemble(integrals.shape_coefficients())
         mass = mass_matrix(fine)
         centre = coarse.points.mean(axis=0)

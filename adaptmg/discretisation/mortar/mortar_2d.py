@@ -27,23 +27,22 @@ from collections.abc import Iterable
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
-from adaptmg.discretisation.interface import NEVER_FACING, Interface, Surfaces
-from adaptmg.discretisation.mortar_kernels_2d import SHORTEST, nearest_pieces, search_strips
+from adaptmg.discretisation.mortar.interface import NEVER_FACING, MortarInterface, Surfaces
+from adaptmg.discretisation.mortar.kernels_2d import SHORTEST, nearest_pieces, search_strips
+from adaptmg.geometry.box_tree import BoxTree
 from adaptmg.problem.checks import nonnegative, positive
 
 __all__ = ["mortar_2d"]
 
 _DEEPEST = 0.25  # of the size of the surfaces: overlap that is found without a given reach
 _NEGLIGIBLE = 1e-13  # of the largest weight in a row of B
-_STACK = 128  # more than the levels of any tree that fits in memory
 _GAUSS = np.polynomial.legendre.leggauss(4)
 
 
 def mortar_2d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
               excluded: Iterable[int] = (), axisymmetric: bool = False, reach: float | None = None,
-              min_coverage: float = 1e-3) -> Interface:
+              min_coverage: float = 1e-3) -> MortarInterface:
     r"""Couple the nodes of a slave surface to a master surface.
 
     Parameters
@@ -54,7 +53,7 @@ def mortar_2d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.nd
         Edges, oriented so that the outward normal is their direction turned by -90 degrees. No common nodes.
     normals : (n_nodes, 2) array
         Unit normals out of the slave body; rows of slave nodes are read, see
-        :func:`~adaptmg.discretisation.surface_normals.surface_normals`.
+        :func:`~adaptmg.discretisation.mortar.surface_normals.surface_normals`.
     excluded : iterable of int
         Nodes that carry no multiplier (of another pair, or held); those not on the slave surface are ignored.
     axisymmetric : bool
@@ -67,7 +66,7 @@ def mortar_2d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.nd
 
     Returns
     -------
-    Interface
+    MortarInterface
         Slave nodes with the master opposite to a part, at least, of one of their edges. Weights are > 0, as shape
         functions are >= 0. The coupling may have negative entries, as dual functions change sign; they are large, of
         the order of one over the fraction, where only a small part of an edge is covered.
@@ -76,7 +75,7 @@ def mortar_2d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.nd
     ------
     ValueError
         If no part of the slave surface has the master surface opposite within reach, and on arrays that do not fit
-        together (see :class:`~adaptmg.discretisation.interface.Surfaces`).
+        together (see :class:`~adaptmg.discretisation.mortar.interface.Surfaces`).
 
     Notes
     -----
@@ -116,7 +115,7 @@ def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.nda
     ends = _in_front(surfaces, edge, facet)
     real = ends[:, 1] - ends[:, 0] > SHORTEST
     edge, facet, ends = edge[real], facet[real], ends[real]
-    order = np.lexsort((ends[:, 0], edge))
+    order = np.lexsort((facet, ends[:, 0], edge))
     edge, facet, ends = edge[order], facet[order], ends[order]
     counts = np.bincount(edge, minlength=len(surfaces.slave))
     starts = np.r_[0, np.cumsum(counts)]
@@ -131,7 +130,7 @@ def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.nda
 
 def _candidates(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray]:
     """Slave and master edges whose bounding boxes say that a ray from the one may meet the other."""
-    boxes, order = _box_tree(surfaces.points[surfaces.master])
+    tree = BoxTree(surfaces.points, surfaces.master)
     n = surfaces.normals[surfaces.slave]
     x = surfaces.points[surfaces.slave]
     mean = n.mean(axis=1)
@@ -142,28 +141,14 @@ def _candidates(surfaces: Surfaces, backward: float, forward: float) -> tuple[np
     pad = 1e-12 * surfaces.size
     strips = np.column_stack([corners.min(axis=1) - pad, corners.max(axis=1) + pad, axis,
                               along.min(axis=1) - pad, along.max(axis=1) + pad])
-    counts, stack = np.zeros(len(strips), dtype=np.int64), np.empty(_STACK, dtype=np.int64)
-    search_strips(boxes, strips, counts, counts, np.empty(0, dtype=np.int64), stack)
+    ends = surfaces.points[surfaces.master[tree.order]]
+    edges = np.hstack([ends.min(axis=1), ends.max(axis=1)])
+    counts = np.zeros(len(strips), dtype=np.int64)
+    search_strips(tree.boxes, edges, strips, counts, counts, np.empty(0, dtype=np.int64))
     starts = np.cumsum(counts) - counts
     found = np.empty(counts.sum(), dtype=np.int64)
-    search_strips(boxes, strips, starts, counts, found, stack)
-    return np.repeat(np.arange(len(strips)), counts), order[found]
-
-
-def _box_tree(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounding boxes (2 n, 4) of edges (m, 2, 2) as a complete binary tree, and the edge of each of its leaves."""
-    order = cKDTree(edges.mean(axis=1)).indices.astype(np.int64)
-    n = 1
-    while n < len(edges):
-        n *= 2
-    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2 * n, 1))
-    boxes[n:n + len(edges)] = np.column_stack([edges.min(axis=1), edges.max(axis=1)])[order]
-    while n > 1:
-        n //= 2
-        left, right = boxes[2 * n:4 * n:2], boxes[2 * n + 1:4 * n:2]
-        boxes[n:2 * n, :2] = np.minimum(left[:, :2], right[:, :2])
-        boxes[n:2 * n, 2:] = np.maximum(left[:, 2:], right[:, 2:])
-    return boxes, order
+    search_strips(tree.boxes, edges, strips, starts, counts, found)
+    return np.repeat(np.arange(len(strips)), counts), tree.order[found]
 
 
 def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.ndarray:
@@ -195,8 +180,8 @@ def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.n
     return s
 
 
-def _integrate(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray, ends: np.ndarray) -> Interface:
-    """Interface from the covered parts ``ends`` of slave edges, and the master edges in front of them."""
+def _integrate(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray, ends: np.ndarray) -> MortarInterface:
+    """MortarInterface from the covered parts ``ends`` of slave edges, and the master edges in front of them."""
     slave, master = surfaces.slave[edge], surfaces.master[facet]
     origin = np.full(len(surfaces.slave), np.inf)
     np.minimum.at(origin, edge, ends[:, 0])
@@ -228,7 +213,7 @@ def _integrate(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray, ends: np
     total = sparse.csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
                              shape=(n_nodes, n_nodes))
     coupling = sparse.csr_array(sparse.diags_array(1 / diagonal[nodes]) @ total[nodes])
-    return Interface(nodes=nodes, normals=surfaces.normals[nodes], weights=diagonal[nodes],
+    return MortarInterface(nodes=nodes, normals=surfaces.normals[nodes], weights=diagonal[nodes],
                      gaps=gap[nodes] / diagonal[nodes], coupling=_without_rounding(coupling))
 
 

@@ -1,4 +1,4 @@
-r"""Interface: what couples the contact nodes of a slave surface to the surface of another body.
+r"""MortarInterface: what couples the contact nodes of a slave surface to the surface of another body.
 
 The point opposite slave node j moves by :math:`\sum_k B_{jk} u_k`, a combination of the nodes of the master surface
 with :math:`\sum_k B_{jk} = 1`. Non-penetration of the bodies is then nodal,
@@ -16,14 +16,14 @@ from scipy import sparse
 
 from adaptmg.discretisation.facets import area_vectors
 
-__all__ = ["NEVER_FACING", "Interface", "Surfaces"]
+__all__ = ["NEVER_FACING", "MortarInterface", "Surfaces"]
 
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
 
 
 @dataclass(frozen=True, eq=False)
-class Interface:
+class MortarInterface:
     """Slave nodes with a multiplier, and what they face.
 
     Parameters

@@ -16,14 +16,14 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from adaptmg.discretisation.facets import area_vectors
-from adaptmg.discretisation.interface import NEVER_FACING, Interface, Surfaces
+from adaptmg.discretisation.mortar.interface import NEVER_FACING, MortarInterface, Surfaces
 from adaptmg.problem.checks import positive
 
 __all__ = ["node_to_node"]
 
 
 def node_to_node(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
-                 excluded: Iterable[int] = (), axisymmetric: bool = False, tolerance: float = 1e-2) -> Interface:
+                 excluded: Iterable[int] = (), axisymmetric: bool = False, tolerance: float = 1e-2) -> MortarInterface:
     """Couple each node of a slave surface to the nearest node of a master surface.
 
     Parameters
@@ -44,7 +44,7 @@ def node_to_node(points: np.ndarray, slave_facets: np.ndarray, master_facets: np
 
     Returns
     -------
-    Interface
+    MortarInterface
         All slave nodes that are not excluded. The distance along the normal, positive (gap) or negative (overlap),
         is not limited.
 
@@ -53,7 +53,7 @@ def node_to_node(points: np.ndarray, slave_facets: np.ndarray, master_facets: np
     ValueError
         If a slave node has no partner within the tolerance (the first one is named), two have the same, or partners
         face the same way; and on arrays that do not fit together (see
-        :class:`~adaptmg.discretisation.interface.Surfaces`).
+        :class:`~adaptmg.discretisation.mortar.interface.Surfaces`).
     """
     surfaces = Surfaces(points, slave_facets, master_facets, normals, excluded, axisymmetric)
     tolerance = positive("tolerance", tolerance)
@@ -70,7 +70,7 @@ def node_to_node(points: np.ndarray, slave_facets: np.ndarray, master_facets: np
                          "symmetry; end the boundary there")
     coupling = sparse.csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), partner)),
                                 shape=(len(nodes), len(points)))
-    return Interface(nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling)
+    return MortarInterface(nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling)
 
 
 def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, beside: np.ndarray,

@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.compiled import inner_kernel, kernel
-from adaptmg.transfer.closest import closest_on_simplex
-from adaptmg.transfer.morton import morton_order
+from adaptmg.geometry.closest import closest_on_simplex
+from adaptmg.geometry.morton import morton_order
 
-__all__ = ["STACK", "BoxTree", "box_overlaps", "leaf_range", "nearest_simplex", "padded"]
+__all__ = ["STACK", "BoxTree", "bounding_box", "leaf_range", "nearest_simplex", "overlapping", "padded"]
 
 LEAF_SIZE = 4
 """Largest number of simplices in a leaf."""
@@ -67,8 +67,8 @@ def _build(points, simplices, n_leaves, boxes):
             boxes[node, dim + c] = max(boxes[left, dim + c], boxes[right, dim + c])
 
 
-@inner_kernel
-def box_overlaps(boxes, node, box, dim):
+@kernel
+def _box_overlaps(boxes, node, box, dim):
     """Whether the box of ``node`` and ``box`` (2 dim,) meet."""
     meet = True
     for c in range(dim):
@@ -76,7 +76,55 @@ def box_overlaps(boxes, node, box, dim):
     return meet
 
 
-@inner_kernel
+@kernel
+def bounding_box(points, corners, box):
+    """Write lower and upper corner of the bounding box of an element to ``box`` (2 dim,)."""
+    dim = len(corners) - 1
+    for c in range(dim):
+        box[c], box[dim + c] = np.inf, -np.inf
+        for v in corners:
+            box[c], box[dim + c] = min(box[c], points[v, c]), max(box[dim + c], points[v, c])
+
+
+@kernel
+def overlapping(boxes, box, points, simplices, stack, candidates):
+    """Write the positions of all simplices whose bounding box meets ``box``; returns their number."""
+    n, k = simplices.shape
+    dim = k - 1
+    n_leaves = (len(boxes) + 1) // 2
+    count = 0
+    stack[0] = 0
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        node = stack[depth]
+        if not _box_overlaps(boxes, node, box, dim):
+            continue
+        if node < n_leaves - 1:
+            stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
+            depth += 2
+            continue
+        first, last = leaf_range(node, n_leaves, n)
+        for s in range(first, last):
+            if _simplex_meets(points, simplices[s], box, dim):
+                candidates[count] = s
+                count += 1
+    return count
+
+
+@kernel
+def _simplex_meets(points, corners, box, dim):
+    """Whether the bounding box of a simplex meets ``box``."""
+    for c in range(dim):
+        low, high = np.inf, -np.inf
+        for v in corners:
+            low, high = min(low, points[v, c]), max(high, points[v, c])
+        if high < box[c] or low > box[dim + c]:
+            return False
+    return True
+
+
+@kernel
 def _box_distance(boxes, node, x, dim):
     """Squared distance of ``x`` from the box of ``node``; infinite for an empty box."""
     total = 0.0

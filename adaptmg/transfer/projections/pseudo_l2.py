@@ -16,8 +16,8 @@ from scipy import sparse
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
-from adaptmg.transfer.coupling import coupling
-from adaptmg.transfer.fine_nodes import OUTSIDE_TOLERANCE
+from adaptmg.transfer.location import OUTSIDE_TOLERANCE
+from adaptmg.transfer.projections.mixed_mass import mixed_mass
 from adaptmg.transfer.rows import clipped_rows
 
 __all__ = ["PseudoL2"]
@@ -30,7 +30,7 @@ class PseudoL2:
     Row sums 1; entries may be negative, so that it proves nothing for the monotone correction (interpolate the contact
     rows there: :func:`adaptmg.transfer.with_contact_rows`). Reproduces constants always, and affine fields at fine
     nodes whose elements the coarse mesh covers. On nested meshes it is the canonical embedding. Integrals are exact
-    where the coarse mesh covers the fine element: :mod:`adaptmg.transfer.coupling`.
+    where the coarse mesh covers the fine element: :mod:`adaptmg.transfer.projections.mixed_mass`.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class PseudoL2:
 
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
-        integrals = coupling(coarse, fine, self.outside_tolerance)
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
         coefficients = (fine.dim + 2) * integrals.shape_coefficients() - 1.0
         coefficients /= integrals.lumped_mass[integrals.patches.nodes][:, None]
         return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)

@@ -14,11 +14,11 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.discretisation.facets import area_vectors, named_facets, shape_integrals
-from adaptmg.discretisation.interface import Interface
-from adaptmg.discretisation.mortar_2d import mortar_2d
-from adaptmg.discretisation.mortar_3d import mortar_3d
-from adaptmg.discretisation.node_coupling import node_to_node
-from adaptmg.discretisation.surface_normals import surface_normals
+from adaptmg.discretisation.mortar.interface import MortarInterface
+from adaptmg.discretisation.mortar.mortar_2d import mortar_2d
+from adaptmg.discretisation.mortar.mortar_3d import mortar_3d
+from adaptmg.discretisation.mortar.node_to_node import node_to_node
+from adaptmg.discretisation.mortar.surface_normals import surface_normals
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.problem.pairs import ContactPair
@@ -30,7 +30,7 @@ _LEAST_COVERED = 0.25  # of the part of a slave node
 
 
 def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, excluded: np.ndarray,
-                   axisymmetric: bool) -> Interface:
+                   axisymmetric: bool) -> MortarInterface:
     """The interface of a pair.
 
     Parameters
@@ -45,7 +45,7 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
 
     Returns
     -------
-    Interface
+    MortarInterface
         Gaps >= 0 unless the pair allows interference.
 
     Raises
@@ -78,12 +78,12 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
                              f"{tuple(mesh.points[found.nodes[np.argmin(gaps)]].tolist())}: move one of them apart, or "
                              "say allow_interference=True for an interference fit")
         gaps = np.maximum(gaps, 0.0)
-    return Interface(nodes=found.nodes, normals=found.normals, weights=found.weights, gaps=gaps,
+    return MortarInterface(nodes=found.nodes, normals=found.normals, weights=found.weights, gaps=gaps,
                      coupling=found.coupling)
 
 
 def _coupled(mesh: MeshArrays, pair: ContactPair, slave: np.ndarray, master: np.ndarray, normals: np.ndarray,
-             excluded: np.ndarray, axisymmetric: bool) -> Interface:
+             excluded: np.ndarray, axisymmetric: bool) -> MortarInterface:
     """By the coupling that the pair asks for."""
     if pair.coupling == "nodes":
         return node_to_node(mesh.points, slave, master, normals, excluded=excluded, axisymmetric=axisymmetric)
@@ -93,7 +93,7 @@ def _coupled(mesh: MeshArrays, pair: ContactPair, slave: np.ndarray, master: np.
     return mortar_3d(mesh.points, slave, master, normals, excluded=excluded, reach=pair.reach)
 
 
-def _hanging_over(mesh: MeshArrays, slave: np.ndarray, found: Interface, axisymmetric: bool) -> np.ndarray:
+def _hanging_over(mesh: MeshArrays, slave: np.ndarray, found: MortarInterface, axisymmetric: bool) -> np.ndarray:
     """Slave nodes (n,) of which the master covers too little."""
     measure = np.linalg.norm(area_vectors(mesh.points, slave), axis=1)
     share = measure[:, None] * shape_integrals(mesh.points, slave, axisymmetric)

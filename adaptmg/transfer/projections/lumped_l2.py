@@ -12,8 +12,8 @@ from scipy import sparse
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
-from adaptmg.transfer.coupling import coupling
-from adaptmg.transfer.fine_nodes import OUTSIDE_TOLERANCE
+from adaptmg.transfer.location import OUTSIDE_TOLERANCE
+from adaptmg.transfer.projections.mixed_mass import mixed_mass
 from adaptmg.transfer.rows import CLIP, dropped, normalised
 
 __all__ = ["LumpedL2"]
@@ -26,7 +26,7 @@ class LumpedL2:
     Entries are >= 0 with row sums 1. Reproduces constants only: an affine field is evaluated at the centre of gravity
     of the shape function, which is not the node unless the patch is symmetric, and never is on the boundary. For
     comparison; :class:`adaptmg.transfer.PseudoL2` costs the same and does better. Integrals:
-    :mod:`adaptmg.transfer.coupling`.
+    :mod:`adaptmg.transfer.projections.mixed_mass`.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class LumpedL2:
 
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
-        integrals = coupling(coarse, fine, self.outside_tolerance)
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
         weighted = integrals.assemble(integrals.shape_coefficients())
         data = weighted.data / np.repeat(integrals.lumped_mass, np.diff(weighted.indptr))
         result = sparse.csr_array((data, weighted.indices, weighted.indptr), shape=weighted.shape)

@@ -1,9 +1,9 @@
-r"""Coupling integrals of the shape functions of two non-nested meshes.
+r"""MixedMass: integrals of products of the shape functions of two non-nested meshes.
 
 .. math:: B^e_{ij} = \int_e \varphi^f_i\, \varphi^c_j
 
 over every fine element e. Elements that the coarse mesh covers are integrated exactly, by clipping against the coarse
-elements (:mod:`adaptmg.transfer.clipping`). Elements that stick out of the coarse mesh (curved boundaries) are
+elements (:mod:`adaptmg.geometry.simplex_clipping`). Elements that stick out of the coarse mesh (curved boundaries) are
 integrated by a positive quadrature rule, exact for degree 6, whose points outside take the coarse value at the
 closest point: no part of the fine mesh is lost, and :math:`\sum_j B^e_{ij} = \int_e \varphi^f_i` on every element.
 
@@ -19,16 +19,15 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.special import roots_jacobi
 
+from adaptmg.geometry.box_tree import padded
+from adaptmg.geometry.location_kernels import affine_maps
+from adaptmg.geometry.quadrature import simplex_rule
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.transfer.box_tree import padded
-from adaptmg.transfer.coupling_kernels import clip_elements, count_rows, fill_rows
-from adaptmg.transfer.fine_nodes import body_locators, locate_nodes, nodes_of_bodies
-from adaptmg.transfer.location import PointLocator
-from adaptmg.transfer.location_kernels import affine_maps
+from adaptmg.transfer.location import PointLocator, body_locators, locate_nodes, nodes_of_bodies
+from adaptmg.transfer.projections.mixed_mass_kernels import clip_elements, count_rows, fill_rows
 
-__all__ = ["Coupling", "Patches", "coupling", "simplex_rule"]
+__all__ = ["MixedMass", "Patches", "mixed_mass"]
 
 COVERED = 1e-11
 """An element of which more than this share lies outside the coarse mesh is integrated by quadrature."""
@@ -64,7 +63,7 @@ class Patches:
 
 
 @dataclass(frozen=True, eq=False)
-class Coupling:
+class MixedMass:
     """The integrals B^e, element by element.
 
     Attributes
@@ -125,28 +124,28 @@ class Coupling:
         return np.bincount(self.fine.elements.ravel(), weights=share, minlength=self.fine.n_nodes)
 
 
-def coupling(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float) -> Coupling:
-    """Compute the coupling integrals, body by body.
+def mixed_mass(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float) -> MixedMass:
+    """Compute the integrals, body by body.
 
     Raises
     ------
     TypeError, ValueError
-        As :func:`adaptmg.transfer.fine_nodes.locate_nodes`; a fine node without an element.
+        As :func:`adaptmg.transfer.location.locate_nodes`; a fine node without an element.
     """
     locate_nodes(coarse, fine, outside_tolerance)
     nodes_of_bodies(fine)
     parts = []
     for body, locator in body_locators(coarse, fine):
         elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
-        parts += _couple_body(locator, fine, elements)
+        parts += _body_entries(locator, fine, elements)
     element, columns, values = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     order = np.argsort(element, kind="stable")
     indptr = np.concatenate([[0], np.cumsum(np.bincount(element, minlength=len(fine.elements)))])
-    return Coupling(coarse=coarse, fine=fine, indptr=indptr, columns=columns[order], values=values[order],
+    return MixedMass(coarse=coarse, fine=fine, indptr=indptr, columns=columns[order], values=values[order],
                     patches=Patches.of(fine))
 
 
-def _couple_body(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+def _body_entries(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """Entries (element, coarse node, values) of clipped elements, then of those that need quadrature."""
     k = fine.dim + 1
     covered, fine_maps = np.empty(len(elements)), np.empty((len(fine.elements), fine.dim * k))
@@ -180,24 +179,3 @@ def _quadrature(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -
     values = np.einsum("eqj,q,qv->eqjv", scaled, weights, shape)
     return (np.repeat(elements, len(weights) * columns.shape[1]), columns.ravel(),
             values.reshape(-1, columns.shape[1]))
-
-
-def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1.
-
-    Returns
-    -------
-    shape : (n**dim, dim + 1) array
-        Barycentric coordinates of the points, all inside.
-    weights : (n**dim,) array
-        > 0, sum 1; exact for polynomials of degree 2 n - 2 and more.
-    """
-    shape, weights = np.ones((1, 1)), np.ones(1)
-    for level in range(dim):
-        # collapse the last coordinate: what is left of the simplex there has measure (1 - x)^level
-        x, w = roots_jacobi(n, level, 0)
-        x, w = (1 + x) / 2, w / w.sum()
-        shape = np.concatenate([np.multiply.outer(1 - x, shape), np.multiply.outer(x, np.ones((len(shape), 1)))],
-                               axis=2).reshape(-1, level + 2)
-        weights = np.multiply.outer(w, weights).ravel()
-    return shape, weights

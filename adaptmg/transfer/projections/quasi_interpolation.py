@@ -7,7 +7,7 @@ affine functions, and the projection is evaluated at the node. With :math:`q(x) 
           G_i = \int_{\omega_i} q\, q^T .
 
 Clement, RAIRO Anal. Numer. 9 (1975) 77-84; as a transfer: Dickopf and Krause (2014), see
-:mod:`adaptmg.transfer.pseudo_l2`.
+:mod:`adaptmg.transfer.projections.pseudo_l2`.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from scipy import sparse
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
-from adaptmg.transfer.coupling import Patches, coupling
-from adaptmg.transfer.fine_nodes import OUTSIDE_TOLERANCE
+from adaptmg.transfer.location import OUTSIDE_TOLERANCE
+from adaptmg.transfer.projections.mixed_mass import Patches, mixed_mass
 from adaptmg.transfer.rows import clipped_rows
 
 __all__ = ["QuasiInterpolation"]
@@ -32,7 +32,7 @@ class QuasiInterpolation:
 
     Row sums 1; entries may be negative. Reproduces constants always, and affine fields at fine nodes whose patch the
     coarse mesh covers. Unlike the other affine transfers it is no projection: on nested meshes it smooths the kinks of
-    the coarse function. Integrals: :mod:`adaptmg.transfer.coupling`.
+    the coarse function. Integrals: :mod:`adaptmg.transfer.projections.mixed_mass`.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class QuasiInterpolation:
 
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
-        integrals = coupling(coarse, fine, self.outside_tolerance)
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
         coefficients = _patch_coefficients(fine, integrals.patches)
         return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.compiled import kernel
+from adaptmg.geometry.box_tree import STACK, leaf_range
 
 __all__ = ["SHORTEST", "distance_along_normal", "nearest_pieces", "search_strips"]
 
@@ -36,30 +37,34 @@ def _meets(boxes, node, strip):
 
 
 @kernel
-def search_strips(boxes, strips, starts, counts, found, stack):
-    """Leaves of a tree of boxes that meet each strip.
+def search_strips(boxes, edges, strips, starts, counts, found):
+    """Master edges whose bounding boxes meet each strip.
 
-    ``boxes`` (2 n, 4) with n a power of 2: node i has the children 2 i and 2 i + 1, leaf m is node n + m, the root is
-    node 1, empty boxes are inverted. ``strips`` (n_strips, 8), see ``_meets``. Writes how many leaves meet strip e to
-    ``counts[e]`` and, unless ``found`` is empty, their numbers from ``found[starts[e]]`` on. ``stack`` is scratch.
+    ``boxes`` are those of a :class:`~adaptmg.geometry.box_tree.BoxTree`, ``edges`` (n, 4) those of the edges in its
+    order. ``strips`` (n_strips, 8), see ``_meets``. Writes how many edges meet strip e to ``counts[e]`` and, unless
+    ``found`` is empty, their positions in the tree from ``found[starts[e]]`` on.
     """
-    n = len(boxes) // 2
+    n_leaves = (len(boxes) + 1) // 2
+    stack = np.empty(STACK, dtype=np.int64)
     for e in range(len(strips)):
         counts[e] = 0
-        stack[0] = 1
+        stack[0] = 0
         depth = 1
         while depth > 0:
             depth -= 1
             node = stack[depth]
             if not _meets(boxes, node, strips[e]):
                 continue
-            if node < n:
-                stack[depth], stack[depth + 1] = 2 * node, 2 * node + 1
+            if node < n_leaves - 1:
+                stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
                 depth += 2
                 continue
-            if len(found):
-                found[starts[e] + counts[e]] = node - n
-            counts[e] += 1
+            first, last = leaf_range(node, n_leaves, len(edges))
+            for s in range(first, last):
+                if _meets(edges, s, strips[e]):
+                    if len(found):
+                        found[starts[e] + counts[e]] = s
+                    counts[e] += 1
 
 
 @kernel

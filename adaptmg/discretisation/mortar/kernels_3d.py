@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.compiled import inner_kernel, kernel
-from adaptmg.discretisation.polygon_kernels import (
+from adaptmg.geometry.box_tree import STACK, leaf_range
+from adaptmg.geometry.polygons import (
     MOMENTS,
     ROOM,
     add_visible,
@@ -31,10 +32,6 @@ SLIVER = 1e-14
 THIN = 1e-10
 """Overlaps of master facets thinner than this share of the slave facet's size are rounding."""
 
-STACK = 128
-"""Depth of the search stack: more than twice the levels of any tree that fits in memory."""
-
-
 @kernel
 def find_opposite(frames, origins, low, high, boxes, order, corners, vectors, start, fill, found):
     """Master facets that face a slave facet and meet the box of its local extents.
@@ -46,10 +43,9 @@ def find_opposite(frames, origins, low, high, boxes, order, corners, vectors, st
     origins, low, high : (n_slave, 3) arrays
         The last two local, m; may be infinite.
     boxes : (2 n_leaves - 1, 6) array
-        Complete binary tree of bounding boxes (lower, upper corner); the leaf i holds the positions from
-        i n // n_leaves to (i + 1) n // n_leaves of ``order``.
+        Of a :class:`~adaptmg.geometry.box_tree.BoxTree` of the master facets.
     order : (n_master,) array
-        Numbers of master facets.
+        Numbers of master facets at the positions of the tree.
     corners : (n_master, 3, 3) array
     vectors : (n_master, 3) array
         Their area vectors.
@@ -74,8 +70,8 @@ def find_opposite(frames, origins, low, high, boxes, order, corners, vectors, st
                 stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
                 depth += 2
                 continue
-            leaf = node - (n_leaves - 1)
-            for i in range(leaf * len(order) // n_leaves, (leaf + 1) * len(order) // n_leaves):
+            first, last = leaf_range(node, n_leaves, len(order))
+            for i in range(first, last):
                 m = order[i]
                 if _faces(vectors[m], frames[s]) and _facet_meets(corners[m], frames[s], origins[s], low[s], high[s]):
                     if fill:

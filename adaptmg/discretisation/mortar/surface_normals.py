@@ -54,16 +54,16 @@ def surface_normals(points: np.ndarray, facets: np.ndarray, *, fixed: np.ndarray
         raise ValueError(f"the surface has no normal at node {i} {tuple(points[i].tolist())}: its facets there "
                          "cancel; split the boundary")
     total[nodes] /= lengths[:, None]
-    return total if fixed is None else _along_symmetry_planes(total, fixed)
+    return total if fixed is None else _along_symmetry_planes(total, nodes, fixed)
 
 
-def _along_symmetry_planes(normals: np.ndarray, fixed: np.ndarray) -> np.ndarray:
-    """Normals without their components along fixed directions, where these are small."""
+def _along_symmetry_planes(normals: np.ndarray, nodes: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+    """Normals without their components along fixed directions, where these are small; changed in place."""
     fixed = np.asarray(fixed)
     if fixed.shape != normals.shape or fixed.dtype != bool:
         raise ValueError(f"fixed must be a boolean mask of shape {normals.shape}, got {fixed.dtype} {fixed.shape}")
-    inside = np.where(fixed, 0.0, normals)
+    inside = np.where(fixed[nodes], 0.0, normals[nodes])
     lengths = np.linalg.norm(inside, axis=1)
     tilted = lengths > _SYMMETRY_TILT
-    normals[tilted] = inside[tilted] / lengths[tilted, None]
+    normals[nodes[tilted]] = inside[tilted] / lengths[tilted, None]
     return normals

@@ -1,0 +1,64 @@
+"""What the constructors of a hierarchy are given: checked, and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import ContactProblem, checks
+
+__all__ = ["check_coarse_to_fine", "each", "label", "limits_of_bisection", "need_domain", "need_problem"]
+
+
+def limits_of_bisection(meshes: Sequence[MeshArrays], boundaries: Sequence[str]) -> str:
+    """Words on what bisection near contact leaves: the elements that no level has touched, and what they do."""
+    first, last = meshes[0].element_sizes, meshes[-1]
+    contact = np.unique(np.concatenate([last.boundary_nodes(name) for name in boundaries]))
+    near = np.isin(last.elements, contact).any(axis=1)
+    bulk, fine = float(last.element_sizes.max()), float(last.element_sizes[near].max())
+    kept = float(last.volumes[last.element_sizes >= 0.5 * first.max()].sum() / last.volumes.sum())
+    words = (f"limits: only elements at contact are refined (to {fine:.3g} m); away from it {100 * kept:.0f} % of the "
+             f"domain keeps elements of up to {bulk:.3g} m")
+    if bulk > 6 * fine:
+        words += ": their part of the error stays, and more levels hardly help"
+    return words
+
+
+def need_problem(problem: ContactProblem) -> None:
+    """TypeError unless it is a ContactProblem."""
+    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+
+
+def each(name: str, value: Any, one: tuple[type, ...]) -> tuple[Any, ...]:
+    """A sequence with a value a level; an instance of ``one`` stands for one level."""
+    if isinstance(value, one) and not isinstance(value, bool):
+        return (value,)
+    values = checks.listed(name, value, "values, one a level, coarse to fine")
+    if not values:
+        raise ValueError(f"{name} is empty: no meshes; give at least one, coarse to fine")
+    return values
+
+
+def need_domain(problem: ContactProblem) -> None:
+    """ValueError unless the problem has a domain to mesh."""
+    need_problem(problem)
+    if problem.domain is None:
+        raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
+
+
+def check_coarse_to_fine(meshes: list[MeshArrays]) -> None:
+    """ValueError unless each mesh has more nodes than the one before."""
+    sizes = [mesh.n_nodes for mesh in meshes]
+    if any(a >= b for a, b in pairwise(sizes)):
+        raise ValueError(f"meshes must go from coarse to fine; they have {sizes} nodes")
+
+
+def label(value: Any) -> str:
+    """A size, a ratio or divisions in words: a number, some, or by body."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{body}: {label(part)}" for body, part in value.items()) + "}"
+    return f"{value:g}" if isinstance(value, float) else str(value)

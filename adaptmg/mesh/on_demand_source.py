@@ -1,0 +1,22 @@
+"""The NGSolve mesh of a mesh that was made without NGSolve, built when it is first read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from adaptmg.mesh.arrays import MeshArrays, trusted
+from adaptmg.on_demand import OnDemand
+
+__all__ = ["sound_by_construction"]
+
+
+def _ngsolve_mesh(mesh: MeshArrays) -> Any:
+    from adaptmg.mesh.build import to_ngsolve
+
+    return to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
+                      element_body=mesh.element_body, bodies=mesh.bodies)
+
+
+def sound_by_construction(mesh: MeshArrays) -> MeshArrays:
+    """The mesh, not checked (it was written down as it must be), with a source on demand."""
+    return trusted(mesh, OnDemand(_ngsolve_mesh))
