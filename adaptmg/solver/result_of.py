@@ -48,8 +48,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   contact=found.contact, work_units=run.work_units, residual=found.residual,
                   error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
-                  problem_name=problem_name(grids), solver_name=solver_name(solver, run), mesh=grids.finest.mesh, start_work_units=run.start_work_units,
-                  versions=versions(), stress_data=stress_data)
+                  problem_name=problem_name(grids), solver_name=solver_name(solver, run), mesh=grids.finest.mesh,
+                  start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data)
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate) -> Status:

@@ -104,7 +104,7 @@ class Run:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ..., phases inside it apart."""
+        """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ...; inner ones apart."""
         begin, untimed, outside = time.perf_counter(), self.untimed_seconds, self._nested_seconds
         self._nested_seconds = 0.0
         try:
