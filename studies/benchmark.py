@@ -28,7 +28,7 @@ from matplotlib import pyplot as plt
 import adaptmg as am
 from adaptmg.plot.style import styled
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.truncated_machine import TruncatedMachine
+from adaptmg.solver.truncated.multigrid import TruncatedMachine
 
 TOLERANCE = 1e-8
 

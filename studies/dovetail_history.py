@@ -33,7 +33,7 @@ def grids(finest: float, levels: int) -> am.Hierarchy:
 
 
 @lru_cache(maxsize=4)
-def history(finest: float, levels: int, steps: int, unload: bool, rtol: float) -> am.solver.path_result.PathResult:
+def history(finest: float, levels: int, steps: int, unload: bool, rtol: float) -> am.PathResult:
     """The clamp stays, the pull follows :func:`factors`."""
     path = am.LoadPath({"tongue.top": factors(steps, unload), "block.side": 1.0})
     return am.solve_path(grids(finest, levels), path, am.FullMultigrid(rtol=rtol), throw=False)

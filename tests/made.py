@@ -7,7 +7,7 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.smoother.state import OPEN, SLIP, STICK
 from adaptmg.solver.result import ContactResult, Result
-from adaptmg.solver.status import Status
+from adaptmg.solver.result.status import Status
 
 
 def square(n: int, size: float = 0.04) -> MeshArrays:

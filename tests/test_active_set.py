@@ -16,8 +16,8 @@ from adaptmg.mesh.structured import structured
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.linear import LinearSolution
-from adaptmg.solver.newton_state import linearise
-from adaptmg.solver.newton_steps import CondensedSteps, SparseSteps, local_near_nullspace
+from adaptmg.solver.newton.linearised import linearise
+from adaptmg.solver.newton.steps import CondensedSteps, SparseSteps, local_near_nullspace
 from adaptmg.solver.run import Run
 
 CASES = {

@@ -14,7 +14,7 @@ from adaptmg.discrete import ContactNodes, DiscreteProblem
 from adaptmg.mesh.structured import structured
 from adaptmg.smoother.residuals import natural_residual
 from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver.condensation import condense
+from adaptmg.solver.linear.condensation import condense
 
 
 def contact_dofs(local: LocalProblem) -> np.ndarray:

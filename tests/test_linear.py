@@ -14,8 +14,8 @@ from scipy.sparse.linalg import splu
 import adaptmg as am
 from adaptmg.discrete import ContactNodes, DiscreteProblem
 from adaptmg.mesh.structured import structured
-from adaptmg.solver.dissection import graph_coordinates, nested_dissection, node_graph
-from adaptmg.solver.glued import glued_system, solve_glued
+from adaptmg.solver.linear.dissection import graph_coordinates, nested_dissection, node_graph
+from adaptmg.solver.linear.glued import glued_system, solve_glued
 
 
 def bar(divisions: int) -> DiscreteProblem:

@@ -11,9 +11,10 @@ import adaptmg as am
 from adaptmg.discretisation.load_steps import load_steps, whole_load
 from adaptmg.mesh import structured
 from adaptmg.mesh.assembled import merged
-from adaptmg.solver import step_solvers, truncated_machine
-from adaptmg.solver.load_path import StepNotConverged
-from adaptmg.solver.path_machine import PathMachine, coarse_displacements
+from adaptmg.solver.history import step_solvers
+from adaptmg.solver.history.load_path import StepNotConverged
+from adaptmg.solver.history.truncated_steps import PathMachine, coarse_displacements
+from adaptmg.solver.truncated import multigrid as truncated_machine
 
 FINE = am.FullMultigrid(rtol=1e-11)
 EXACT = am.ActiveSet(rtol=1e-12)

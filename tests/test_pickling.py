@@ -12,8 +12,8 @@ import pytest
 from made import cube, result_on, square
 
 import adaptmg as am
-from adaptmg.solver.load_path import StepNotConverged
-from adaptmg.solver.status import NotConverged, Status
+from adaptmg.solver.history.load_path import StepNotConverged
+from adaptmg.solver.result.status import NotConverged, Status
 
 cloudpickle = pytest.importorskip("cloudpickle")
 

@@ -9,10 +9,10 @@ import adaptmg as am
 from adaptmg.multigrid.halves import split
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.solver import fallback
-from adaptmg.solver.fallback import Fallback
 from adaptmg.solver.run import Outcome
-from adaptmg.solver.truncated_watch import TruncatedWatch
+from adaptmg.solver.truncated import fallback
+from adaptmg.solver.truncated.fallback import Fallback
+from adaptmg.solver.truncated.watch import TruncatedWatch
 
 
 def floating():

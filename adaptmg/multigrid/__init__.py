@@ -5,6 +5,5 @@ from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.monotone import Monotone
 from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.paper import PaperCorrection
-from adaptmg.multigrid.truncated import Truncated
 
-__all__ = ["CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection", "Truncated"]
+__all__ = ["CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection"]

@@ -19,7 +19,7 @@ __all__ = ["Condensation", "Cycle", "CycleRunner"]
 
 
 class Condensation(Protocol):
-    """A matrix condensed to its contact dofs; :class:`adaptmg.solver.condensation.Condensed` is one."""
+    """A matrix condensed to its contact dofs; :class:`adaptmg.solver.linear.condensation.Condensed` is one."""
 
     @property
     def problem(self) -> LocalProblem:

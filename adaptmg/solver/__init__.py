@@ -1,1 +1,1 @@
-"""The methods a user names, one a file, and solve(), Result and Status around them."""
+"""The methods a user names, and solve() around them; folders by what they hold."""

@@ -12,11 +12,11 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
 from adaptmg.solver.result import Result
+from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome
-from adaptmg.solver.status import Status
 
 if TYPE_CHECKING:
-    from adaptmg.solver.examiner import Examiner
+    from adaptmg.solver.result.examiner import Examiner
     from adaptmg.solver.run import Solver
 
 __all__ = ["checked_outcome", "default_solver", "displacement_argument", "grids_argument", "solver_argument",

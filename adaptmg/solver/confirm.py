@@ -2,7 +2,7 @@
 
 Every method estimates its error from its own progress. The certificate knows nothing of that: where its estimate of
 the error lies above the tolerance, the method goes on from where it stopped with a tolerance as much tighter, a few
-times at most. What then still contradicts takes the status back (:mod:`adaptmg.solver.result_of`).
+times at most. What then still contradicts takes the status back (:mod:`adaptmg.solver.result.result_of`).
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.solver.active_set import ActiveSet
-from adaptmg.solver.examiner import Examiner
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
+from adaptmg.solver.newton.active_set import ActiveSet
 from adaptmg.solver.result import Result
-from adaptmg.solver.result_of import result_of
+from adaptmg.solver.result.examiner import Examiner
+from adaptmg.solver.result.result_of import result_of
 from adaptmg.solver.run import Outcome, Run, Solver
 from adaptmg.solver.single_grid import SingleGrid
 
@@ -41,7 +41,7 @@ def confirmed_result(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Ou
     Parameters
     ----------
     grids, examiner, run, outcome, solver, stress_data
-        As of :func:`~adaptmg.solver.result_of.result_of`.
+        As of :func:`~adaptmg.solver.result.result_of.result_of`.
     """
     result = result_of(grids, examiner, run, outcome, solver, stress_data)
     for _ in range(_TIMES):

@@ -18,7 +18,7 @@ import numpy as np
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import local_system
-from adaptmg.solver.condensation import condense
+from adaptmg.solver.linear.condensation import condense
 
 __all__ = ["critical_friction", "warn_of_several_solutions"]
 

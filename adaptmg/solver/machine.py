@@ -14,11 +14,11 @@ from adaptmg.multigrid.cycle import CycleRunner
 from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prolonged_start
 from adaptmg.multigrid.stack import build_stack
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
-from adaptmg.solver.condensation import Condensed, condense
 from adaptmg.solver.convergence import Convergence
+from adaptmg.solver.linear.condensation import Condensed, condense
+from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.sizes import euclidean_norm
-from adaptmg.solver.status import Status
 
 if TYPE_CHECKING:
     from adaptmg.solver.multigrid import Multigrid

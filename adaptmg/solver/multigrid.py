@@ -12,12 +12,12 @@ from adaptmg.multigrid.correction import Correction
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.monotone import Monotone
 from adaptmg.multigrid.nested import NestedStart, project
-from adaptmg.multigrid.truncated import Truncated
 from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.solver.machine import Machine
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.truncated_machine import TruncatedMachine
+from adaptmg.solver.truncated.multigrid import TruncatedMachine
+from adaptmg.solver.truncated.options import Truncated
 
 __all__ = ["FullMultigrid", "Multigrid"]
 
@@ -32,7 +32,7 @@ class Multigrid:
     smoother : ProjectedGaussSeidel or one's own
         Anything with ``smooth(system, contact, load, unknowns, sweeps) -> passes``.
     correction : Truncated, Monotone, PaperCorrection or one's own
-        :class:`~adaptmg.multigrid.Truncated` brings its own cycle, smoother and coarse solve and takes ``cycle``,
+        :class:`~adaptmg.Truncated` brings its own cycle, smoother and coarse solve and takes ``cycle``,
         ``smoother``, ``coarse``, ``coarse_matrices`` and ``stop`` at their defaults only. Default: Truncated() if these
         are at their defaults, else Monotone().
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
@@ -48,7 +48,7 @@ class Multigrid:
         the nested start shows it.
     max_cycles : int
         With Truncated also for what takes over where it does not converge; ``Result.solver_name`` says what did, see
-        :class:`~adaptmg.solver.fallback.Fallback`.
+        :class:`~adaptmg.solver.truncated.fallback.Fallback`.
     """
 
     cycle: Cycle = field(default_factory=Cycle)

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from adaptmg.problem import checks
-from adaptmg.solver.status import Status
+from adaptmg.solver.result.status import Status
 
 if TYPE_CHECKING:
     from adaptmg.hierarchy import Hierarchy
-    from adaptmg.solver.examiner import Examiner
+    from adaptmg.solver.result.examiner import Examiner
 
 __all__ = ["Outcome", "Run", "Solver"]
 

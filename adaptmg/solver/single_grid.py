@@ -13,11 +13,11 @@ from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact, local_system
-from adaptmg.solver.condensation import Condensed, condense
 from adaptmg.solver.convergence import Convergence
+from adaptmg.solver.linear.condensation import Condensed, condense
+from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.sizes import Sizes, euclidean_norm
-from adaptmg.solver.status import Status
 
 __all__ = ["SingleGrid"]
 

@@ -86,6 +86,6 @@ def _package_hash() -> str:
 
 def environment() -> dict[str, str]:
     """Versions of Python and of the packages the results depend on."""
-    from adaptmg.solver.labels import versions
+    from adaptmg.solver.result.labels import versions
 
     return {"python": platform.python_version(), **versions()}

@@ -1,9 +1,9 @@
 """Step solvers: how each method goes from one load step to the next.
 
-The truncated multigrid keeps its set-up (:mod:`adaptmg.solver.path_machine`). With FullMultigrid each step has a nested
-start of the increment, unless the displacement extrapolated in the loads leaves far less: under proportional loading
-that is the solution. All other methods start from the better of the displacement of the step before and the
-extrapolated one; a FullMultigrid with another correction goes on as a Multigrid.
+The truncated multigrid keeps its set-up (:mod:`adaptmg.solver.history.truncated_steps`). With FullMultigrid each step
+has a nested start of the increment, unless the displacement extrapolated in the loads leaves far less: under
+proportional loading that is the solution. All other methods start from the better of the displacement of the step
+before and the extrapolated one; a FullMultigrid with another correction goes on as a Multigrid.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Protocol
 import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.truncated import Truncated
 from adaptmg.solver.convergence import Convergence
-from adaptmg.solver.examiner import Examiner
+from adaptmg.solver.history.truncated_steps import PathMachine, coarse_displacements, from_prescribed
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
-from adaptmg.solver.path_machine import PathMachine, coarse_displacements, from_prescribed
+from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.run import Outcome, Run, Solver
+from adaptmg.solver.truncated.options import Truncated
 
 __all__ = ["Past", "StepSolver", "past_of", "step_solver"]
 

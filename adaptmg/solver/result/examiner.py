@@ -16,8 +16,8 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.smoother.residuals import natural_at_nodes
 from adaptmg.smoother.system import contact_blocks, held_tangents, local_contact
 from adaptmg.solver.certificate import Certificate, certify
-from adaptmg.solver.finish import contact_result
-from adaptmg.solver.result import ContactResult
+from adaptmg.solver.result.contact_quantities import contact_result
+from adaptmg.solver.result.result import ContactResult
 from adaptmg.solver.sizes import Sizes, euclidean_norm
 
 __all__ = ["Examined", "Examiner"]

@@ -17,8 +17,8 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.monotone import Monotone
 from adaptmg.multigrid.nested import project
-from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.machine import Machine
+from adaptmg.solver.newton.active_set import ActiveSet
 from adaptmg.solver.run import Outcome, Run
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
 from adaptmg.smoother.system import local_contact
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.truncated_machine import TruncatedMachine
+from adaptmg.solver.truncated.multigrid import TruncatedMachine
 
 if TYPE_CHECKING:
     from adaptmg.solver.multigrid import Multigrid
@@ -38,7 +38,7 @@ class PathMachine(TruncatedMachine):
     Parameters
     ----------
     options : Multigrid
-        With :class:`~adaptmg.multigrid.Truncated` as correction.
+        With :class:`~adaptmg.Truncated` as correction.
     hierarchy : Hierarchy
         Of the first step.
     run : Run

@@ -13,10 +13,10 @@ from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.linear import Direct, LinearSolver
-from adaptmg.solver.newton_state import Linearised, hold_all, linearise
-from adaptmg.solver.newton_steps import CondensedSteps, SparseSteps, Steps
+from adaptmg.solver.newton.linearised import Linearised, hold_all, linearise
+from adaptmg.solver.newton.steps import CondensedSteps, SparseSteps, Steps
+from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.status import Status
 
 __all__ = ["ActiveSet"]
 
@@ -25,7 +25,7 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class ActiveSet:
-    """Semismooth Newton (active set) method on the finest grid; see :mod:`adaptmg.solver.newton_state`.
+    """Semismooth Newton (active set) method on the finest grid; see :mod:`adaptmg.solver.newton.linearised`.
 
     Parameters
     ----------

@@ -20,9 +20,9 @@ from adaptmg.atomic import make_folder
 from adaptmg.discretisation.load_steps import LoadSteps
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
-from adaptmg.solver import path_files
-from adaptmg.solver.labels import label
+from adaptmg.solver.history import files
 from adaptmg.solver.result import Result
+from adaptmg.solver.result.labels import label
 from adaptmg.solver.run import Solver
 
 __all__ = ["PathStore", "fingerprint"]
@@ -61,12 +61,12 @@ class PathStore:
             raise ValueError(f"store must be a folder, {self.folder} is a file")
         make_folder("store", self.folder)
         self.results: list[Result] = []
-        self._head = path_files.PathHead(factors, steps, mark)
-        if not any(self.folder.glob("step_*.npz")) and not (self.folder / path_files.HEAD).exists():
-            path_files.write_head(self.folder, self._head)
+        self._head = files.PathHead(factors, steps, mark)
+        if not any(self.folder.glob("step_*.npz")) and not (self.folder / files.HEAD).exists():
+            files.write_head(self.folder, self._head)
             return
         # the head that is there stays: steps go by its key
-        self._head, results = path_files.read(self.folder)
+        self._head, results = files.read(self.folder)
         if not self._head.fingerprint:
             raise ValueError(f"{self.folder} was written by PathResult.save, which does not know what it was "
                              "solved for: give another folder as store")
@@ -79,7 +79,7 @@ class PathStore:
 
     def put(self, step: int, result: Result) -> None:
         """Keep a finished step."""
-        path_files.write_step(self.folder, self._head, step, result)
+        files.write_step(self.folder, self._head, step, result)
 
 
 def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Mapping[str, np.ndarray], steps: int,

@@ -8,7 +8,7 @@ projections I - n n' in Cartesian components. With :math:`r = A u - b`, the clai
           |f_t| \le s + \mu p, \quad (s + \mu p)\,|\tau| + f_t \cdot \tau = 0,
 
 prescribed values, the claimed states, the balance of all forces, and the energy error
-(:mod:`adaptmg.solver.certificate_energy`). Forces are relative to loads and reactions, lengths to the largest
+(:mod:`adaptmg.solver.certificate.energy`). Forces are relative to loads and reactions, lengths to the largest
 displacement, energies to u'Au: never to a lifted nodal jump.
 """
 
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.solver.certificate_lines import ContactClaims, Evidence, Line
+from adaptmg.solver.certificate.lines import ContactClaims, Evidence, Line
 from adaptmg.threads import one_blas_thread
 
 __all__ = ["Certificate", "Line", "certify"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from adaptmg.problem import checks
 from adaptmg.smoother.state import OPEN, SLIP, STICK
-from adaptmg.solver import path_files
+from adaptmg.solver.history import files
 from adaptmg.solver.result import Result
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class PathResult(Sequence[Result]):
     factors : dict of str to (n_steps,) array
         Factors of all steps of the path, by the name of the load; "default" where loads have no names.
     fingerprint : dict
-        What the path was solved for, see :mod:`adaptmg.solver.path_store`; empty without a store.
+        What the path was solved for, see :mod:`adaptmg.solver.history.store`; empty without a store.
     n_steps : int
         Steps of the whole path.
     """
@@ -106,8 +106,7 @@ class PathResult(Sequence[Result]):
         ValueError
             If the folder holds another path already.
         """
-        path_files.write(checks.file_path("folder", folder), self.results, self.factors, self.n_steps,
-                         self.fingerprint)
+        files.write(checks.file_path("folder", folder), self.results, self.factors, self.n_steps, self.fingerprint)
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> PathResult:
@@ -118,7 +117,7 @@ class PathResult(Sequence[Result]):
         ValueError
             If the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
         """
-        head, results = path_files.read(checks.file_path("folder", folder))
+        head, results = files.read(checks.file_path("folder", folder))
         return cls(results, head.factors, head.fingerprint, head.steps)
 
 

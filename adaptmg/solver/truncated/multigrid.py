@@ -4,7 +4,7 @@ The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the ne
 error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last
 three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with the natural residual, which every
 smoothing leaves behind, it decides when to stop, at no further pass over a matrix. Where safe cycles do not help either
-(friction of 3, say), a :class:`~adaptmg.solver.fallback.Fallback` takes over for the cycles that are left.
+(friction of 3, say), a :class:`~adaptmg.solver.truncated.fallback.Fallback` takes over for the cycles that are left.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
-from adaptmg.solver.active_set import ActiveSet
-from adaptmg.solver.fallback import Fallback
+from adaptmg.solver.newton.active_set import ActiveSet
+from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.status import Status
-from adaptmg.solver.truncated_watch import TruncatedWatch
+from adaptmg.solver.truncated.fallback import Fallback
+from adaptmg.solver.truncated.watch import TruncatedWatch
 
 if TYPE_CHECKING:
     from adaptmg.solver.multigrid import Multigrid
@@ -45,7 +45,7 @@ class TruncatedMachine:
     Parameters
     ----------
     options : Multigrid
-        With :class:`~adaptmg.multigrid.Truncated` as correction.
+        With :class:`~adaptmg.Truncated` as correction.
     hierarchy : Hierarchy
     run : Run
 

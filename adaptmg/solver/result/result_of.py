@@ -10,11 +10,11 @@ from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.convergence import Convergence
-from adaptmg.solver.examiner import Examiner
-from adaptmg.solver.labels import problem_name, solver_name, versions
-from adaptmg.solver.result import Result
+from adaptmg.solver.result.examiner import Examiner
+from adaptmg.solver.result.labels import problem_name, solver_name, versions
+from adaptmg.solver.result.result import Result
+from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run, Solver
-from adaptmg.solver.status import Status
 
 __all__ = ["result_of"]
 

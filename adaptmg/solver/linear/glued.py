@@ -15,8 +15,8 @@ from scipy import sparse
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.problem import checks
 from adaptmg.smoother.system import local_system
-from adaptmg.solver.linear import AMG, LinearSolver
-from adaptmg.solver.newton_steps import local_near_nullspace
+from adaptmg.solver.linear.solvers import AMG, LinearSolver
+from adaptmg.solver.newton.steps import local_near_nullspace
 
 __all__ = ["GluedResult", "glued_system", "solve_glued"]
 

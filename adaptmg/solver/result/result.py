@@ -13,8 +13,8 @@ from adaptmg.discretisation.measures import StressData, von_mises
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.solver.certificate import Certificate, certify
-from adaptmg.solver.result_file import read_result, write_result
-from adaptmg.solver.status import Status
+from adaptmg.solver.result.result_file import read_result, write_result
+from adaptmg.solver.result.status import Status
 
 __all__ = ["ContactResult", "Result"]
 
@@ -353,7 +353,7 @@ class Result:
         return result
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.result_file`."""
+        """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.result.result_file`."""
         write_result(path, self)
 
     @classmethod

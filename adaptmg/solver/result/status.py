@@ -6,7 +6,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from adaptmg.solver.result import Result
+    from adaptmg.solver.result.result import Result
 
 __all__ = ["NotConverged", "Status"]
 

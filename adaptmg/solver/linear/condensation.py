@@ -20,7 +20,7 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from adaptmg.smoother.system import LocalProblem, LocalSystem, turn_held
-from adaptmg.solver.dissection import nested_dissection, node_graph
+from adaptmg.solver.linear.dissection import nested_dissection, node_graph
 
 __all__ = ["Condensed", "condense"]
 

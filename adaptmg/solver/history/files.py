@@ -19,9 +19,9 @@ import numpy as np
 
 from adaptmg.atomic import make_folder, write_bytes
 from adaptmg.problem import checks
-from adaptmg.solver.archive import DAMAGES
-from adaptmg.solver.result import Result, loaded
-from adaptmg.solver.result_file import write_result
+from adaptmg.solver.result.archive import DAMAGES
+from adaptmg.solver.result.result import Result, loaded
+from adaptmg.solver.result.result_file import write_result
 
 __all__ = ["HEAD", "PathHead", "read", "step_file", "write", "write_head", "write_step"]
 

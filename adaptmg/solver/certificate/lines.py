@@ -1,6 +1,6 @@
 """The lines of a certificate: what a displacement and its contact forces violate, from the raw matrix.
 
-See :mod:`adaptmg.solver.certificate`; nothing here comes from the solvers.
+See :mod:`adaptmg.solver.certificate.certificate`; nothing here comes from the solvers.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.solver.certificate_energy import FrozenStatus, residual_energy
+from adaptmg.solver.certificate.energy import FrozenStatus, residual_energy
 
 __all__ = ["ContactClaims", "Evidence", "Line"]
 

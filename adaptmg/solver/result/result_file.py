@@ -17,13 +17,13 @@ import numpy as np
 from adaptmg.atomic import write_bytes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
-from adaptmg.solver.archive import DAMAGES, read_arrays
 from adaptmg.solver.certificate import Certificate
-from adaptmg.solver.status import Status
+from adaptmg.solver.result.archive import DAMAGES, read_arrays
+from adaptmg.solver.result.status import Status
 from adaptmg.text import printable
 
 if TYPE_CHECKING:
-    from adaptmg.solver.result import Result
+    from adaptmg.solver.result.result import Result
 
 __all__ = ["read_result", "write_result"]
 

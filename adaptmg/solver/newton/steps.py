@@ -15,9 +15,9 @@ from scipy import linalg, sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.smoother.system import LocalProblem, rotate
-from adaptmg.solver.condensation import Condensed, condense
-from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
-from adaptmg.solver.newton_state import Linearised
+from adaptmg.solver.linear.condensation import Condensed, condense
+from adaptmg.solver.linear.solvers import Direct, LinearSolver, Prepared, solution_of
+from adaptmg.solver.newton.linearised import Linearised
 from adaptmg.solver.run import Run
 
 __all__ = ["CondensedSteps", "SparseSteps", "Steps", "local_near_nullspace"]

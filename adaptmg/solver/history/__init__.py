@@ -1,0 +1,1 @@
+"""How load histories go from step to step, and how they are kept."""

@@ -1,0 +1,1 @@
+"""The semismooth Newton method: the contact conditions linearised, and how its steps are solved."""

@@ -1,0 +1,1 @@
+"""The truncated multigrid from start to end: options, nested start, cycles, what takes over."""
