@@ -28,7 +28,7 @@ from matplotlib import pyplot as plt
 import adaptmg as am
 from adaptmg.plot.style import styled
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.truncated.multigrid import TruncatedMachine
+from adaptmg.solver.truncated.multigrid import TruncatedMultigrid
 
 TOLERANCE = 1e-8
 
@@ -67,7 +67,7 @@ def run_ours(hierarchy: am.Hierarchy, rtol: float, max_cycles: int = 100, refere
     """One run, without the checks around it; the record, the outcome, bytes of the solver's arrays."""
     solver = am.FullMultigrid(correction=am.Truncated(), rtol=rtol, max_cycles=max_cycles)
     run = Run(unit=hierarchy.finest.matrix.nnz, reference=reference)
-    machine = TruncatedMachine(solver, hierarchy, run)
+    machine = TruncatedMultigrid(solver, hierarchy, run)
     outcome = machine.finish(machine.nested_start(solver.start), cold=False)
     return run, outcome, machine.nbytes
 

@@ -11,10 +11,11 @@ import adaptmg as am
 from adaptmg.discretisation.load_steps import load_steps, whole_load
 from adaptmg.mesh import structured
 from adaptmg.mesh.assembled import merged
-from adaptmg.solver.history import step_solvers
+from adaptmg.solver.history import truncated_steps
 from adaptmg.solver.history.load_path import StepNotConverged
-from adaptmg.solver.history.truncated_steps import PathMachine, coarse_displacements
-from adaptmg.solver.truncated import multigrid as truncated_machine
+from adaptmg.solver.history.past import coarse_displacements
+from adaptmg.solver.history.truncated_steps import KeptMultigrid
+from adaptmg.solver.truncated import energy_test
 
 FINE = am.FullMultigrid(rtol=1e-11)
 EXACT = am.ActiveSet(rtol=1e-12)
@@ -483,13 +484,13 @@ class TestResult:
     def test_when_the_fast_cycle_gives_up_the_path_goes_on(self, rough, cycle, monkeypatch):
         made = []
 
-        class Counted(PathMachine):
+        class Counted(KeptMultigrid):
             def __init__(self, *arguments: object) -> None:
                 made.append(self)
                 super().__init__(*arguments)
 
-        monkeypatch.setattr(step_solvers, "PathMachine", Counted)
-        monkeypatch.setattr(truncated_machine.TruncatedWatch, "stalled", property(lambda watch: True))
+        monkeypatch.setattr(truncated_steps, "KeptMultigrid", Counted)
+        monkeypatch.setattr(energy_test.EnergyTest, "stalled", property(lambda watch: True))
         results = am.solve_path(rough, CYCLE, FINE)
         assert distance(results[-1], cycle[-1]) <= 1e-8
         # what a cycle that ran away leaves behind is not used again

@@ -11,8 +11,8 @@ from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.solver.run import Outcome
 from adaptmg.solver.truncated import fallback
+from adaptmg.solver.truncated.energy_test import EnergyTest
 from adaptmg.solver.truncated.fallback import Fallback
-from adaptmg.solver.truncated.watch import TruncatedWatch
 
 
 def floating():
@@ -97,7 +97,8 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, monkeypatch
     assert result.residual < 1e-2 and result.status.ok == (result.residual <= 1e-7)
     if reason == "gives up":
         # an error of one method is no error of the run
-        monkeypatch.setattr(fallback.Machine, "finish", lambda self, unknowns: singular(self, None, None, None))
+        monkeypatch.setattr(fallback.ProjectedMultigrid, "finish",
+                            lambda self, unknowns: singular(self, None, None, None))
         nothing = am.solve(GRIDS_THAT_FAIL["nested"](), am.Multigrid(), throw=False)
         assert not nothing.status.ok and "then" not in nothing.solver_name
         spaces = am.solve(GRIDS_THAT_FAIL["only spaces"](), am.Multigrid(), throw=False)
@@ -160,7 +161,7 @@ def test_singular_coarsest_matrices_are_mended(limit, monkeypatch):
 
 def test_a_start_that_ran_away_sets_no_tolerance():
     problem = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4,)).finest.discrete
-    watch = TruncatedWatch(problem, "discretisation")
+    watch = EnergyTest(problem, "discretisation")
     watch.size = 1.0
     for change in (1e-2, 1e3):
         watch.take_discretisation_error(change)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,12 +12,12 @@ from adaptmg.multigrid.coarse import CoarseSolve
 from adaptmg.multigrid.correction import Correction
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.monotone import Monotone
-from adaptmg.multigrid.nested import NestedStart, project
+from adaptmg.multigrid.nested import NestedStart
 from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.solver.machine import Machine
+from adaptmg.solver.method import Method, own
+from adaptmg.solver.projected import ProjectedMultigrid
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.truncated.multigrid import TruncatedMachine
 from adaptmg.solver.truncated.options import Truncated
 
 __all__ = ["FullMultigrid", "Multigrid"]
@@ -32,6 +33,8 @@ class Multigrid:
     smoother : ProjectedGaussSeidel or one's own
         Anything with ``smooth(system, contact, load, unknowns, sweeps) -> passes``.
     correction : Truncated, Monotone, PaperCorrection or one's own
+        Anything with ``transport`` and ``needs_initial`` (:class:`~adaptmg.multigrid.correction.Correction`), or with
+        cycles of its own, ``method(options, hierarchy, run)`` (:mod:`adaptmg.solver.method`).
         :class:`~adaptmg.Truncated` brings its own cycle, smoother and coarse solve and takes ``cycle``,
         ``smoother``, ``coarse``, ``coarse_matrices`` and ``stop`` at their defaults only. Default: Truncated() if these
         are at their defaults, else Monotone().
@@ -60,13 +63,16 @@ class Multigrid:
     rtol: float = 1e-8
     max_cycles: int = 100
 
+    #: no nested start
+    start: ClassVar[NestedStart | None] = None
+
     def __post_init__(self) -> None:
         if self.correction is None:
-            object.__setattr__(self, "correction", Monotone() if self._not_for_truncated() else Truncated())
+            object.__setattr__(self, "correction", Monotone() if Truncated.not_taken(self) else Truncated())
         checks.instance("cycle", self.cycle, Cycle, "a Cycle")
         checks.offers("smoother", self.smoother, "smooth",
                       "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes")
-        if not isinstance(self.correction, Truncated):
+        if own(self.correction, "method") is None:
             words = "Monotone(), Truncated(), PaperCorrection() or offer transport and needs_initial"
             checks.offers("correction", self.correction, "transport", words)
             checks.flag(f"needs_initial of correction {checks.shown(self.correction)}",
@@ -76,44 +82,28 @@ class Multigrid:
         checks.choice("stop", self.stop, ("error", "change"))
         self._check_rtol()
         checks.integer("max_cycles", self.max_cycles, 1)
-        if isinstance(self.correction, Truncated):
-            self._check_truncated()
+        check_options = own(self.correction, "check_options")
+        if check_options is not None:
+            check_options(self)
 
     def _check_rtol(self) -> None:
         if not isinstance(self.rtol, str):
             object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         elif self.rtol != "discretisation":
             raise ValueError(f"rtol must be a number > 0 and < 1 or 'discretisation', got {checks.shown(self.rtol)}")
-        elif not (isinstance(self, FullMultigrid) and isinstance(self.correction, Truncated)):
+        elif not (isinstance(self, FullMultigrid) and getattr(self.correction, "shows_discretisation_error", False)):
             raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
                              "shows the discretisation error")
 
-    def _not_for_truncated(self) -> str:
-        """Name of an option that is not at its default though Truncated has its own; empty if there is none."""
-        defaults = {"cycle": Cycle(), "smoother": ProjectedGaussSeidel(), "coarse": CoarseSolve(),
-                    "coarse_matrices": "galerkin", "stop": "error"}
-        return next((name for name, default in defaults.items() if getattr(self, name) != default), "")
-
-    def _check_truncated(self) -> None:
-        name = self._not_for_truncated()
-        if name:
-            raise ValueError(f"{name}: Truncated() has its own; leave it at its default, or take correction=Monotone()")
-
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level; see :class:`adaptmg.solver.run.Solver`."""
-        _need_levels(hierarchy)
-        if isinstance(self.correction, Truncated):
-            discrete = hierarchy.finest.discrete
-            unknowns = np.zeros(discrete.n_dofs) if start is None else start.reshape(-1) - discrete.fixed_values
-            unknowns[discrete.fixed] = 0.0
-            return TruncatedMachine(self, hierarchy, run).finish(unknowns, cold=True)
-        machine = Machine(self, hierarchy, run)
-        if self.correction.needs_initial:
-            machine.nested_start(NestedStart())
-        local = machine.problems[-1]
-        unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
-        project(local, unknowns)
-        return machine.finish(unknowns)
+        return self._method(hierarchy, run).from_given(start)
+
+    def _method(self, hierarchy: Hierarchy, run: Run) -> Method:
+        if len(hierarchy) < 2:
+            raise ValueError("grids: multigrid needs at least two levels, got one; use SingleGrid or ActiveSet on one "
+                             "grid")
+        return (own(self.correction, "method") or ProjectedMultigrid)(self, hierarchy, run)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,15 +128,4 @@ class FullMultigrid(Multigrid):
         """Solve on the finest level; see :class:`adaptmg.solver.run.Solver`."""
         if start is not None:
             raise ValueError("start: FullMultigrid makes its own start; use Multigrid to continue from a given one")
-        _need_levels(hierarchy)
-        if isinstance(self.correction, Truncated):
-            hierarchy.need_discretised("the nested start of FullMultigrid")
-            truncated = TruncatedMachine(self, hierarchy, run)
-            return truncated.finish(truncated.nested_start(self.start), cold=False)
-        machine = Machine(self, hierarchy, run)
-        return machine.finish(machine.nested_start(self.start))
-
-
-def _need_levels(hierarchy: Hierarchy) -> None:
-    if len(hierarchy) < 2:
-        raise ValueError("grids: multigrid needs at least two levels, got one; use SingleGrid or ActiveSet on one grid")
+        return self._method(hierarchy, run).from_nested(self.start)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +15,13 @@ from adaptmg.multigrid.nested import project
 from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.residuals import residual
-from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact, local_system
-from adaptmg.solver.convergence import Convergence
+from adaptmg.smoother.system import LocalProblem, NodalContact, local_system
+from adaptmg.solver.iterate import iterate
 from adaptmg.solver.linear.condensation import Condensed, condense
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.sizes import Sizes, euclidean_norm
+from adaptmg.solver.sizes import Sizes
+from adaptmg.solver.stop_test import ChangeTest, IterateTest
 
 __all__ = ["SingleGrid"]
 
@@ -87,15 +91,25 @@ class SingleGrid:
             # the Schur complement measures the energy of the error of the recovered solution
             reference = condensed.restrict(reference)
         sizes = _CondensedSizes(condensed) if self.condensed else Sizes(local.discrete, local.frames)
-        iterate = _Iteration(self, problem, run, unknowns, reference, sizes)
+        test = {"run": run, "reference": reference, "sizes": sizes}
+        given = (problem, self.smoother(), run, unknowns, self.max_sweeps)
         with run.phase("sweeps"):
-            status = iterate.fixed_point() if self.friction == "fixed point" else iterate.sweep_until_done()
-        run.visit(len(hierarchy) - 1, "smooth", iterate.sweeps)
+            if self.friction == "fixed point":
+                stop = _TrescaTest(problem, self.rtol, self.max_sweeps, **test)
+                sweeps = _TrescaProblems(*given, new_test=partial(_SweepTest, **test))
+                status = iterate(sweeps, stop, run)
+            elif self.stop == "change":
+                stop, sweeps = ChangeTest(problem, self.rtol, self.max_sweeps, **test), _ChangingSweeps(*given)
+                status = sweeps.end(iterate(sweeps, stop, run), stop)
+            else:
+                stop, sweeps = _SweepTest(problem, self.rtol, self.max_sweeps, **test), _Sweeps(*given)
+                status = iterate(sweeps, stop, run)
+        run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
         if recover is not None:
             with run.phase("factorise"):
                 unknowns = recover(unknowns)
-        return Outcome(local.to_cartesian(unknowns), status, iterate.sweeps, self.rtol, iterate.error_estimate,
-                       iterate.rate)
+        return Outcome(local.to_cartesian(unknowns), status, sweeps.cycles, self.rtol, stop.error_estimate,
+                       sweeps.rate(stop))
 
 
 class _CondensedSizes(Sizes):
@@ -119,89 +133,126 @@ class _CondensedSizes(Sizes):
         return super().forces(self._condensed.recover(unknowns) if self.prescribed else unknowns, contact)
 
 
-class _Iteration:
-    """The sweeps of one run: counts, tests and records them; changes ``unknowns`` in place."""
+class _SweepTest(IterateTest):
+    """An iteration of sweeps whose change reaches no new minimum goes round in circles."""
+
+    STALLED = Status.CYCLING
+
+
+class _TrescaTest(IterateTest):
+    """For a sequence of Tresca problems: only the limit ends it where it does not converge."""
+
+    stalled = False
+
+
+class _Sweeps:
+    """Batches of sweeps, in place, each followed by a residual; see :class:`~adaptmg.solver.iterate.Iteration`.
+
+    Parameters
+    ----------
+    problem : LocalProblem
+    smoother : ProjectedGaussSeidel
+    run : Run
+    unknowns : (n_dofs,) array
+    before : int
+        Sweeps done before.
+    """
 
     #: sweeps between the first checks; later checks come every CHECK_SHARE of the sweeps done
     FIRST_CHECK, CHECK_SHARE = 10, 0.1
-    #: Tresca problems of the fixed point at most, and how much better than rtol each is solved
-    FIXED_POINT_LIMIT, INNER = 200, 0.1
 
-    def __init__(self, options: SingleGrid, problem: LocalProblem, run: Run, unknowns: np.ndarray,
-                 reference: np.ndarray | None, sizes: Sizes) -> None:
-        self.options, self.problem, self.run, self.unknowns = options, problem, run, unknowns
-        self.reference, self.sizes = reference, sizes
-        self.system: LocalSystem = problem.system
-        self.smoother = options.smoother()
-        self.sweeps, self.error_estimate, self.rate = 0, np.inf, np.nan
+    def __init__(self, problem: LocalProblem, smoother: ProjectedGaussSeidel, run: Run, unknowns: np.ndarray,
+                 limit: int, before: int = 0) -> None:
+        self.problem, self.smoother, self.run, self.unknowns = problem, smoother, run, unknowns
+        self.limit, self.before, self.cycles, self.batch = limit, before, before, 1
 
-    def sweep(self, contact: NodalContact, times: int) -> None:
-        passes = self.smoother.smooth(self.system, contact, self.problem.load, self.unknowns, times)
-        self.run.count(passes, self.system.nonzeros)
-        self.sweeps += times
+    def start(self) -> None:
+        """The first batch."""
+        done = self.cycles - self.before
+        self.batch = max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
+        self.sweep(min(self.batch, self.limit - done))
+
+    def measure(self, stop: IterateTest) -> None:
+        """Hand over iterate and residual."""
+        stop.take(self.unknowns, self.defect())
+
+    def row(self, stop: IterateTest) -> dict[str, float] | None:
+        """See :class:`~adaptmg.solver.iterate.Iteration`."""
+        return stop.measures()
+
+    def step(self, stop: IterateTest) -> None:
+        """The next batch."""
+        self.start()
+
+    def sweep(self, times: int) -> None:
+        """Sweep so many times."""
+        system = self.problem.system
+        passes = self.smoother.smooth(system, self.problem.contact, self.problem.load, self.unknowns, times)
+        self.run.count(passes, system.nonzeros)
+        self.cycles += times
 
     def defect(self) -> np.ndarray:
-        self.run.count(1, self.system.nonzeros)
-        return residual(self.system, self.problem.load, self.unknowns)
+        """b - A w (n_dofs,), one pass."""
+        self.run.count(1, self.problem.system.nonzeros)
+        return residual(self.problem.system, self.problem.load, self.unknowns)
 
-    def sweep_until_done(self) -> Status:
-        return self._by_error(self.problem.contact, self.options.rtol, self.options.stop)
+    def rate(self, stop: IterateTest) -> float:
+        """Convergence rate of a sweep."""
+        return stop.rate ** (1 / self.batch) if np.isfinite(stop.rate) else np.nan
 
-    def _by_error(self, contact: NodalContact, rtol: float, stop: str, limit: int | None = None) -> Status:
-        limit = self.options.max_sweeps if limit is None else limit
-        problem = LocalProblem(self.system, self.problem.load, contact, self.problem.frames, self.problem.discrete)
-        watch = Convergence(problem, rtol, self.run, self.reference, self.sizes)
-        done, first = 0, self.sweeps
-        while True:
-            if stop == "change":
-                before = self.unknowns.copy()
-                self.sweep(contact, 1)
-                size = euclidean_norm(self.unknowns)
-                change = euclidean_norm(self.unknowns - before) / size if size > 0 else 0.0
-                done = self.sweeps - first
-                if change > rtol and done < limit and np.isfinite(change):
-                    continue
-                watch.check(self.unknowns, self.defect())
-                self._record(watch, relative_change=change)
-                if change > rtol:
-                    return Status.LIMIT if np.isfinite(change) else Status.DIVERGED
-                met = watch.residual <= watch.RESIDUAL_FACTOR * rtol
-                return Status.CONVERGED if met else Status.STALLED
-            step = max(self.FIRST_CHECK, int(self.CHECK_SHARE * (self.sweeps - first)))
-            self.sweep(contact, min(step, limit - (self.sweeps - first)))
-            met = watch.check(self.unknowns, self.defect())
-            self.error_estimate = watch.error_estimate
-            self.rate = watch.rate ** (1 / step) if np.isfinite(watch.rate) else np.nan
-            self._record(watch)
-            if met:
-                return Status.CONVERGED
-            if watch.diverged:
-                return Status.DIVERGED
-            if watch.stalled:
-                return Status.CYCLING
-            if self.sweeps - first >= limit:
-                return Status.LIMIT
 
-    def fixed_point(self) -> Status:
-        """Tresca problems with the limit held; the limit is updated until it changes the solution no more."""
-        options, contact = self.options, self.problem.contact
-        watch = Convergence(self.problem, options.rtol, self.run, self.reference, self.sizes)
-        for _ in range(self.FIXED_POINT_LIMIT):
-            defect = self.defect()
-            met = watch.check(self.unknowns, defect)
-            self.error_estimate, self.rate = watch.error_estimate, watch.rate
-            self._record(watch)
-            if met:
-                return Status.CONVERGED
-            if watch.diverged:
-                return Status.DIVERGED
-            left = options.max_sweeps - self.sweeps
-            if left <= 0:
-                return Status.LIMIT
-            limit = sliding_limit(self.system, contact, defect)
-            frozen = NodalContact(contact.gap, contact.slip_reference, limit, np.zeros_like(limit))
-            self._by_error(frozen, self.INNER * options.rtol, "error", left)
-        return Status.LIMIT
+class _ChangingSweeps(_Sweeps):
+    """Sweeps tested by what each changes (the paper's test); the residual is known at the end alone."""
 
-    def _record(self, watch: Convergence, **values: float) -> None:
-        self.run.record(cycle=self.sweeps, **watch.measures(), **values)
+    def start(self) -> None:
+        """One sweep."""
+        self._before = self.unknowns.copy()
+        self.sweep(1)
+
+    def measure(self, stop: ChangeTest) -> None:
+        """The change."""
+        stop.take_change(self._before, self.unknowns)
+
+    def row(self, stop: ChangeTest) -> None:
+        """No row."""
+
+    def end(self, status: Status, stop: ChangeTest) -> Status:
+        """Measure the last iterate, which confirms the status or not."""
+        super().measure(stop)
+        self.run.record(cycle=self.cycles, **stop.measures(), relative_change=stop.relative_change)
+        return stop.confirmed(status)
+
+
+class _TrescaProblems(_Sweeps):
+    """The fixed point: Tresca problems with the limit held; it is updated until it changes the solution no more."""
+
+    #: Tresca problems at most, and how much better than rtol each is solved
+    MOST, INNER = 200, 0.1
+
+    def __init__(self, *arguments: Any, new_test: Callable[..., _SweepTest]) -> None:
+        super().__init__(*arguments)
+        self._new_test, self._solved, self._defect = new_test, 0, np.empty(0)
+
+    def start(self) -> None:
+        """Nothing: the start is measured."""
+
+    def measure(self, stop: IterateTest) -> None:
+        """Hand over iterate and residual."""
+        self._defect = self.defect()
+        stop.take(self.unknowns, self._defect)
+
+    def step(self, stop: IterateTest) -> Status | None:
+        """Hold the present limit, and solve."""
+        contact, left = self.problem.contact, self.limit - self.cycles
+        limit = sliding_limit(self.problem.system, contact, self._defect)
+        frozen = NodalContact(contact.gap, contact.slip_reference, limit, np.zeros_like(limit))
+        held = replace(self.problem, contact=frozen)
+        sweeps = _Sweeps(held, self.smoother, self.run, self.unknowns, left, self.cycles)
+        iterate(sweeps, self._new_test(held, self.INNER * stop.rtol, self.cycles + left), self.run)
+        self.cycles = sweeps.cycles
+        self._solved += 1
+        return Status.LIMIT if self._solved == self.MOST else None
+
+    def rate(self, stop: IterateTest) -> float:
+        """Convergence rate of the fixed point."""
+        return stop.rate

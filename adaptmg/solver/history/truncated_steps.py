@@ -1,4 +1,4 @@
-r"""PathMachine: the truncated multigrid through load steps, set up once.
+r"""KeptMultigrid: the truncated multigrid through load steps, set up once.
 
 Matrices, transfers, and the lists by which the contact status changes coarse matrices stay; loads, gaps and slip
 references change. The nested start of a step carries only what the step changes: level l solves its own step from
@@ -12,10 +12,9 @@ round when a load is taken back, where the interpolation of the whole displaceme
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
-from scipy.sparse.linalg import lsmr
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
@@ -23,21 +22,22 @@ from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
 from adaptmg.smoother.system import local_contact
+from adaptmg.solver.history.past import Past, better_start
+from adaptmg.solver.method import MultigridOptions
+from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.truncated.multigrid import TruncatedMachine
+from adaptmg.solver.stop_test import StopTest
+from adaptmg.solver.truncated.multigrid import TruncatedMultigrid, lifted_load
 
-if TYPE_CHECKING:
-    from adaptmg.solver.multigrid import Multigrid
-
-__all__ = ["PathMachine", "coarse_displacements", "lifted_load"]
+__all__ = ["KeptMultigrid", "TruncatedSteps"]
 
 
-class PathMachine(TruncatedMachine):
+class KeptMultigrid(TruncatedMultigrid):
     """The truncated multigrid for a sequence of steps.
 
     Parameters
     ----------
-    options : Multigrid
+    options : MultigridOptions
         With :class:`~adaptmg.Truncated` as correction.
     hierarchy : Hierarchy
         Of the first step.
@@ -49,7 +49,7 @@ class PathMachine(TruncatedMachine):
         Another method had to take over: what is kept may be spoilt, a new machine is needed.
     """
 
-    def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
+    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
         super().__init__(options, hierarchy, run)
         self._runners: dict[int, TruncatedCycle] = {}
         self.spent = False
@@ -98,7 +98,7 @@ class PathMachine(TruncatedMachine):
         return result
 
     def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
-        """See :class:`TruncatedMachine`."""
+        """See :class:`TruncatedMultigrid`."""
         outcome = super().finish(unknowns, cold)
         self.spent = bool(self.run.fallback)
         return outcome
@@ -125,31 +125,58 @@ def from_prescribed(problem: DiscreteProblem, displacement: np.ndarray) -> np.nd
     return result
 
 
-def lifted_load(problem: DiscreteProblem) -> np.ndarray:
-    """b - A u_fixed, zero at fixed dofs (n_dofs,), Cartesian, N."""
-    load = problem.load - problem.matrix @ problem.fixed_values if problem.fixed_values.any() else problem.load.copy()
-    load[problem.fixed] = 0.0
-    return load
+class TruncatedSteps:
+    """The truncated multigrid, with or without nested start."""
 
+    #: extrapolation is taken where it leaves less than this share of the residual of the nested start, whose error
+    #: is rough and soon smoothed away
+    EXTRAPOLATE = 0.05
 
-def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list[np.ndarray]:
-    """A displacement of the finest level on all levels: each next coarser one that interpolates it best.
+    def __init__(self, options: MultigridOptions) -> None:
+        self.options = options
+        self.machine: KeptMultigrid | None = None
 
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-        Discretised on all levels.
-    displacement : (n_dofs,) array
-        m; between bodies relative.
+    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
+            ) -> tuple[Outcome, list[np.ndarray] | None]:
+        """See :class:`StepSolver`."""
+        machine, coarse, cold = self._machine(hierarchy, run), None, True
+        if self.options.start is not None:
+            *coarse, start = machine.increment(self.options.start, past.levels)
+            cold = False
+            with run.phase("start"):
+                if self._exact_enough(examiner, past, start):
+                    start = past.extrapolated
+        else:
+            start = better_start(examiner, past, run) if past.given else np.zeros(examiner.discrete.n_dofs)
+        outcome = machine.finish(from_prescribed(examiner.discrete, start), cold)
+        self._hold(outcome.rtol)
+        return outcome, coarse
 
-    Returns
-    -------
-    list of (n_dofs,) arrays
-        Coarsest first, least squares in the nodal values.
-    """
-    result = [displacement]
-    for level in reversed(hierarchy.levels[1:]):
-        columns = result[0].reshape(level.n_nodes, -1).T
-        nodal = [lsmr(level.prolongation, column, atol=1e-8, btol=1e-8)[0] for column in columns]
-        result.insert(0, np.stack(nodal, axis=1).reshape(-1))
-    return result
+    def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> list[np.ndarray] | None:
+        """See :class:`StepSolver`."""
+        coarse = None
+        if self.options.start is not None:
+            machine = self._machine(hierarchy, Run(unit=hierarchy.finest.matrix.nnz))
+            coarse = machine.increment(self.options.start, past.levels)[:-1]
+        self._hold(rtol)
+        return coarse
+
+    def _exact_enough(self, examiner: Examiner, past: Past, nested: np.ndarray) -> bool:
+        """Whether to start from the extrapolated displacement; not where the nested start sets the tolerance."""
+        if not past.given or self.options.rtol == "discretisation":
+            return False
+        return (examiner.relative_residual(past.extrapolated)
+                <= self.EXTRAPOLATE * examiner.relative_residual(nested))
+
+    def _machine(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
+        if self.machine is None or self.machine.spent:
+            self.machine = KeptMultigrid(self.options, hierarchy, run)
+        else:
+            self.machine.take(hierarchy, run)
+        return self.machine
+
+    def _hold(self, rtol: float) -> None:
+        """Keep the tolerance that the discretisation error of the first step has set: increments have smaller ones."""
+        if self.options.rtol == "discretisation":
+            self.options = replace(self.options, rtol=max(rtol, StopTest.ROUNDING_LIMIT))
+            self.machine.options = self.options

@@ -17,15 +17,16 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.arguments import checked_outcome
 from adaptmg.solver.confirm import confirmed_result
-from adaptmg.solver.history.step_solvers import Past, past_of, step_solver
+from adaptmg.solver.history.past import Past, coarse_displacements, past_of
+from adaptmg.solver.history.step_solvers import step_solver
 from adaptmg.solver.history.store import fingerprint
-from adaptmg.solver.history.truncated_steps import coarse_displacements, lifted_load
 from adaptmg.solver.result import Result
 from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.result.result_of import result_of
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run, Solver
 from adaptmg.solver.statics import check_statics_of
+from adaptmg.solver.truncated.multigrid import lifted_load
 
 __all__ = ["PathWalk"]
 

@@ -11,12 +11,13 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver.convergence import Convergence
+from adaptmg.solver.iterate import iterate
 from adaptmg.solver.linear import Direct, LinearSolver
 from adaptmg.solver.newton.linearised import Linearised, hold_all, linearise
 from adaptmg.solver.newton.steps import CondensedSteps, SparseSteps, Steps
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.stop_test import IterateTest
 
 __all__ = ["ActiveSet"]
 
@@ -89,16 +90,42 @@ class ActiveSet:
                 run.visit(number, "start")
             with run.phase("setup"):
                 local = local_system(level.discrete)
-            iteration = _Iteration(self, local, run, number, record=finest)
+            steps = _NewtonSteps(self, local, run, number, None if start is None else local.to_local(start))
+            stop = _NewtonTest(local, self.rtol, self.max_steps, run if finest else None)
             if finest:
                 run.start_work_units = run.work_units
-            status = iteration.iterate(None if start is None else local.to_local(start))
-            start = local.to_cartesian(iteration.unknowns)
-        return Outcome(start, status, iteration.steps, self.rtol, iteration.error_estimate, iteration.watch.rate)
+            status = iterate(steps, stop, run if finest else None)
+            start = local.to_cartesian(steps.unknowns)
+        return Outcome(start, status, steps.cycles, self.rtol, stop.error_estimate, stop.rate)
 
 
-class _Iteration:
-    """The Newton steps on one level."""
+class _NewtonTest(IterateTest):
+    """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none."""
+
+    stalled = False
+
+    def _estimate(self) -> float:
+        if not self.changes:
+            return np.inf
+        return self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
+
+    def at_rounding(self, floor: float) -> bool:
+        """Never."""
+        return False
+
+
+class _NewtonSteps:
+    """The Newton steps on one level; see :class:`~adaptmg.solver.iterate.Iteration`.
+
+    Parameters
+    ----------
+    options : ActiveSet
+    local : LocalProblem
+    run : Run
+    level : int
+    start : (n_dofs,) array or None
+        Local components.
+    """
 
     #: relative stiffness of the springs that make a singular step regular
     SPRING = 1e-2
@@ -109,76 +136,64 @@ class _Iteration:
     #: the factor of the augmentation is not reduced below this, lest rounding decide
     SMALLEST_FACTOR = 1e-4
 
-    def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int, record: bool) -> None:
-        self.options, self.local, self.run, self.level, self.record = options, local, run, level, record
+    def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int,
+                 start: np.ndarray | None) -> None:
+        self.options, self.local, self.run, self.level = options, local, run, level
         self.methods: Steps = (CondensedSteps(local, run) if options.condensed
                                else SparseSteps(local, options.linear, run))
-        reference = local.to_local(run.reference) if record and run.reference is not None else None
-        self.watch = Convergence(local, options.rtol, run, reference)
-        self.unknowns = np.zeros(local.system.n_dofs)
-        self.steps, self.error_estimate, self.held = 0, np.inf, False
-
-    def iterate(self, start: np.ndarray | None) -> Status:
-        """Newton steps from ``start`` (n_dofs,), local components, until converged or given up."""
-        options, local = self.options, self.local
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
-        factor, repeats, last = options.factor, 0, b""
-        seen: set[bytes] = set()
-        while True:
-            defect = residual(local.system, local.load, self.unknowns)
-            self.run.count(1, local.system.nonzeros)
-            met = self._check(defect)
-            forces = self.methods.contact_residual(defect)
-            equations = self._equations(forces, factor, hold=start is None and self.steps == 0)
-            self._note(equations)
-            if met:
-                return Status.CONVERGED
-            if self.watch.diverged:
-                return Status.DIVERGED
-            if self.steps >= options.max_steps:
-                return Status.LIMIT
-            # in 3D the direction of a slip may go round while no status comes back
-            repeated = (equations.key in seen and equations.key != last) or self.steps % self.LONG == self.LONG - 1
-            if repeated:
-                repeats += 1
-                factor = min(factor, max(0.1 * factor, self.SMALLEST_FACTOR))
-                _LOG.info("step %d: the contact status comes back (%d times); halving the step", self.steps, repeats)
-                if repeats > self.PATIENCE:
-                    return Status.CYCLING
-            last = equations.key
-            seen.add(last)
-            self.unknowns = self.unknowns + (0.5 if repeated else 1.0) * self._step(equations, forces)
-            self.steps += 1
-            self.run.visit(self.level, "solve")
+        self.cycles, self.held, self._hold_first = 0, False, start is None
+        self._factor, self._repeats, self._last = options.factor, 0, b""
+        self._seen: set[bytes] = set()
+        self._forces, self._equations = np.empty(0), None
 
-    def _check(self, defect: np.ndarray) -> bool:
-        watch, rtol = self.watch, self.options.rtol
-        watch.check(self.unknowns, defect)
-        size = watch.norm
-        if self.steps:
-            self.error_estimate = watch.change / size if size > 0 else (0.0 if watch.change == 0 else np.inf)
-        return self.error_estimate <= rtol and watch.residual <= watch.RESIDUAL_FACTOR * rtol
+    def start(self) -> None:
+        """Nothing: the start is measured."""
 
-    def _equations(self, forces: np.ndarray, factor: float, hold: bool) -> Linearised:
+    def measure(self, stop: IterateTest) -> None:
+        """Residual, and the contact status that it decides."""
+        defect = residual(self.local.system, self.local.load, self.unknowns)
+        self.run.count(1, self.local.system.nonzeros)
+        stop.take(self.unknowns, defect)
+        self._forces = self.methods.contact_residual(defect)
+        self._equations = self._linearised(self._factor, hold=self._hold_first and self.cycles == 0)
+
+    def row(self, stop: IterateTest) -> dict[str, float]:
+        """See :class:`~adaptmg.solver.iterate.Iteration`."""
+        active = self._equations.active
+        return {"active": int(active.sum()), "slip": int((active & self._equations.slip).sum()), **stop.measures()}
+
+    def step(self, stop: IterateTest) -> Status | None:
+        """A step, shorter where a status comes back."""
+        key = self._equations.key
+        # in 3D the direction of a slip may go round while no status comes back
+        repeated = (key in self._seen and key != self._last) or self.cycles % self.LONG == self.LONG - 1
+        if repeated:
+            self._repeats += 1
+            self._factor = min(self._factor, max(0.1 * self._factor, self.SMALLEST_FACTOR))
+            _LOG.info("step %d: the contact status comes back (%d times); halving the step", self.cycles, self._repeats)
+            if self._repeats > self.PATIENCE:
+                return Status.CYCLING
+        self._last = key
+        self._seen.add(key)
+        self.unknowns = self.unknowns + (0.5 if repeated else 1.0) * self._solved(self._equations)
+        self.cycles += 1
+        self.run.visit(self.level, "solve")
+        return None
+
+    def _linearised(self, factor: float, hold: bool) -> Linearised:
         system, contact = self.local.system, self.local.contact
         at_contact = self.unknowns.reshape(-1, system.dim)[system.nodes]
         if hold:
             self.held = True
-            return hold_all(contact, at_contact, forces)
-        return linearise(contact, at_contact, forces, self.methods.stiffness, factor)
+            return hold_all(contact, at_contact, self._forces)
+        return linearise(contact, at_contact, self._forces, self.methods.stiffness, factor)
 
-    def _step(self, equations: Linearised, forces: np.ndarray) -> np.ndarray:
+    def _solved(self, equations: Linearised) -> np.ndarray:
         try:
             return self.methods.solve(equations, self.options.linear_rtol, 0.0)
         except np.linalg.LinAlgError as error:
-            _LOG.info("step %d: %s", self.steps, error)
+            _LOG.info("step %d: %s", self.cycles, error)
             if self.held:
                 return self.methods.solve(equations, self.options.linear_rtol, self.SPRING)
-        return self._step(self._equations(forces, 0.0, hold=True), forces)
-
-    def _note(self, equations: Linearised) -> None:
-        if self.record:
-            values = self.watch.measures() | {"error_estimate": self.error_estimate}
-            active = int(equations.active.sum())
-            slip = int((equations.active & equations.slip).sum())
-            self.run.record(cycle=self.steps, active=active, slip=slip, **values)
+        return self._solved(self._linearised(0.0, hold=True))

@@ -9,12 +9,12 @@ import numpy as np
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.certificate import Certificate
-from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.result.labels import problem_name, solver_name, versions
 from adaptmg.solver.result.result import Result
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run, Solver
+from adaptmg.solver.stop_test import StopTest
 
 __all__ = ["result_of"]
 
@@ -56,7 +56,7 @@ def _confirmed(outcome: Outcome, residual: float, checked: Certificate) -> Statu
     """The status of a solver, unless what it returned, examined here anew, contradicts it."""
     if not np.isfinite(residual):
         return Status.DIVERGED
-    wanted = max(Convergence.RESIDUAL_FACTOR * outcome.rtol, Convergence.ROUNDING_LIMIT)
+    wanted = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, StopTest.ROUNDING_LIMIT)
     # twice: solvers sum the same numbers in another order
     if outcome.status.ok and not residual <= 2 * wanted:
         return Status.DIVERGED if not residual < 1 else Status.STALLED

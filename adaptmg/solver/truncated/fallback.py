@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,12 +17,10 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.monotone import Monotone
 from adaptmg.multigrid.nested import project
-from adaptmg.solver.machine import Machine
+from adaptmg.solver.method import MultigridOptions
 from adaptmg.solver.newton.active_set import ActiveSet
+from adaptmg.solver.projected import ProjectedMultigrid
 from adaptmg.solver.run import Outcome, Run
-
-if TYPE_CHECKING:
-    from adaptmg.solver.multigrid import Multigrid
 
 __all__ = ["Fallback"]
 
@@ -34,7 +32,7 @@ class Fallback:
 
     Parameters
     ----------
-    options : Multigrid
+    options : MultigridOptions
     hierarchy : Hierarchy
     run : Run
         Its ``fallback`` names what took over, its ``first_cycle`` says after how many cycles.
@@ -47,7 +45,7 @@ class Fallback:
     #: contact dofs up to which the steps are taken on a dense matrix (0.3 GB)
     CONDENSED = 6_000
 
-    def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run, rtol: float) -> None:
+    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run, rtol: float) -> None:
         self.options, self.hierarchy, self.run, self.rtol = options, hierarchy, run, rtol
         self.problem: DiscreteProblem = hierarchy.finest.discrete
 
@@ -97,13 +95,13 @@ class Fallback:
         if left < 1:
             return before
         self._take_over(before.cycles, "Monotone")
-        machine = Machine(replace(self.options, correction=Monotone(), rtol=self.rtol, max_cycles=left),
-                          self.hierarchy, self.run)
-        local = machine.problems[-1]
+        options = replace(self.options, correction=Monotone(), rtol=self.rtol, max_cycles=left)
+        method = ProjectedMultigrid(options, self.hierarchy, self.run)
+        local = method.problems[-1]
         unknowns = local.to_local(self.problem.fixed_values if start is None else start)
         project(local, unknowns)
         try:
-            outcome = machine.finish(unknowns)
+            outcome = method.finish(unknowns)
         except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
             # a coarsest problem of few contact nodes may be singular where the finest one is not
             return self._given_up("the monotone correction", before, error)

@@ -1,17 +1,13 @@
-r"""TruncatedMachine: one run of the truncated multigrid: nested start, cycles, safe cycles, stopping, fallback.
+"""TruncatedMultigrid: one run of the truncated multigrid: nested start, cycles on the finest level, fallback.
 
-The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the next coarser level proposes estimates the
-error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last
-three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with the natural residual, which every
-smoothing leaves behind, it decides when to stop, at no further pass over a matrix. Where safe cycles do not help either
-(friction of 3, say), a :class:`~adaptmg.solver.truncated.fallback.Fallback` takes over for the cycles that are left.
+Where safe cycles do not help either (friction of 3, say), a :class:`~adaptmg.solver.truncated.fallback.Fallback` takes
+over for the cycles that are left.
 """
 
 from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -25,26 +21,26 @@ from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.solver.iterate import iterate
+from adaptmg.solver.method import MultigridOptions
 from adaptmg.solver.newton.active_set import ActiveSet
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.truncated.energy_test import EnergyTest, StartTest
 from adaptmg.solver.truncated.fallback import Fallback
-from adaptmg.solver.truncated.watch import TruncatedWatch
+from adaptmg.solver.truncated.iteration import StartIteration, TruncatedIteration
 
-if TYPE_CHECKING:
-    from adaptmg.solver.multigrid import Multigrid
-
-__all__ = ["TruncatedMachine"]
+__all__ = ["TruncatedMultigrid", "lifted_load"]
 
 _LOG = logging.getLogger(__name__)
 
 
-class TruncatedMachine:
+class TruncatedMultigrid:
     """One run of the truncated multigrid.
 
     Parameters
     ----------
-    options : Multigrid
+    options : MultigridOptions
         With :class:`~adaptmg.Truncated` as correction.
     hierarchy : Hierarchy
     run : Run
@@ -57,16 +53,12 @@ class TruncatedMachine:
 
     #: complete nested starts stop after so many cycles on a level
     COMPLETE_LIMIT = 60
-    #: natural residual, relative, above which a nested start is not left to Newton cycles nor to the next level
-    TRUSTED = 0.1
-    #: times that safe cycles are tried when the residual stops falling
-    TROUBLES = 1
-    #: times that an iterate which meets the test is held against its certificate
-    DOUBTS = 3
     #: of the diagonal, added to a coarsest matrix that the active set method is to solve
     SHIFT = 1e-9
 
-    def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
+    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
+        if options.start is not None:
+            hierarchy.need_discretised("the nested start of FullMultigrid")
         self.options, self.hierarchy, self.run = options, hierarchy, run
         self.nbytes = 0
         with run.phase("setup"):
@@ -74,6 +66,17 @@ class TruncatedMachine:
             levels = coarse_levels(hierarchy, prolongations)
             self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels))
         self.problems: list[DiscreteProblem | None] = [level.discrete for level in hierarchy.levels]
+
+    def from_given(self, start: np.ndarray | None) -> Outcome:
+        """See :class:`~adaptmg.solver.method.Method`."""
+        problem = self.problems[-1]
+        unknowns = np.zeros(problem.n_dofs) if start is None else start.reshape(-1) - problem.fixed_values
+        unknowns[problem.fixed] = 0.0
+        return self.finish(unknowns, cold=True)
+
+    def from_nested(self, start: NestedStart) -> Outcome:
+        """See :class:`~adaptmg.solver.method.Method`."""
+        return self.finish(self.nested_start(start), cold=False)
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,), Cartesian."""
@@ -103,33 +106,26 @@ class TruncatedMachine:
         cold : bool
             Whether the contact status of the start means nothing.
         """
-        number = len(self.hierarchy) - 1
-        start = unknowns.copy() if self.options.rtol == "discretisation" else None
-        runner = self._runner(number, unknowns)
+        o, problem = self.options, self.problems[-1]
+        start = unknowns.copy() if o.rtol == "discretisation" else None
+        runner = self._runner(len(self.hierarchy) - 1, unknowns)
+
+        def shortfall(rtol: float) -> float:
+            if stop.at_rounding(runner.rounding()):
+                return 0.0
+            return self.run.shortfall(runner.unknowns + problem.fixed_values, rtol)
+
         with self.run.phase("cycles"):
-            watch = TruncatedWatch(self.problems[-1], self.options.rtol, self.run)
-            status, cycles = self._cycles(runner, watch, cold, self.options.max_cycles, start)
-        displacement = (runner.unknowns + self.problems[-1].fixed_values).reshape(-1, self.problems[-1].dim)
-        outcome = Outcome(displacement, status, cycles, watch.rtol, watch.error_estimate, watch.rate)
-        failed = status in (Status.STALLED, Status.DIVERGED) and not watch.at_rounding(runner.rounding())
-        if failed and cycles < self.options.max_cycles and watch.rtol > 0:
-            better = watch.residual < watch.residuals[0] and not watch.diverged
-            return Fallback(self.options, self.hierarchy, self.run, watch.rtol).finish(outcome, better)
+            stop = EnergyTest(problem, o.rtol, o.max_cycles, shortfall)
+            cycles = TruncatedIteration(runner, o.correction.safe_cycles, cold, self.run, problem, start,
+                                        hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
+            status = iterate(cycles, stop, self.run)
+        displacement = (runner.unknowns + problem.fixed_values).reshape(-1, problem.dim)
+        outcome = Outcome(displacement, status, cycles.cycles, stop.rtol, stop.error_estimate, stop.rate)
+        failed = status in (Status.STALLED, Status.DIVERGED) and not stop.at_rounding(runner.rounding())
+        if failed and cycles.cycles < o.max_cycles and stop.rtol > 0:
+            return Fallback(o, self.hierarchy, self.run, stop.rtol).finish(outcome, stop.better)
         return outcome
-
-    def _falls_short(self, runner: TruncatedCycle, watch: TruncatedWatch) -> bool:
-        """Whether an iterate that meets the test is further off than the watch thinks, which then thinks worse."""
-        if watch.run is None or watch.doubts >= self.DOUBTS or watch.at_rounding(runner.rounding()):
-            return False
-        ratio = self.run.shortfall(runner.unknowns + self.problems[-1].fixed_values, watch.rtol)
-        watch.doubt(ratio)
-        return ratio > 0.0
-
-    @property
-    def _may_hand_over(self) -> bool:
-        """Whether the active set method can go on where cycles are slow: see :class:`Fallback`."""
-        problem = self.problems[-1]
-        return problem.n_dofs <= Fallback.FACTORISED[problem.dim]
 
     def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
         with self.run.phase("setup"):
@@ -145,7 +141,7 @@ class TruncatedMachine:
     def _cycle_on(self, problem: DiscreteProblem, cycle: LinearCycle, number: int,
                   unknowns: np.ndarray) -> TruncatedCycle:
         """Cycles for a problem on level ``number`` of a linear cycle, from ``unknowns`` (n_dofs,)."""
-        obstacle, load = Obstacle.of(problem, cycle.levels[number]), _load(problem)
+        obstacle, load = Obstacle.of(problem, cycle.levels[number]), lifted_load(problem)
         obstacle.place(unknowns)
         options, interface = self.options.correction, None
         if problem.coupling is not None and options.interface_sweeps:
@@ -155,19 +151,13 @@ class TruncatedMachine:
 
     def _start_cycles(self, runner: TruncatedCycle, number: int, start: NestedStart) -> None:
         """The cycles of a nested start on one level."""
+        problem, options = self.problems[number], self.options.correction
         if start.cycles == "complete":
-            watch = TruncatedWatch(self.problems[number], start.rtol)
-            self._cycles(runner, watch, False, self.COMPLETE_LIMIT, None)
+            iterate(TruncatedIteration(runner, options.safe_cycles, cold=False),
+                    EnergyTest(problem, start.rtol, self.COMPLETE_LIMIT))
             return
-        watch = TruncatedWatch(self.problems[number], 0.0)
-        wanted = start.cycles_on(self.problems[number], self.problems[number + 1])
-        for cycle in range(max(wanted, self.options.correction.safe_cycles)):
-            runner.smooth()
-            look = runner.look(safe=False, trusted=self.TRUSTED * watch.sizes.forces(runner.unknowns, 0.0))
-            watch.check(look.residual, watch.sizes.forces(runner.unknowns, look.reactions), 0.0)
-            runner.correct()
-            if cycle + 1 >= wanted and watch.residual <= self.TRUSTED:
-                return
+        wanted = start.cycles_on(problem, self.problems[number + 1])
+        iterate(StartIteration(runner, 0, cold=False), StartTest(problem, wanted, max(wanted, options.safe_cycles)))
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
         """The coarsest level; several bodies, near-mechanisms as long as they come loose, by the active set method."""
@@ -188,7 +178,8 @@ class TruncatedMachine:
         identity = sparse.csr_array((np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)))
         cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1))
         runner = self._cycle_on(problem, cycle, 1, np.zeros(problem.n_dofs))
-        status, _ = self._cycles(runner, TruncatedWatch(problem, start.rtol), True, self.COMPLETE_LIMIT, None)
+        status = iterate(TruncatedIteration(runner, self.options.correction.safe_cycles, cold=True),
+                         EnergyTest(problem, start.rtol, self.COMPLETE_LIMIT))
         # unless restored, the matrix stays as the last contact status left it
         runner.truncation.restore()
         return runner.unknowns, status.ok
@@ -200,7 +191,7 @@ class TruncatedMachine:
         # coarse functions vanish on it
         diagonal = sparse.diags_array(np.where(problem.fixed, 1.0, self.SHIFT) * problem.matrix.diagonal())
         whole = sparse.bsr_array(sparse.csr_array(level.matrix()) + diagonal, blocksize=(problem.dim,) * 2)
-        grids = Hierarchy.single(replace(problem, matrix=whole, load=_load(problem)))
+        grids = Hierarchy.single(replace(problem, matrix=whole, load=lifted_load(problem)))
         try:
             found = ActiveSet(rtol=start.rtol).run(grids, Run(unit=self.run.unit), None)
         except np.linalg.LinAlgError as error:
@@ -217,45 +208,6 @@ class TruncatedMachine:
         result = (self.cycle.prolongations[number] @ displacement).reshape(-1) - fine.fixed_values
         result[fine.fixed] = 0.0
         return result
-
-    def _cycles(self, runner: TruncatedCycle, watch: TruncatedWatch, cold: bool, limit: int,
-                start: np.ndarray | None) -> tuple[Status, int]:
-        """Cycle until the watch is content.
-
-        Safe cycles are taken while the contact status of a cold start changes, and after trouble; each time at most so
-        many, twice as many as the time before.
-        """
-        cycles, troubles, most = 0, 0, self.options.correction.safe_cycles
-        left = most if cold else 0
-        while True:
-            runner.smooth()
-            watch.measure(runner, cycles)
-            look = runner.look(safe=left > 0)
-            left = left - 1 if left > 0 and look.changed else 0
-            # an exact start has no rate to measure, and needs none
-            floor = runner.rounding() if cycles < 2 else 0.0
-            met = watch.check(look.residual, watch.sizes.forces(runner.unknowns, look.reactions), floor)
-            watch.record(runner, cycles, look.changed)
-            if met and not self._falls_short(runner, watch):
-                return Status.CONVERGED, cycles
-            if watch.diverged:
-                return Status.DIVERGED, cycles
-            if watch.stalled:
-                return Status.STALLED, cycles
-            if cycles >= limit:
-                return Status.LIMIT, cycles
-            watch.corrected(runner.correct())
-            cycles += 1
-            if left == 0 and watch.in_trouble():
-                troubles += 1
-                if troubles > self.TROUBLES:
-                    return Status.STALLED, cycles
-                most *= 2
-                left = most
-            if left == 0 and watch.run is not None and self._may_hand_over and watch.too_slow(limit - cycles):
-                return Status.STALLED, cycles
-            if cycles == 1 and start is not None:
-                watch.take_discretisation_error(runner.distance(start))
 
 
 @dataclass(frozen=True)
@@ -274,7 +226,7 @@ class _OnCoarsest:
             self.run.visit(0, action, times)
 
 
-def _load(problem: DiscreteProblem) -> np.ndarray:
+def lifted_load(problem: DiscreteProblem) -> np.ndarray:
     """b - A u_fixed, zero at fixed dofs (n_dofs,), Cartesian."""
     load = problem.load - problem.matrix @ problem.fixed_values if problem.fixed_values.any() else problem.load.copy()
     load[problem.fixed] = 0.0

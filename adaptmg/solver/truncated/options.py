@@ -1,4 +1,4 @@
-"""Truncated: the options of the truncated nonsmooth Newton multigrid."""
+"""Truncated: the truncated nonsmooth Newton multigrid as a correction, its options and what it is run by."""
 
 from __future__ import annotations
 
@@ -6,8 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.coarse import CoarseSolve
+from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.halves import Halves
 from adaptmg.problem import checks
+from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
+from adaptmg.solver.history.truncated_steps import TruncatedSteps
+from adaptmg.solver.method import Method, MultigridOptions
+from adaptmg.solver.run import Run
+from adaptmg.solver.truncated.multigrid import TruncatedMultigrid
 
 __all__ = ["Truncated"]
 
@@ -35,6 +43,8 @@ class Truncated:
 
     #: how much denser than the finest matrix a coarse one is that is smoothed once only
     DENSE: ClassVar[float] = 1.25
+    #: rtol="discretisation" can be had
+    shows_discretisation_error: ClassVar[bool] = True
 
     recombine: int = 2
     coarse_sweeps: int | None = None
@@ -55,3 +65,24 @@ class Truncated:
             return [self.coarse_sweeps] * len(levels)
         rows = [level.nonzeros / level.n_nodes for level in levels]
         return [1 if row > self.DENSE * rows[-1] else 2 for row in rows]
+
+    @staticmethod
+    def not_taken(options: MultigridOptions) -> str:
+        """Name of an option that is not at its default though Truncated has its own; empty if there is none."""
+        defaults = {"cycle": Cycle(), "smoother": ProjectedGaussSeidel(), "coarse": CoarseSolve(),
+                    "coarse_matrices": "galerkin", "stop": "error"}
+        return next((name for name, default in defaults.items() if getattr(options, name) != default), "")
+
+    def check_options(self, options: MultigridOptions) -> None:
+        """Refuse what it does not take; see :mod:`adaptmg.solver.method`."""
+        name = self.not_taken(options)
+        if name:
+            raise ValueError(f"{name}: Truncated() has its own; leave it at its default, or take correction=Monotone()")
+
+    def method(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> Method:
+        """What runs it; see :mod:`adaptmg.solver.method`."""
+        return TruncatedMultigrid(options, hierarchy, run)
+
+    def load_steps(self, options: MultigridOptions) -> TruncatedSteps:
+        """What takes it through load steps, set up once; see :mod:`adaptmg.solver.method`."""
+        return TruncatedSteps(options)

@@ -1,0 +1,210 @@
+"""ProjectedMultigrid: cycles of contact problems on all levels, with nested start, for corrections that transport."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.correction import InitialContact
+from adaptmg.multigrid.cycle import Cycle, CycleRunner
+from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prolonged_start
+from adaptmg.multigrid.stack import build_stack
+from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
+from adaptmg.solver.iterate import iterate
+from adaptmg.solver.linear.condensation import Condensed, condense
+from adaptmg.solver.method import MultigridOptions
+from adaptmg.solver.result.status import Status
+from adaptmg.solver.run import Outcome, Run
+from adaptmg.solver.stop_test import ChangeTest, IterateTest
+
+__all__ = ["ProjectedMultigrid"]
+
+
+class ProjectedMultigrid:
+    """One run of a multigrid method whose correction transports gap, slip and limit.
+
+    See :class:`~adaptmg.solver.method.Method`.
+
+    Parameters
+    ----------
+    options : MultigridOptions
+    hierarchy : Hierarchy
+    run : Run
+    """
+
+    #: of the diagonal, added to a coarsest matrix that is singular
+    SHIFT = 1e-9
+
+    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
+        hierarchy.need_discretised(f"the correction {type(options.correction).__name__}")
+        self.options, self.hierarchy, self.run = options, hierarchy, run
+        with run.phase("setup"):
+            self.problems: list[LocalProblem] = [local_system(level.discrete) for level in hierarchy.levels]
+        self.initial: list[InitialContact] = []
+
+    def from_given(self, start: np.ndarray | None) -> Outcome:
+        """See :class:`~adaptmg.solver.method.Method`."""
+        if self.options.correction.needs_initial:
+            self.nested_start(NestedStart())
+        local = self.problems[-1]
+        unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
+        project(local, unknowns)
+        return self.finish(unknowns)
+
+    def from_nested(self, start: NestedStart) -> Outcome:
+        """See :class:`~adaptmg.solver.method.Method`."""
+        return self.finish(self.nested_start(start))
+
+    def runner(self, finest: int) -> CycleRunner:
+        """What runs cycles on level ``finest`` and those below."""
+        o = self.options
+        with self.run.phase("setup"):
+            stack = build_stack(self.hierarchy, self.problems, finest, o.coarse_matrices)
+        condensed = None
+        if o.coarse.condensed:
+            with self.run.phase("factorise"):
+                condensed = self._condensed(stack.levels[0].system)
+        return CycleRunner(stack, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial, condensed)
+
+    def _condensed(self, coarsest: LocalSystem) -> Condensed:
+        """The coarsest problem on its contact nodes."""
+        local = replace(self.problems[0], system=coarsest, load=np.zeros(coarsest.n_dofs))
+        try:
+            return condense(local)
+        except ValueError:
+            # where the next mesh is locally the coarser one, some coarse functions vanish on it
+            matrix = sparse.csr_array(coarsest.matrix) + self.SHIFT * sparse.diags_array(coarsest.matrix.diagonal())
+            blocks = sparse.bsr_array(matrix, blocksize=(coarsest.dim,) * 2)
+            return condense(replace(local, system=LocalSystem.from_matrix(blocks, coarsest.fixed, coarsest.nodes)))
+
+    def nested_start(self, start: NestedStart) -> np.ndarray:
+        """Solve level by level from the coarsest (steps a and b of the paper).
+
+        Returns
+        -------
+        (n_dofs,) array
+            The start on the finest level, local components.
+        """
+        unknowns = np.empty(0)
+        for level in range(len(self.hierarchy) - 1):
+            runner, local = self.runner(level), self.problems[level]
+            with self.run.phase("start"):
+                if level == 0:
+                    unknowns = self._solve_coarsest(runner, start)
+                elif start.cycles == "complete":
+                    iterate(_Cycles(runner, self.options.cycle, local, unknowns),
+                            IterateTest(local, start.rtol, self.options.max_cycles))
+                else:
+                    for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
+                        runner.once(level, local.contact, local.load, unknowns, self.options.cycle.shape)
+                if self.options.correction.needs_initial:
+                    defect = runner.residual(level, local.load, unknowns)
+                    self.initial.append(initial_contact(local, unknowns, defect))
+                nodal = self.hierarchy[level + 1].contact_prolongation
+                unknowns = prolonged_start(nodal, local, unknowns, self.problems[level + 1])
+                self.run.visit(level + 1, "start")
+        self.run.start_work_units = self.run.work_units
+        return unknowns
+
+    def _solve_coarsest(self, runner: CycleRunner, start: NestedStart) -> np.ndarray:
+        local = self.problems[0]
+        unknowns = np.zeros(local.system.n_dofs)
+        project(local, unknowns)
+        runner.coarse = replace(self.options.coarse, rtol=start.rtol, atol=0.0, test="error")
+        runner.solve_coarsest(local.contact, local.load, unknowns)
+        return unknowns
+
+    def finish(self, unknowns: np.ndarray) -> Outcome:
+        """Cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
+        o, local = self.options, self.problems[-1]
+        cycles = _Cycles(self.runner(len(self.hierarchy) - 1), o.cycle, local, unknowns)
+        with self.run.phase("cycles"):
+            if o.stop == "error":
+                stop = IterateTest(local, o.rtol, o.max_cycles, self.run)
+                status = iterate(cycles, stop, self.run)
+            else:
+                stop = ChangeTest(local, o.rtol, o.max_cycles, self.run)
+                whole = _WholeCycles(cycles)
+                status = whole.end(iterate(whole, stop, self.run), stop, self.run)
+        return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, o.rtol, stop.error_estimate, stop.rate)
+
+
+class _Cycles:
+    """Cycles from ``unknowns``, in place, measured after the first smoothing, where the cycle has its residual."""
+
+    def __init__(self, runner: CycleRunner, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray) -> None:
+        self.runner, self.local, self.unknowns = runner, local, unknowns
+        self.level, self.pre, self.post = len(runner.stack.levels) - 1, cycle.pre, cycle.post
+        self.cycles = 0
+        self._defect = np.empty(0)
+
+    def start(self) -> None:
+        """Smooth before the coarse correction."""
+        self._smooth(self.pre)
+
+    def measure(self, stop: IterateTest) -> None:
+        """Hand over iterate and residual."""
+        self._defect = self.defect()
+        stop.take(self.unknowns, self._defect)
+
+    def row(self, stop: IterateTest) -> dict[str, float]:
+        """See :class:`~adaptmg.solver.iterate.Iteration`."""
+        return stop.measures()
+
+    def step(self, stop: IterateTest) -> None:
+        """From one first smoothing to the next."""
+        self.correct()
+        self._smooth(self.pre)
+
+    def correct(self) -> None:
+        """The rest of the cycle."""
+        self.runner.correct(self.level, self.local.contact, self.unknowns, self._defect)
+        self._smooth(self.post)
+        self.cycles += 1
+
+    def defect(self) -> np.ndarray:
+        """b - A w (n_dofs,)."""
+        return self.runner.residual(self.level, self.local.load, self.unknowns)
+
+    def _smooth(self, sweeps: int) -> None:
+        self.runner.smooth(self.level, self.local.contact, self.local.load, self.unknowns, sweeps)
+
+
+class _WholeCycles:
+    """The same measured at the end of a cycle by its change, the paper's test at the end of step g."""
+
+    def __init__(self, parts: _Cycles) -> None:
+        self.parts = parts
+
+    @property
+    def cycles(self) -> int:
+        return self.parts.cycles
+
+    def start(self) -> None:
+        """Measuring runs the cycle."""
+
+    def measure(self, stop: ChangeTest) -> None:
+        """A cycle and its change."""
+        before = self.parts.unknowns.copy()
+        self.parts.start()
+        self.parts.measure(stop)
+        self.parts.correct()
+        stop.take_change(before, self.parts.unknowns)
+
+    def row(self, stop: ChangeTest) -> dict[str, float] | None:
+        """See :class:`~adaptmg.solver.iterate.Iteration`."""
+        return {"relative_change": stop.relative_change, **stop.measures()} if stop.finite else None
+
+    def step(self, stop: ChangeTest) -> None:
+        """Measuring runs the cycle."""
+
+    def end(self, status: Status, stop: ChangeTest, run: Run) -> Status:
+        """Measure the last iterate, which confirms the status or not."""
+        if status is Status.DIVERGED:
+            return status
+        self.parts.measure(stop)
+        run.record(cycle=self.cycles, **self.row(stop))
+        return stop.confirmed(status)

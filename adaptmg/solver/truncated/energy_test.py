@@ -1,0 +1,163 @@
+r"""EnergyTest: when the truncated multigrid stops, and when it is in trouble.
+
+The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the next coarser level proposes estimates the
+error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last
+three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with the natural residual, which every
+smoothing leaves behind, it decides when to stop, at no further pass over a matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.solver.result.status import Status
+from adaptmg.solver.sizes import Sizes
+from adaptmg.solver.stop_test import StopTest
+
+__all__ = ["EnergyTest", "StartTest"]
+
+
+class EnergyTest(StopTest):
+    """Follows the residuals and coarse corrections of one level.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    rtol : float or "discretisation"
+        As of :class:`~adaptmg.solver.stop_test.StopTest`. "discretisation": see :meth:`take_discretisation_error`.
+    limit : float
+        Cycles at most.
+    certificate : callable, optional
+        By how many times the present iterate falls short of a tolerance, 0 if it does not; asked before the test is
+        believed, a few times at most.
+    """
+
+    #: the energy of the coarse correction misses what the smoothing removes, and all the corrections that follow: the
+    #: error is up to the larger of SAFETY and TAIL / (1 - rate) times larger
+    SAFETY, TAIL = 2.0, 1.5
+    #: a rate that is not believed before so many ratios of energies are known
+    EARLY_RATE, EARLY = 0.3, 3
+    #: share of the discretisation error that may remain with rtol="discretisation"
+    SHARE = 0.1
+    #: the largest tolerance that comes from that: a start further off shows no discretisation error
+    COARSEST = 1e-2
+    #: iterates without a new smallest residual after which an iteration is in trouble
+    TROUBLE = 6
+    #: cycles over which the speed is measured once there are twice as many, and the share of what is left that is most
+    WINDOW, MOST = 12, 0.7
+    #: times that an iterate which meets the test is held against its certificate
+    DOUBTS = 3
+
+    def __init__(self, problem: DiscreteProblem, rtol: float | str, limit: float = np.inf,
+                 certificate: Callable[[float], float] | None = None) -> None:
+        super().__init__(0.0 if rtol == "discretisation" else rtol, limit, Sizes(problem))
+        self.residuals: list[float] = []
+        self._first = np.nan
+        self._certificate, self._doubts, self._caution, self._since = certificate, 0, 1.0, 0
+
+    def measure_size(self, runner: TruncatedCycle, cycle: int) -> None:
+        """Measure the displacement after a smoothing; each cycle only where it has to grow into prescribed values."""
+        if cycle % 4 == 0 or self.sizes.prescribed:
+            self.size = self.sizes.norm(runner.unknowns, runner.energy())
+
+    def take_residual(self, residual: float, scale: float, floor: float) -> None:
+        """See :class:`~adaptmg.solver.stop_test.StopTest`."""
+        if not self.residuals:
+            self._first = residual
+        super().take_residual(residual, scale, floor)
+        self.residuals.append(self.residual)
+
+    def _estimate(self) -> float:
+        rate = self.safe_rate
+        if len(self.changes) <= self.EARLY:
+            rate = max(rate, self.EARLY_RATE)
+        if not (self.size > 0 and rate < 1):
+            return np.inf
+        factor = self._caution * max(self.SAFETY, self.TAIL / (1 - rate))
+        return factor * self.changes[-1] * rate / self.size
+
+    def doubted(self) -> bool:
+        """Whether the certificate finds the iterate further off; then the test is so much more cautious from now on."""
+        if self._certificate is None or self._doubts >= self.DOUBTS:
+            return False
+        ratio = self._certificate(self.rtol)
+        if ratio > 0.0:
+            self._doubts += 1
+            self._caution *= max(2.0, 1.5 * ratio)
+        return ratio > 0.0
+
+    def corrected(self, energy: float) -> None:
+        """Take the energy of a coarse correction, N m."""
+        self.changes.append(float(np.sqrt(abs(energy))))
+
+    def take_discretisation_error(self, change: float) -> None:
+        r"""Set rtol from the A-norm of what the first cycle changed in the nested start.
+
+        By orthogonality and an error that halves with the mesh size,
+        :math:`|u - u_h| = |u_h - u_{2h}|/\sqrt 3`; a tenth of it is the tolerance.
+        """
+        if self.size > 0:
+            self.rtol = min(self.SHARE * change / np.sqrt(3.0) / self.size, self.COARSEST)
+
+    def in_trouble(self) -> bool:
+        """Whether the residual has reached no new minimum for a while; then the count begins anew."""
+        self._since += 1
+        window = self.residuals[-self.TROUBLE:]
+        if self._since < self.TROUBLE or window[0] > min(window[1:]):
+            return False
+        self._since = 0
+        return True
+
+    def too_slow(self, left: float) -> bool:
+        """Whether, as fast as the last cycles went, the tolerance is not reached in most of the cycles ``left``."""
+        if len(self.changes) <= 2 * self.WINDOW or not self.rtol > 0:
+            return False
+        first, last = self.changes[-1 - self.WINDOW], self.changes[-1]
+        if not 0 < last < first:
+            return True
+        gap = max(self.error_estimate / self.rtol, self.residual / (self.RESIDUAL_FACTOR * self.rtol), 1.0)
+        return np.log(gap) * self.WINDOW / np.log(first / last) > self.MOST * left
+
+    @property
+    def better(self) -> bool:
+        """Whether the last iterate is better than the first one."""
+        return self.residual < self.residuals[0] and not self.diverged
+
+    def _ran_away(self) -> bool:
+        """Whether the absolute norm has grown: reactions, to which it is related elsewhere, grow with it."""
+        return self._last > 1e6 * max(self._first, 1e-300)
+
+    @property
+    def stalled(self) -> bool:
+        """Whether the residual has reached no new minimum for ``PATIENCE`` iterates."""
+        return self._no_new_minimum(self.residuals)
+
+
+class StartTest(EnergyTest):
+    """So many cycles of a nested start, and more as long as the residual is large; :meth:`enough` ends them.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    wanted, most : int
+        Cycles at least and, where the residual stays large, at most.
+    """
+
+    #: natural residual, relative, above which a nested start is not left to Newton cycles nor to the next level
+    TRUSTED = 0.1
+
+    def __init__(self, problem: DiscreteProblem, wanted: int, most: int) -> None:
+        super().__init__(problem, 0.0)
+        self._wanted, self._most = wanted, most
+
+    def verdict(self, cycles: int) -> Status | None:
+        """Never before the correction that follows."""
+        return None
+
+    def enough(self, cycles: int) -> bool:
+        """Whether the next level may begin after so many cycles."""
+        return cycles >= self._most or (cycles >= self._wanted and self.residual <= self.TRUSTED)
