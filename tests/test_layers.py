@@ -9,6 +9,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -78,6 +79,35 @@ def violations(source: str, layer: str, package: str) -> list[str]:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print":
             found.append(f"{node.lineno}: prints")
     return found
+
+
+def circle(sources: dict[str, str]) -> list[str]:
+    """Modules that import each other in a circle, also inside functions and for types; empty if there is none."""
+    graph = {}
+    for name, source in sources.items():
+        wanted = [found for _, found in imported_modules(ast.parse(source), name.rpartition(".")[0])]
+        # a name out of a module, or a module
+        known = {found if found in sources else found.rpartition(".")[0] for found in wanted}
+        graph[name] = {found for found in known if found in sources and found != name}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
+def test_no_circle_of_imports_inside_a_layer_or_across():
+    sources = {".".join(["adaptmg", *file.relative_to(ROOT).with_suffix("").parts]).removesuffix(".__init__"):
+               file.read_text(encoding="utf-8") for file in FILES}
+    assert circle(sources) == []
+
+
+@pytest.mark.parametrize("back", ["from a.x import X", "import a.x", "def f():\n    from a import x",
+                                  "if TYPE_CHECKING:\n    from a.x import X", "from .x import X"])
+def test_each_kind_of_circle_is_seen(back):
+    assert set(circle({"a": "", "a.x": "from a.y import Y", "a.y": "from a.z import Z", "a.z": back})) \
+        == {"a.x", "a.y", "a.z"}
+    assert not circle({"a": "", "a.x": "from a.y import Y", "a.y": "from a.z import Z", "a.z": "import b.x"})
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda f: f.relative_to(ROOT).as_posix())
