@@ -9,7 +9,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.smoother.residuals import contact_state, natural_residual, residual
 from adaptmg.smoother.state import ContactState
 from adaptmg.smoother.system import LocalProblem
-from adaptmg.solver.result import ContactResult
+from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.sizes import Sizes, euclidean_norm
 
 __all__ = ["contact_result", "relative_residual"]
