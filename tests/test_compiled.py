@@ -10,17 +10,17 @@ import pytest
 from adaptmg.compiled import inner_kernel, kernel
 
 
-@inner_kernel
+@inner_kernel(cache=False)
 def _twice(value):
     return 2.0 * value
 
 
-@inner_kernel(fastmath=True)
+@inner_kernel(cache=False, fastmath=True)
 def _thrice(value):
     return 3.0 * value
 
 
-@kernel
+@kernel(cache=False)
 def _both(values):
     for k in range(len(values)):
         values[k] = _twice(values[k]) + _thrice(values[k])
