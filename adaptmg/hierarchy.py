@@ -297,11 +297,14 @@ class Hierarchy:
         """Nonzeros of the discretised matrices on all levels over those of the finest."""
         return sum(level.matrix.nnz for level in self.levels) / self.finest.matrix.nnz
 
-    def table(self) -> list[dict[str, float]]:
-        """One dict a level: level, nodes, contact_nodes, nonzeros, mesh_ratio (to the next coarser level)."""
+    def table(self, *, ratios: bool = True) -> list[dict[str, float]]:
+        """One dict a level: level, nodes, contact_nodes, nonzeros, mesh_ratio (to the next coarser level).
+
+        Mesh ratios take time the first time; ``ratios=False`` leaves those out (NaN) that nobody has asked for.
+        """
         return [{"level": k, "nodes": level.n_nodes,
                  "contact_nodes": 0 if level.discrete is None else len(level.discrete.contact),
-                 "nonzeros": level.matrix.nnz, "mesh_ratio": level.mesh_ratio}
+                 "nonzeros": level.matrix.nnz, "mesh_ratio": level.mesh_ratio if ratios else level.known_ratio}
                 for k, level in enumerate(self.levels)]
 
     def __repr__(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.on_demand import made_on_demand
+from adaptmg.on_demand import OnDemand, made_on_demand
 from adaptmg.problem import check_arrays, checks
 
 __all__ = ["Level", "ratio_to"]
@@ -61,6 +62,18 @@ class Level:
                 value = check_arrays.sparse_matrix(name, value)
                 as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
                 object.__setattr__(self, name, value if as_csr else sparse.csr_array(value, dtype=np.float64))
+
+    def posing(self, discrete: DiscreteProblem) -> Level:
+        """The level with the data of a load step; nothing else is read or made."""
+        result = copy.copy(self)
+        object.__setattr__(result, "discrete", discrete)
+        return result
+
+    @property
+    def known_ratio(self) -> float:
+        """``mesh_ratio`` if somebody has asked for it before, else NaN."""
+        held = self.__dict__["mesh_ratio"]
+        return float("nan") if isinstance(held, OnDemand) else held
 
     @property
     def contact_prolongation(self) -> sparse.csr_array | None:

@@ -24,7 +24,8 @@ from adaptmg.smoother.compiling import notice
 from adaptmg.smoother.state import ContactState
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
-__all__ = ["contact_share", "contact_state", "energy", "natural_residual", "normal_force", "residual"]
+__all__ = ["contact_share", "contact_state", "energy", "natural_at_nodes", "natural_residual", "normal_force",
+           "residual", "states"]
 
 
 def residual(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
@@ -129,14 +130,37 @@ def contact_state(system: LocalSystem, contact: NodalContact, load: np.ndarray, 
     check_contact(system, contact)
     if not 0 <= tolerance < 1:
         raise ValueError(f"tolerance must be >= 0 and < 1, got {tolerance!r}")
-    p = normal_force(system, load, unknowns)
-    small = tolerance * np.abs(unknowns).max(initial=0.0)
-    local = unknowns.reshape(-1, system.dim)[system.nodes]
-    slip = np.linalg.norm(local[:, 1:] - contact.slip_reference, axis=1)
-    state = np.full(len(system.nodes), ContactState.SLIP, dtype=np.int8)
-    state[(slip <= small) & (contact.limit + contact.friction * p > 0)] = ContactState.STICK
-    state[(contact.gap - local[:, 0] > small) | (p == 0)] = ContactState.OPEN
+    return states(contact, unknowns.reshape(-1, system.dim)[system.nodes], normal_force(system, load, unknowns),
+                  tolerance * np.abs(unknowns).max(initial=0.0))
+
+
+def states(contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, small: float) -> np.ndarray:
+    """:func:`contact_state` from the unknowns (n_contact, dim) and p (n_contact,); ``small`` (m) counts as zero."""
+    slip = np.linalg.norm(values[:, 1:] - contact.slip_reference, axis=1)
+    state = np.full(len(values), ContactState.SLIP, dtype=np.int8)
+    state[(slip <= small) & (contact.limit + contact.friction * normal_force > 0)] = ContactState.STICK
+    state[(contact.gap - values[:, 0] > small) | (normal_force == 0)] = ContactState.OPEN
     return state
+
+
+def natural_at_nodes(contact: NodalContact, blocks: np.ndarray, values: np.ndarray, defect: np.ndarray) -> np.ndarray:
+    """The natural residual at contact nodes alone (n_contact, dim).
+
+    Parameters
+    ----------
+    contact : NodalContact
+    blocks : (n_contact, dim, dim) array
+        Diagonal blocks in local components, fixed ones decoupled.
+    values, defect : (n_contact, dim) arrays
+        w and b - A w, local components.
+    """
+    result, dim = np.array(defect).reshape(-1), values.shape[1]
+    notice(kernels.natural_residual)
+    nodes = np.arange(len(values), dtype=np.int32)
+    kernels.natural_residual(ZERO[dim], nodes, np.ascontiguousarray(blocks).reshape(-1), contact.gap,
+                             contact.slip_reference.reshape(-1), contact.limit, contact.friction,
+                             np.ascontiguousarray(values).reshape(-1), result)
+    return result.reshape(-1, dim)
 
 
 def energy(system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> float:

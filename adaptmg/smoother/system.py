@@ -14,7 +14,8 @@ from scipy import sparse
 
 from adaptmg.discrete import ContactNodes, DiscreteProblem
 
-__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_lift", "frames_of", "inverse_blocks",
+__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_blocks", "contact_lift",
+           "frames_of", "held_tangents", "inverse_blocks",
            "local_contact", "local_system", "rotate"]
 
 
@@ -227,6 +228,31 @@ def local_contact(problem: DiscreteProblem) -> tuple[NodalContact, np.ndarray]:
     """The contact data of a problem in local components, and the frames (n_contact, dim, dim): no matrix is touched."""
     frames = frames_of(problem.contact, problem.fixed.reshape(-1, problem.dim))
     return _nodal_contact(problem, frames, _local_fixed(problem, frames)), frames
+
+
+def held_tangents(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
+    """Tangents at contact nodes that a support holds (n_contact, dim - 1) bool."""
+    return _local_fixed(problem, frames).reshape(-1, problem.dim)[problem.contact.nodes, 1:]
+
+
+def contact_blocks(problem: DiscreteProblem, contact: NodalContact, frames: np.ndarray) -> np.ndarray:
+    """Diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as :func:`local_system` has them.
+
+    Without rotating the matrix: only these blocks are read.
+    """
+    matrix, nodes = problem.matrix, problem.contact.nodes
+    counts = np.diff(matrix.indptr)[nodes]
+    at = np.repeat(matrix.indptr[nodes] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+    blocks = np.zeros((len(nodes), problem.dim, problem.dim))
+    own = matrix.indices[at] == np.repeat(nodes, counts)
+    blocks[np.repeat(np.arange(len(nodes)), counts)[own]] = matrix.data[at[own]]
+    blocks = np.einsum("nij,njk,nlk->nil", frames, blocks, frames)
+    free = np.ones((len(nodes), problem.dim))
+    free[:, 1:] = ~held_tangents(problem, frames)
+    kept = free[:, :, None] * free[:, None, :] + np.einsum("ni,ij->nij", 1 - free, np.eye(problem.dim))
+    blocks *= kept
+    turn_held(blocks, np.arange(len(nodes)), contact)
+    return blocks
 
 
 def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarray) -> NodalContact:

@@ -11,12 +11,12 @@ import numpy as np
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import check_arrays, checks
-from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Outcome
 from adaptmg.solver.status import Status
 
 if TYPE_CHECKING:
+    from adaptmg.solver.examiner import Examiner
     from adaptmg.solver.run import Solver
 
 __all__ = ["checked_outcome", "default_solver", "displacement_argument", "grids_argument", "solver_argument",
@@ -91,16 +91,15 @@ def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) 
     return replace(outcome, cycles=cycles, rtol=rtol, status=outcome.status if finite else Status.DIVERGED)
 
 
-def warn_of_large_friction(local: LocalProblem) -> None:
+def warn_of_large_friction(examiner: Examiner) -> None:
     """Say where even the problem of one node, all others held, may have several solutions: mu |a_nt| >= a_tt."""
-    system, dim = local.system, local.system.dim
-    blocks = system.diagonal.reshape(-1, dim, dim)[system.nodes]
+    blocks, nodes = examiner.blocks, examiner.discrete.contact.nodes
     tangential = blocks[:, 1:, 1:].copy()
     tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
-    coupling = local.contact.friction * np.linalg.norm(blocks[:, 0, 1:], axis=1)
+    coupling = examiner.contact.friction * np.linalg.norm(blocks[:, 0, 1:], axis=1)
     beyond = coupling >= np.linalg.eigvalsh(tangential)[:, 0]
     if beyond.any():
         i = int(np.argmax(beyond))
-        warnings.warn(f"friction {local.contact.friction[i]:g} is so large that the solution may not be unique "
-                      f"({np.count_nonzero(beyond)} contact nodes, the first is node {system.nodes[i]}); "
+        warnings.warn(f"friction {examiner.contact.friction[i]:g} is so large that the solution may not be unique "
+                      f"({np.count_nonzero(beyond)} contact nodes, the first is node {nodes[i]}); "
                       "which one is found depends on start and method", RuntimeWarning, stacklevel=3)

@@ -21,9 +21,12 @@ from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import splu
 
+from adaptmg.compiled import kernel
+
 __all__ = ["FrozenStatus", "residual_energy"]
 
-_STEPS = 4
+#: conjugate gradient steps, and the nodes up to which they cost nothing that anybody notices
+_STEPS, _MORE_STEPS, _SMALL = 4, 12, 100_000
 _BOXES = {2: 12, 3: 5}
 
 
@@ -91,7 +94,7 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, forces: np.n
     diagonal[status.nodes] += np.diagonal(status.stiffening, axis1=1, axis2=2)
     boxes = _Boxes(matrix, status, coordinates)
     energy, direction, before = 0.0, None, 0.0
-    for _ in range(_STEPS):
+    for _ in range(_MORE_STEPS if len(forces) <= _SMALL else _STEPS):
         step = status.project(residual / diagonal)
         boxes.add_correction(residual, step)
         product = _dot(residual, step)
@@ -111,6 +114,15 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, forces: np.n
     return energy
 
 
+@kernel
+def _sum_boxes(indptr, indices, data, of_node, sums):
+    """Add the diagonal entries of all blocks up by the boxes of their nodes."""
+    for i in range(len(indptr) - 1):
+        for p in range(indptr[i], indptr[i + 1]):
+            for k in range(len(sums)):
+                sums[k, of_node[i], of_node[indices[p]]] += data[p, k, k]
+
+
 class _Boxes:
     """Galerkin correction by constants over boxes of nodes that nothing constrains."""
 
@@ -123,11 +135,12 @@ class _Boxes:
         self.dim, self.count = dim, int(used.sum())
         # nodes left out go to one box more, which is cut off again
         self.of_node = np.where(inner, (np.cumsum(used) - 1)[box], self.count).astype(np.int32)
-        size, self.factors = self.count + 1, []
-        pair = np.repeat(self.of_node * np.int32(size), np.diff(matrix.indptr)) + self.of_node[matrix.indices]
+        self.factors = []
+        # each component by itself: half the work, and as a preconditioner good enough
+        sums = np.zeros((dim, self.count + 1, self.count + 1))
+        _sum_boxes(matrix.indptr, matrix.indices, matrix.data, self.of_node, sums)
         for k in range(dim if self.count else 0):
-            # each component by itself: half the work, and as a preconditioner good enough
-            coarse = np.bincount(pair, matrix.data[:, k, k], minlength=size * size).reshape(size, size)[:-1, :-1]
+            coarse = sums[k, :-1, :-1]
             coarse = coarse + 1e-12 * np.abs(coarse).max() * np.eye(self.count)
             try:
                 self.factors.append(cho_factor(coarse))

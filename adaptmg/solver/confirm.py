@@ -15,8 +15,8 @@ import numpy as np
 
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.examiner import Examiner
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_of import result_of
@@ -29,23 +29,21 @@ _LOG = logging.getLogger(__name__)
 
 #: continuations at most
 _TIMES = 3
-#: the estimate of the certificate may be so many times rtol: it errs by a factor of two
-_SHARE = 1.3
 #: tolerances below this are rounding
 _LEAST = 1e-14
 _LIMITS = {Multigrid: "max_cycles", FullMultigrid: "max_cycles", ActiveSet: "max_steps", SingleGrid: "max_sweeps"}
 
 
-def confirmed_result(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome, solver: Solver,
+def confirmed_result(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, solver: Solver,
                      stress_data: StressData | None) -> Result:
     """The Result of what a solver returned, after further iterations where it fell short.
 
     Parameters
     ----------
-    grids, local, run, outcome, solver, stress_data
+    grids, examiner, run, outcome, solver, stress_data
         As of :func:`~adaptmg.solver.result_of.result_of`.
     """
-    result = result_of(grids, local, run, outcome, solver, stress_data)
+    result = result_of(grids, examiner, run, outcome, solver, stress_data)
     for _ in range(_TIMES):
         closer = _closer(solver, outcome, result)
         if closer is None:
@@ -54,13 +52,13 @@ def confirmed_result(grids: Hierarchy, local: LocalProblem, run: Run, outcome: O
         _LOG.info("after %d cycles the certificate estimates an error of %.2e: going on to %.1e", cycles,
                   result.checked.energy_error, closer.rtol)
         try:
-            further = closer.run(grids, run, local.discrete.relative(result.displacement))
+            further = closer.run(grids, run, examiner.discrete.relative(result.displacement))
         except (ValueError, np.linalg.LinAlgError) as error:
             _LOG.info("which fails: %s", error)
             break
         status = further.status if further.status.ok else outcome.status
         outcome = replace(further, cycles=cycles + further.cycles, rtol=outcome.rtol, status=status)
-        better = result_of(grids, local, run, outcome, solver, stress_data)
+        better = result_of(grids, examiner, run, outcome, solver, stress_data)
         if not better.checked.energy_error <= result.checked.energy_error:
             break
         result = better
@@ -74,7 +72,7 @@ def _closer(solver: Any, outcome: Outcome, result: Result) -> Any:
         return None
     checked, rtol = result.checked, outcome.rtol
     short = checked.energy_error / rtol
-    if not (np.isfinite(short) and (short > _SHARE or checked.contradictions(rtol))):
+    if not (np.isfinite(short) and (short > Run.ENOUGH or checked.contradictions(rtol))):
         return None
     if checked.energy_error <= checked.energy_rounding:
         return None

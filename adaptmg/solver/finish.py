@@ -1,4 +1,4 @@
-"""From a displacement to contact quantities and the true natural residual: every Result passes here."""
+"""Contact quantities at a displacement."""
 
 from __future__ import annotations
 
@@ -6,34 +6,16 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.smoother.residuals import contact_state, natural_residual, residual
+from adaptmg.smoother.residuals import states
 from adaptmg.smoother.state import ContactState
-from adaptmg.smoother.system import LocalProblem
+from adaptmg.smoother.system import NodalContact
 from adaptmg.solver.contact_result import ContactResult
-from adaptmg.solver.sizes import Sizes, euclidean_norm
 
-__all__ = ["contact_result", "relative_residual"]
-
-
-def relative_residual(local: LocalProblem, unknowns: np.ndarray) -> float:
-    """Natural residual over the largest of load, contact forces and, where displacements are prescribed, reactions.
-
-    Euclidean norms (:mod:`adaptmg.solver.sizes`); 1 if it is all there is.
-
-    Parameters
-    ----------
-    local : LocalProblem
-    unknowns : (n_dofs,) array
-        Local components, m.
-    """
-    vector = natural_residual(local.system, local.contact, local.load, unknowns)
-    reactions = residual(local.system, local.load, unknowns).reshape(-1, local.system.dim)[local.system.nodes]
-    scale = Sizes(local.discrete, local.frames).forces(unknowns, euclidean_norm(reactions.reshape(-1)))
-    size = euclidean_norm(vector)
-    return 0.0 if size == 0.0 else size / (scale or size)
+__all__ = ["contact_result"]
 
 
-def contact_result(local: LocalProblem, unknowns: np.ndarray, solved: np.ndarray) -> ContactResult:
+def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.ndarray, held: np.ndarray,
+                   solved: np.ndarray, values: np.ndarray, force: np.ndarray) -> ContactResult:
     """Contact quantities at a solution.
 
     Where a support holds a tangential component, the equations do not tell friction from the reaction of the support:
@@ -41,21 +23,24 @@ def contact_result(local: LocalProblem, unknowns: np.ndarray, solved: np.ndarray
 
     Parameters
     ----------
-    local : LocalProblem
-    unknowns : (n_dofs,) array
-        Local components.
+    discrete : DiscreteProblem
+    nodal : NodalContact
+        Its contact data in local components.
+    frames : (n_contact, dim, dim) array
+    held : (n_contact, dim - 1) bool array
+        Tangents that a support holds.
     solved : (n_nodes, dim) array
         Cartesian, m; between bodies in relative coordinates.
+    values, force : (n_contact, dim) arrays
+        Local unknowns (counted from prescribed values) and forces on the body at the contact nodes, m and N.
     """
-    discrete, contact, frames = local.discrete, local.discrete.contact, local.frames
+    contact, small = discrete.contact, 1e-12 * np.abs(solved).max(initial=0.0)
     u = np.einsum("nij,nj->ni", frames, discrete.at_contact(solved))
     slip = u[:, 1:] - np.einsum("nij,nj->ni", frames, contact.slip_reference)[:, 1:]
-    force = -residual(local.system, local.load, unknowns).reshape(-1, discrete.dim)[contact.nodes]
-    force_n, force_t = np.maximum(-force[:, 0], 0.0), force[:, 1:].copy()
-    limit = local.contact.limit + local.contact.friction * force_n
-    state = contact_state(local.system, local.contact, local.load, unknowns)
-    held = local.system.fixed.reshape(-1, discrete.dim)[contact.nodes, 1:]
-    _friction_at_supports(held, slip, limit, 1e-12 * np.abs(solved).max(initial=0.0), force_t, state)
+    force_n, force_t = np.maximum(-force[:, 0], 0.0), np.where(held, 0.0, force[:, 1:])
+    limit = nodal.limit + nodal.friction * force_n
+    state = states(nodal, values, force_n, small)
+    _friction_at_supports(held, slip, limit, small, force_t, state)
     posed, weights, size = contact, None, np.ones(len(contact))
     if discrete.coupling is not None:
         weights = discrete.coupling.weights[contact.nodes]

@@ -110,7 +110,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     for k, result in enumerate(results):
         walk.replay(k, result)
     if len(results) < len(path):
-        warn_of_large_friction(walk.local)
+        warn_of_large_friction(walk.examiner)
     for k in range(len(results), len(path)):
         result = walk.step(k, progress)
         results.append(result)

@@ -10,21 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation.load_steps import LoadSteps, load_steps, whole_load
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.smoother.system import LocalProblem, local_contact, local_system, rotate
 from adaptmg.solver.arguments import checked_outcome
 from adaptmg.solver.confirm import confirmed_result
+from adaptmg.solver.examiner import Examiner
 from adaptmg.solver.path_machine import coarse_displacements, lifted_load
 from adaptmg.solver.path_store import fingerprint
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_of import result_of
 from adaptmg.solver.run import Outcome, Run, Solver
-from adaptmg.solver.statics import check_statics
+from adaptmg.solver.statics import check_statics_of
 from adaptmg.solver.status import Status
 from adaptmg.solver.step_solvers import Past, past_of, step_solver
 
@@ -56,8 +55,8 @@ class PathWalk:
     ----------
     factors : dict of str to (n_steps,) array
         Of everything that the path scales.
-    local : LocalProblem
-        The finest level at the present step.
+    examiner : Examiner
+        Of the finest level at the present step.
     """
 
     def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None) -> None:
@@ -67,7 +66,7 @@ class PathWalk:
         for k in range(len(path)):
             # two supports that no longer agree should show before the first step is solved
             self.loads[-1].fixed_values(self._factors_at(k))
-        self.local: LocalProblem = local_system(grids.finest.discrete)
+        self.examiner = Examiner(grids.finest.discrete)
         self.method = step_solver(solver)
         begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
         self.past = past_of(grids, begin, start is not None)
@@ -91,17 +90,20 @@ class PathWalk:
         with run.phase("setup"):
             grids = self._posed(k)
             forces = lifted_load(grids.finest.discrete)
-            self.local = _at_step(self.local, grids.finest.discrete, forces)
+            self.examiner = self.examiner.at_step(grids.finest.discrete)
             past = replace(self.past, extrapolated=self._extrapolated(forces))
         with run.phase("statics"):
-            self._check_statics(k, grids)
-        if self._at_rest():
+            try:
+                check_statics_of(grids, coarse_first=k > 0)
+            except ValueError as error:
+                raise ValueError(f"step {k} of {len(self.path)} ({self.described(k)}): {error}") from error
+        if self._at_rest(forces):
             result, coarse = self._undeformed(k, grids, run), None
         else:
-            outcome, coarse = self.method.run(grids, self.local, run, past)
+            outcome, coarse = self.method.run(grids, self.examiner, run, past)
             outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
             with run.phase("result"):
-                result = confirmed_result(grids, self.local, run, outcome, self.solver, self._stress_data(k))
+                result = confirmed_result(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
         with run.phase("result"):
             self._remember(grids, result, forces, coarse)
         _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,
@@ -118,9 +120,9 @@ class PathWalk:
         coarse = self.method.replay(grids, self.past, result.rtol) if moved else None
         self._remember(grids, result, lifted_load(grids.finest.discrete), coarse)
 
-    def _at_rest(self) -> bool:
-        """Whether nothing acts, and the undeformed bodies are a solution."""
-        contact, quiet = self.local.contact, not (self.local.load.any() or self.local.discrete.fixed_values.any())
+    def _at_rest(self, forces: np.ndarray) -> bool:
+        """Whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b - A u_fixed."""
+        contact, quiet = self.examiner.contact, not (forces.any() or self.examiner.discrete.fixed_values.any())
         slid = np.abs(contact.slip_reference).any(axis=1)
         return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
 
@@ -130,9 +132,9 @@ class PathWalk:
     def _undeformed(self, k: int, grids: Hierarchy, run: Run) -> Result:
         """The result of a step in which nothing acts: no method could tell the relative error of its iterates."""
         rtol = getattr(self.solver, "rtol", None)
-        outcome = Outcome(np.zeros(self.local.system.n_dofs), Status.CONVERGED, 0,
+        outcome = Outcome(np.zeros(grids.finest.discrete.n_dofs), Status.CONVERGED, 0,
                           float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0)
-        result = result_of(grids, self.local, run, outcome, self.solver, self._stress_data(k))
+        result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
         # all forces vanish: a relative residual would be rounding over nothing
         return replace(result, status=Status.CONVERGED, residual=0.0)
 
@@ -146,23 +148,9 @@ class PathWalk:
                 if self.past.given:
                     reference = problem.at_contact(self.past.levels[number - offset])
                 step = problem.with_step(loads.load(factors), loads.fixed_values(factors), reference)
-                level = replace(level, discrete=step)
+                level = level.posing(step)
             levels.append(level)
         return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))
-
-    def _check_statics(self, k: int, grids: Hierarchy) -> None:
-        """As :func:`adaptmg.solve` does; after the first step on the coarsest grid, and on the finest in doubt."""
-        coarsest = grids[0].discrete
-        try:
-            if k and coarsest is not None and len(grids) > 1:
-                try:
-                    check_statics(coarsest)
-                    return
-                except ValueError:
-                    _LOG.info("step %d: the coarsest grid cannot be held; asking the finest", k)
-            check_statics(grids.finest.discrete)
-        except ValueError as error:
-            raise ValueError(f"step {k} of {len(self.path)} ({self.described(k)}): {error}") from error
 
     def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
         """What the next step wants to know."""
@@ -204,11 +192,3 @@ def _loads(grids: Hierarchy) -> list[LoadSteps | None]:
     return [None if level.discrete is None
             else load_steps(grids.problem, level.mesh, level.discrete.coupling) if named else whole_load(level.discrete)
             for level in grids.levels]
-
-
-def _at_step(local: LocalProblem, discrete: DiscreteProblem, forces: np.ndarray) -> LocalProblem:
-    """The local problem of the same matrix with the data of a step; ``forces`` is b - A u_fixed, Cartesian."""
-    contact, frames = local_contact(discrete)
-    load = rotate(forces, frames, local.system.nodes)
-    load[local.system.fixed] = 0.0
-    return LocalProblem(local.system, load, contact, frames, discrete)

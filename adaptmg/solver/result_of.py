@@ -8,10 +8,9 @@ import numpy as np
 
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.smoother.system import LocalProblem
-from adaptmg.solver.certificate import Certificate, certify
+from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.convergence import Convergence
-from adaptmg.solver.finish import contact_result, relative_residual
+from adaptmg.solver.examiner import Examiner
 from adaptmg.solver.labels import problem_name, solver_name, versions
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Outcome, Run, Solver
@@ -22,14 +21,14 @@ __all__ = ["result_of"]
 _LOG = logging.getLogger(__name__)
 
 
-def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome, solver: Solver,
+def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, solver: Solver,
               stress_data: StressData | None) -> Result:
-    """The Result on the finest level; its residual is computed anew and must confirm the status.
+    """The Result on the finest level; what is examined must confirm the status.
 
     Parameters
     ----------
     grids : Hierarchy
-    local : LocalProblem
+    examiner : Examiner
         Of the finest level.
     run : Run
         Of the solver.
@@ -40,25 +39,17 @@ def result_of(grids: Hierarchy, local: LocalProblem, run: Run, outcome: Outcome,
     stress_data : StressData or None
         For the stresses.
     """
-    discrete = local.discrete
-    solved = np.asarray(outcome.displacement).reshape(discrete.n_nodes, discrete.dim)
-    unknowns = local.to_local(solved)
-    reaction = discrete.matrix @ solved.reshape(-1) - discrete.load
-    if discrete.coupling is not None:
-        reaction = discrete.coupling.physical_forces(reaction)
-    residual = relative_residual(local, unknowns)
+    with run.phase("certificate"):
+        found = examiner(outcome.displacement)
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
-    displacement, contact = discrete.physical(solved), contact_result(local, unknowns, solved)
-    with run.phase("certificate"):
-        checked = certify(discrete, displacement, contact)
-    return Result(displacement=displacement, reaction=reaction.reshape(solved.shape), checked=checked,
-                  status=_confirmed(outcome, residual, checked), cycles=outcome.cycles, contact=contact,
-                  work_units=run.work_units, residual=residual, error_estimate=outcome.error_estimate,
-                  rate=outcome.rate, rtol=outcome.rtol, history=history,
-                  timings=run.timings, path=run.path, levels=grids.table(), problem_name=problem_name(grids),
-                  solver_name=solver_name(solver, run), mesh=grids.finest.mesh, start_work_units=run.start_work_units,
-                  versions=versions(), stress_data=stress_data)
+    return Result(displacement=found.displacement, reaction=found.reaction, checked=found.checked,
+                  status=_confirmed(outcome, found.residual, found.checked), cycles=outcome.cycles,
+                  contact=found.contact, work_units=run.work_units, residual=found.residual,
+                  error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
+                  timings=run.timings, path=run.path, levels=grids.table(ratios=False),
+                  problem_name=problem_name(grids), solver_name=solver_name(solver, run), mesh=grids.finest.mesh,
+                  start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data)
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate) -> Status:

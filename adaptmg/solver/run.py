@@ -15,6 +15,7 @@ from adaptmg.solver.status import Status
 
 if TYPE_CHECKING:
     from adaptmg.hierarchy import Hierarchy
+    from adaptmg.solver.examiner import Examiner
 
 __all__ = ["Outcome", "Run", "Solver"]
 
@@ -48,6 +49,8 @@ class Run:
         The part of ``work_units`` of the nested start.
     first_cycle : int
         Cycles done by another method before the one that records now.
+    examiner : Examiner, optional
+        Of the problem on the finest level: a method may ask it before it stops (:meth:`shortfall`).
     fallback : str
         The method that took over from the one asked for, and after how many cycles; empty if none did.
     """
@@ -64,7 +67,11 @@ class Run:
     untimed_seconds: float = 0.0
     first_cycle: int = 0
     fallback: str = ""
+    examiner: Examiner | None = None
+    _nested_seconds: float = 0.0
 
+    #: the certificate errs by a factor of two: its estimate of the error may be so many times the tolerance
+    ENOUGH = 1.3
     #: entries of ``path`` kept; a run of thousands of cycles repeats itself
     PATH_LIMIT = 100_000
 
@@ -97,13 +104,27 @@ class Run:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Time a block under a phase: 'setup', 'factorise', 'start', 'cycles', ..."""
-        begin, untimed = time.perf_counter(), self.untimed_seconds
+        """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ...; inner ones apart."""
+        begin, untimed, outside = time.perf_counter(), self.untimed_seconds, self._nested_seconds
+        self._nested_seconds = 0.0
         try:
             yield
         finally:
             seconds = time.perf_counter() - begin - (self.untimed_seconds - untimed)
-            self.timings[name] = self.timings.get(name, 0.0) + seconds
+            self.timings[name] = self.timings.get(name, 0.0) + seconds - self._nested_seconds
+            self._nested_seconds = outside + seconds
+
+    def shortfall(self, solved: np.ndarray, rtol: float) -> float:
+        """By how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not.
+
+        Between bodies in relative coordinates. What rounding explains is no shortfall.
+        """
+        if self.examiner is None:
+            return 0.0
+        with self.phase("certificate"):
+            checked = self.examiner(solved).checked
+        ratio = checked.energy_error / rtol
+        return ratio if ratio > self.ENOUGH and checked.energy_error > checked.energy_rounding else 0.0
 
 
 @dataclass

@@ -10,7 +10,6 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
-from adaptmg.smoother.system import local_system
 from adaptmg.solver.arguments import (
     checked_outcome,
     displacement_argument,
@@ -20,10 +19,11 @@ from adaptmg.solver.arguments import (
 )
 from adaptmg.solver.confirm import confirmed_result
 from adaptmg.solver.critical_friction import warn_of_several_solutions
+from adaptmg.solver.examiner import Examiner
 from adaptmg.solver.not_converged import NotConverged
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Run, Solver
-from adaptmg.solver.statics import check_statics
+from adaptmg.solver.statics import check_statics_of
 from adaptmg.threads import one_blas_thread
 
 __all__ = ["solve"]
@@ -70,17 +70,20 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     checks.flag("throw", throw)
     checks.optional_callable("callback", callback, "a row of the history")
     discrete = grids.finest.discrete
-    check_statics(discrete)
-    local = local_system(discrete)
-    warn_of_large_friction(local)
-    warn_of_several_solutions(grids)
     known = displacement_argument("reference", reference, discrete)
+    first = displacement_argument("start", start, discrete)
     run = Run(unit=discrete.matrix.nnz, callback=callback, reference=known)
-    outcome = solver.run(grids, run, displacement_argument("start", start, discrete))
-    outcome = checked_outcome(outcome, solver, discrete)
-    posed, mesh = grids.problem, grids.finest.mesh
-    stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
-    result = confirmed_result(grids, local, run, outcome, solver, stress_data)
+    with run.phase("statics"):
+        check_statics_of(grids)
+    with run.phase("setup"):
+        run.examiner = examiner = Examiner(discrete)
+        warn_of_large_friction(examiner)
+        warn_of_several_solutions(grids)
+    outcome = checked_outcome(solver.run(grids, run, first), solver, discrete)
+    with run.phase("result"):
+        posed, mesh = grids.problem, grids.finest.mesh
+        stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
+        result = confirmed_result(grids, examiner, run, outcome, solver, stress_data)
     if throw and not result.status.ok:
         raise NotConverged(result)
     return result

@@ -14,6 +14,7 @@ unbalanced force are a motion that nothing holds.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,9 +23,12 @@ from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import frames_of
 
-__all__ = ["check_statics"]
+__all__ = ["check_statics", "check_statics_of"]
+
+_LOG = logging.getLogger(__name__)
 
 _UNBALANCED = 1e-6  # share of the load that counts as not held
 _STILL = 1e-7  # amplitude, of a motion of amplitude 1, that counts as none
@@ -67,6 +71,22 @@ def check_statics(problem: DiscreteProblem) -> None:
         motions = _free_motions(problem, stiff, nodes)
         if motions.shape[1]:
             _check_body(_Body(problem, nodes, motions, several=n_bodies > 1))
+
+
+def check_statics_of(grids: Hierarchy, *, coarse_first: bool = True) -> None:
+    """:func:`check_statics` on the finest level; where the coarsest one can be held the finest is not asked.
+
+    A coarse grid has the same rigid motions, loads and directions of contact and costs nothing; what it cannot hold the
+    finest one may (on a curved surface, say).
+    """
+    coarsest = grids[0].discrete
+    if coarse_first and len(grids) > 1 and coarsest is not None and coarsest.near_nullspace is not None:
+        try:
+            check_statics(coarsest)
+            return
+        except ValueError as error:
+            _LOG.info("the coarsest grid cannot be held (%s); asking the finest", error)
+    check_statics(grids.finest.discrete)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,8 @@ import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.truncated import Truncated
-from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.convergence import Convergence
-from adaptmg.solver.finish import relative_residual
+from adaptmg.solver.examiner import Examiner
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.path_machine import PathMachine, coarse_displacements, from_prescribed
 from adaptmg.solver.run import Outcome, Run, Solver
@@ -48,7 +47,7 @@ class Past:
 class StepSolver(Protocol):
     """What :func:`adaptmg.solve_path` needs of a method."""
 
-    def run(self, hierarchy: Hierarchy, local: LocalProblem, run: Run, past: Past
+    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
             ) -> tuple[Outcome, list[np.ndarray] | None]:
         """Solve a step; with the displacement of the coarse levels if the method has it."""
 
@@ -74,11 +73,11 @@ class _Restarted:
     def __init__(self, first: Solver, later: Solver) -> None:
         self.first, self.later = first, later
 
-    def run(self, hierarchy: Hierarchy, local: LocalProblem, run: Run, past: Past) -> tuple[Outcome, None]:
+    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past) -> tuple[Outcome, None]:
         if not past.given:
             return self.first.run(hierarchy, run, None), None
-        start = _better(local, past, run)
-        return self.later.run(hierarchy, run, start.reshape(local.discrete.n_nodes, -1)), None
+        start = _better(examiner, past, run)
+        return self.later.run(hierarchy, run, start.reshape(examiner.discrete.n_nodes, -1)), None
 
     def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> None:
         """Nothing is kept."""
@@ -95,7 +94,7 @@ class _KeptTruncated:
         self.options = options
         self.machine: PathMachine | None = None
 
-    def run(self, hierarchy: Hierarchy, local: LocalProblem, run: Run, past: Past
+    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
             ) -> tuple[Outcome, list[np.ndarray] | None]:
         """See :class:`StepSolver`."""
         machine, coarse, cold = self._machine(hierarchy, run), None, True
@@ -103,11 +102,11 @@ class _KeptTruncated:
             *coarse, start = machine.increment(self.options.start, past.levels)
             cold = False
             with run.phase("start"):
-                if self._exact_enough(local, past, start):
+                if self._exact_enough(examiner, past, start):
                     start = past.extrapolated
         else:
-            start = _better(local, past, run) if past.given else np.zeros(local.system.n_dofs)
-        outcome = machine.finish(from_prescribed(local.discrete, start), cold)
+            start = _better(examiner, past, run) if past.given else np.zeros(examiner.discrete.n_dofs)
+        outcome = machine.finish(from_prescribed(examiner.discrete, start), cold)
         self._hold(outcome.rtol)
         return outcome, coarse
 
@@ -120,11 +119,12 @@ class _KeptTruncated:
         self._hold(rtol)
         return coarse
 
-    def _exact_enough(self, local: LocalProblem, past: Past, nested: np.ndarray) -> bool:
+    def _exact_enough(self, examiner: Examiner, past: Past, nested: np.ndarray) -> bool:
         """Whether to start from the extrapolated displacement; not where the nested start sets the tolerance."""
         if not past.given or self.options.rtol == "discretisation":
             return False
-        return _residual(local, past.extrapolated) <= self.EXTRAPOLATE * _residual(local, nested)
+        return (examiner.relative_residual(past.extrapolated)
+                <= self.EXTRAPOLATE * examiner.relative_residual(nested))
 
     def _machine(self, hierarchy: Hierarchy, run: Run) -> PathMachine:
         if len(hierarchy) < 2:
@@ -145,14 +145,10 @@ class _KeptTruncated:
             self.machine.options = self.options
 
 
-def _residual(local: LocalProblem, displacement: np.ndarray) -> float:
-    return relative_residual(local, local.to_local(displacement))
-
-
-def _better(local: LocalProblem, past: Past, run: Run) -> np.ndarray:
+def _better(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
     """The displacement of the step before or the extrapolated one, whichever has the smaller natural residual."""
     with run.phase("start"):
-        return min(past.levels[-1], past.extrapolated, key=lambda displacement: _residual(local, displacement))
+        return min(past.levels[-1], past.extrapolated, key=examiner.relative_residual)
 
 
 def past_of(hierarchy: Hierarchy, displacement: np.ndarray, given: bool) -> Past:

@@ -61,6 +61,8 @@ class TruncatedMachine:
     TRUSTED = 0.1
     #: times that safe cycles are tried when the residual stops falling
     TROUBLES = 1
+    #: times that an iterate which meets the test is held against its certificate
+    DOUBTS = 3
     #: of the diagonal, added to a coarsest matrix that the active set method is to solve
     SHIFT = 1e-9
 
@@ -114,6 +116,14 @@ class TruncatedMachine:
             better = watch.residual < watch.residuals[0] and not watch.diverged
             return Fallback(self.options, self.hierarchy, self.run, watch.rtol).finish(outcome, better)
         return outcome
+
+    def _falls_short(self, runner: TruncatedCycle, watch: TruncatedWatch) -> bool:
+        """Whether an iterate that meets the test is further off than the watch thinks, which then thinks worse."""
+        if watch.run is None or watch.doubts >= self.DOUBTS or watch.at_rounding(runner.rounding()):
+            return False
+        ratio = self.run.shortfall(runner.unknowns + self.problems[-1].fixed_values, watch.rtol)
+        watch.doubt(ratio)
+        return ratio > 0.0
 
     @property
     def _may_hand_over(self) -> bool:
@@ -226,7 +236,7 @@ class TruncatedMachine:
             floor = runner.rounding() if cycles < 2 else 0.0
             met = watch.check(look.residual, watch.sizes.forces(runner.unknowns, look.reactions), floor)
             watch.record(runner, cycles, look.changed)
-            if met:
+            if met and not self._falls_short(runner, watch):
                 return Status.CONVERGED, cycles
             if watch.diverged:
                 return Status.DIVERGED, cycles

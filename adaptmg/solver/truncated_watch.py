@@ -60,6 +60,7 @@ class TruncatedWatch:
         self.energies: list[float] = []
         self.residuals: list[float] = []
         self._first = self._last = np.nan
+        self.doubts, self._caution = 0, 1.0
         self.sizes = Sizes(problem)
         self._since = 0
 
@@ -85,7 +86,7 @@ class TruncatedWatch:
         if len(self.energies) <= self.EARLY:
             rate = max(rate, self.EARLY_RATE)
         if self.size > 0 and rate < 1:
-            factor = max(self.SAFETY, self.TAIL / (1 - rate))
+            factor = self._caution * max(self.SAFETY, self.TAIL / (1 - rate))
             self.error_estimate = factor * self.energies[-1] * rate / self.size
         else:
             self.error_estimate = np.inf
@@ -94,6 +95,12 @@ class TruncatedWatch:
     def at_rounding(self, floor: float) -> bool:
         """Whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N."""
         return self._last <= Convergence.ROUNDING * floor and self.residual <= Convergence.ROUNDING_LIMIT
+
+    def doubt(self, ratio: float) -> None:
+        """Be so many times more cautious from now on; 0 leaves all as it is."""
+        if ratio > 0.0:
+            self.doubts += 1
+            self._caution *= max(2.0, 1.5 * ratio)
 
     def corrected(self, energy: float) -> None:
         """Take the energy of a coarse correction, N m."""
