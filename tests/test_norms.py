@@ -113,3 +113,11 @@ def test_load_steps(grids):
     assert (apart.contact.state == am.OPEN).all()
     exact = am.solve(grids, am.ActiveSet(rtol=3e-11))
     assert error(grids, pressed, exact) <= 3e-8
+
+
+@pytest.mark.parametrize("method", ["truncated, nested", "monotone, nested", "single grid", "active set"])
+def test_a_body_that_nothing_strains(method):
+    """Lowered half way, all its forces are rounding, to which nothing can be related."""
+    apart = am.Hierarchy.uniform(lowered(down=5e-3), divisions=(4, 8, 16))
+    result = am.solve(apart, METHODS[method](1e-8))
+    np.testing.assert_allclose(result.displacement, np.broadcast_to([0.0, -5e-3], result.displacement.shape), atol=1e-14)

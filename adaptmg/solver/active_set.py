@@ -153,7 +153,9 @@ class _Iteration:
 
     def _check(self, defect: np.ndarray) -> bool:
         watch, rtol = self.watch, self.options.rtol
-        watch.check(self.unknowns, defect)
+        if watch.check(self.unknowns, defect) and watch.error_estimate == 0.0:
+            self.error_estimate = 0.0  # nothing strains
+            return True
         size = watch.norm
         if self.steps:
             self.error_estimate = watch.change / size if size > 0 else (0.0 if watch.change == 0 else np.inf)

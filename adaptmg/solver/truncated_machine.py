@@ -26,6 +26,7 @@ from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
 from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.fallback import Fallback
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.status import Status
@@ -233,8 +234,10 @@ class TruncatedMachine:
             look = runner.look(safe=left > 0)
             left = left - 1 if left > 0 and look.changed else 0
             # an exact start has no rate to measure, and needs none
-            floor = runner.rounding() if cycles < 2 else 0.0
-            met = watch.check(look.residual, watch.sizes.forces(runner.unknowns, look.reactions), floor)
+            floor = runner.rounding() if cycles < 2 or watch.sizes.prescribed else 0.0
+            forces = watch.sizes.forces(runner.unknowns, look.reactions)
+            idle = watch.sizes.nothing_strains(forces, Convergence.ROUNDING * floor, runner.unknowns)
+            met = watch.check(look.residual, forces, floor if cycles < 2 or idle else 0.0, idle)
             watch.record(runner, cycles, look.changed)
             if met and not self._falls_short(runner, watch):
                 return Status.CONVERGED, cycles
