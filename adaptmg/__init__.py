@@ -42,7 +42,8 @@ _WHERE = {
     "adaptmg.solver.history.path_result": ("PathResult",),
     "adaptmg.solver.certificate": ("Certificate",),
     "adaptmg.solver.result": ("Result",),
-    "adaptmg.solver.result.status": ("NotConverged", "Status"),
+    "adaptmg.solver.result.not_converged": ("NotConverged",),
+    "adaptmg.solver.result.status": ("Status",),
     "adaptmg.study.study": ("Study",),
 }
 _HOME = {name: module for module, names in _WHERE.items() for name in names}

@@ -13,7 +13,8 @@ from made import cube, result_on, square
 
 import adaptmg as am
 from adaptmg.solver.history.load_path import StepNotConverged
-from adaptmg.solver.result.status import NotConverged, Status
+from adaptmg.solver.result.not_converged import NotConverged
+from adaptmg.solver.result.status import Status
 
 cloudpickle = pytest.importorskip("cloudpickle")
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptmg.cases.flanges import Flanges
-from adaptmg.problem import ContactProblem, LoadPath, checks
+from adaptmg.problem import ContactProblem, LoadPath, check_arrays
 from adaptmg.smoother.state import OPEN
 from adaptmg.solver.result import ContactResult, Result
 
@@ -50,7 +50,7 @@ def junction_path(problem: ContactProblem, pressures: Sequence[float]) -> LoadPa
         raise TypeError(f"problem must be one from bolted_junction, got {problem!r}")
     if full == 0:
         raise ValueError("problem has no pressure that a path could scale: give bolted_junction one other than 0")
-    values = np.append(0.0, checks.vector("pressures", pressures)) / full
+    values = np.append(0.0, check_arrays.vector("pressures", pressures)) / full
     return LoadPath(dict.fromkeys(("upper.bore", "lower.bore", "upper.pipe"), values))
 
 

@@ -21,7 +21,7 @@ from adaptmg.solver.confirm import confirmed_result
 from adaptmg.solver.critical_friction import warn_of_several_solutions
 from adaptmg.solver.result import Result
 from adaptmg.solver.result.examiner import Examiner
-from adaptmg.solver.result.status import NotConverged
+from adaptmg.solver.result.not_converged import NotConverged
 from adaptmg.solver.run import Run, Solver
 from adaptmg.solver.statics import check_statics_of
 from adaptmg.threads import one_blas_thread

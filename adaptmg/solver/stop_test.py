@@ -19,7 +19,7 @@ from adaptmg.smoother.residuals import natural_residual
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Run
-from adaptmg.solver.sizes import Sizes, displacement_norm, energy_norm, euclidean_norm
+from adaptmg.solver.sizes import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
 
 __all__ = ["ChangeTest", "IterateTest", "StopTest", "true_error"]
 
@@ -50,8 +50,6 @@ class StopTest:
 
     #: the natural residual must fall below this multiple of rtol
     RESIDUAL_FACTOR = 10.0
-    #: a natural residual of so many units of rounding of the terms it sums cannot be bettered
-    ROUNDING = 8 * np.finfo(float).eps
     #: largest relative residual that rounding excuses
     ROUNDING_LIMIT = 1e-9
     #: iterates without a new smallest change, or residual, after which an iteration counts as stalled
@@ -75,12 +73,18 @@ class StopTest:
             return self.STALLED
         return Status.LIMIT if cycles >= self.limit else None
 
-    def take_residual(self, residual: float, scale: float, floor: float) -> None:
+    def idle(self, forces: float, floor: float, unknowns: np.ndarray) -> bool:
+        """Whether the acting forces (their norm, N) are mere rounding; ``floor`` as of :meth:`at_rounding`."""
+        return self.sizes.nothing_strains(forces, ROUNDING * floor, unknowns)
+
+    def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
         """Take the norms of the natural residual and of the acting forces, N; estimate the error, and judge.
 
-        A residual of ``ROUNDING`` times ``floor``, the norm of D u, cannot be bettered.
+        A residual at the rounding of ``floor`` (:meth:`at_rounding`) cannot be bettered; ``idle``: nor can the forces.
         """
-        self.residual = 0.0 if residual == 0 else residual / (scale or residual)  # an interference fit: no forces yet
+        if idle and residual <= ROUNDING * floor:
+            residual = 0.0
+        self.residual = 0.0 if residual == 0 else residual / (forces or residual)  # an interference fit: no forces yet
         self._last = residual
         rounding = self.at_rounding(floor)
         self.error_estimate = self.residual if rounding else self._estimate()
@@ -91,7 +95,7 @@ class StopTest:
 
         A large residual at the level of rounding is that of unknowns that have run away.
         """
-        return self._last <= self.ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
+        return self._last <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
 
     @property
     def residual_met(self) -> bool:
@@ -203,7 +207,8 @@ class IterateTest(StopTest):
         if self._unknowns is not None:
             self.changes.append(energy_norm(unknowns - self._unknowns, self._defect - defect))
         self._unknowns, self._defect = unknowns.copy(), defect.copy()
-        self.take_residual(euclidean_norm(vector), scale, euclidean_norm(self._diagonal * unknowns))
+        floor, size = euclidean_norm(self._diagonal * unknowns), euclidean_norm(vector)
+        self.take_residual(size, scale, floor, size <= ROUNDING * floor and self.idle(scale, floor, unknowns))
 
     def measures(self) -> dict[str, float]:
         """Relative residual, change, estimate and (with a reference) true error at the last iterate."""

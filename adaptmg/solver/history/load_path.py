@@ -27,7 +27,7 @@ from adaptmg.solver.history.path_result import PathResult
 from adaptmg.solver.history.store import PathStore
 from adaptmg.solver.history.walk import PathWalk
 from adaptmg.solver.result import Result
-from adaptmg.solver.result.status import NotConverged
+from adaptmg.solver.result.not_converged import NotConverged
 from adaptmg.solver.run import Solver
 from adaptmg.threads import one_blas_thread
 

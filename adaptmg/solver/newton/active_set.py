@@ -104,14 +104,15 @@ class _NewtonTest(IterateTest):
 
     stalled = False
 
-    def _estimate(self) -> float:
-        if not self.changes:
-            return np.inf
-        return self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
-
-    def at_rounding(self, floor: float) -> bool:
-        """Never."""
-        return False
+    def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
+        """See :class:`~adaptmg.solver.stop_test.StopTest`."""
+        super().take_residual(residual, forces, floor, idle)
+        if self.met and self.error_estimate == 0.0:
+            return  # nothing strains
+        self.error_estimate = np.inf
+        if self.changes:
+            self.error_estimate = self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
+        self.met = self._small_enough()
 
 
 class _NewtonSteps:

@@ -17,8 +17,8 @@ from adaptmg.smoother.residuals import natural_at_nodes
 from adaptmg.smoother.system import contact_blocks, held_tangents, local_contact
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.result.contact_quantities import contact_result
-from adaptmg.solver.result.result import ContactResult
-from adaptmg.solver.sizes import Sizes, euclidean_norm
+from adaptmg.solver.result.contact_result import ContactResult
+from adaptmg.solver.sizes import ROUNDING, Sizes, euclidean_norm
 
 __all__ = ["Examined", "Examiner"]
 
@@ -106,6 +106,10 @@ class Examiner:
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
         scale, size = self.sizes.forces(unknowns, euclidean_norm(at_contact.reshape(-1))), euclidean_norm(free)
+        if self.sizes.prescribed:
+            floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
+            if size <= floor and self.sizes.nothing_strains(scale, floor, unknowns):
+                return 0.0
         return 0.0 if size == 0.0 else size / (scale or size)
 
     def __call__(self, solved: np.ndarray) -> Examined:

@@ -64,12 +64,12 @@ class EnergyTest(StopTest):
         if cycle % 4 == 0 or self.sizes.prescribed:
             self.size = self.sizes.norm(runner.unknowns, runner.energy())
 
-    def take_residual(self, residual: float, scale: float, floor: float) -> None:
+    def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
         """See :class:`~adaptmg.solver.stop_test.StopTest`."""
-        if not self.residuals:
-            self._first = residual
-        super().take_residual(residual, scale, floor)
+        super().take_residual(residual, forces, floor, idle)
         self.residuals.append(self.residual)
+        if len(self.residuals) == 1:
+            self._first = self._last
 
     def _estimate(self) -> float:
         rate = self.safe_rate

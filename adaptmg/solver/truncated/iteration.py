@@ -59,9 +59,12 @@ class TruncatedIteration:
         look = self.runner.look(safe=self.safe > 0)
         self.changed = look.changed
         self.safe = self.safe - 1 if self.safe > 0 and look.changed else 0
+        unknowns, early = self.runner.unknowns, self.cycles < 2
         # an exact start has no rate to measure, and needs none
-        floor = self.runner.rounding() if self.cycles < 2 else 0.0
-        stop.take_residual(look.residual, stop.sizes.forces(self.runner.unknowns, look.reactions), floor)
+        floor = self.runner.rounding() if early or stop.sizes.prescribed else 0.0
+        forces = stop.sizes.forces(unknowns, look.reactions)
+        idle = stop.idle(forces, floor, unknowns)
+        stop.take_residual(look.residual, forces, floor if early or idle else 0.0, idle)
 
     def row(self, stop: EnergyTest) -> dict[str, float]:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
