@@ -9,8 +9,8 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.on_demand import made_on_demand
 from adaptmg.problem import checks
+from adaptmg.runtime.on_demand import made_on_demand
 
 __all__ = ["Level", "ratio_to"]
 

@@ -20,7 +20,7 @@ import adaptmg as am
 from adaptmg.discretisation.measures import StressData
 from adaptmg.export import Report, series, vtk, vtk_series
 from adaptmg.export import report as report_module
-from adaptmg.text import printable
+from adaptmg.runtime.text import printable
 
 meshio = pytest.importorskip("meshio")
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, from_gmsh, from_ngsolve, structured, to_ngsolve
-from adaptmg.mesh.normalise import normalised
-from adaptmg.mesh.overlap import check_overlap
+from adaptmg.mesh.checks.overlap import check_overlap
+from adaptmg.mesh.files.normalise import normalised
 from adaptmg.mesh.topology import facet_table
 from adaptmg.problem import Box, Rectangle
 

@@ -13,9 +13,10 @@ from netgen.occ import Box as OccBox
 from netgen.occ import Pnt
 
 import adaptmg as am
-from adaptmg.mesh import graded, refine_near, step_check, step_names, structured
-from adaptmg.mesh.interruptible import NetgenBusy, NetgenEndless, interruptible
-from adaptmg.mesh.thin import curved_nodes, thickness
+from adaptmg.mesh import graded, refine_near, step_names, structured
+from adaptmg.mesh.netgen import step_check
+from adaptmg.mesh.netgen.interruptible import NetgenBusy, NetgenEndless, interruptible
+from adaptmg.mesh.netgen.thin import curved_nodes, thickness
 
 
 def outline(*vertices):

@@ -7,12 +7,13 @@ import netgen.meshing
 import numpy as np
 import pytest
 
-import adaptmg.mesh.solids as module
-from adaptmg.mesh import check_mesh, occ_shapes, quality
-from adaptmg.mesh.occ_shapes import occ_shape
-from adaptmg.mesh.solids import SolidSizes, _check_volume, _left_by_chords, raised, solid_mesh
+import adaptmg.mesh.netgen.solids as module
+from adaptmg.mesh import check_mesh, quality
+from adaptmg.mesh.netgen import occ_shapes
+from adaptmg.mesh.netgen.occ_shapes import occ_shape
+from adaptmg.mesh.netgen.solids import SolidSizes, _check_volume, _left_by_chords, raised, solid_mesh
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
-from adaptmg.problem.solids import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
+from adaptmg.problem.domains import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
 
 PROFILE = Polygon(vertices=((0.04, 0), (0.1, 0), (0.1, 0.02), (0.06, 0.025), (0.05, 0.08), (0.04, 0.08)),
                   boundaries=("gasket", "rim", "back", "neck", "weld", "bore"))

@@ -23,8 +23,8 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, SuperLU, splu
 
 from adaptmg.problem import checks
+from adaptmg.runtime.threads import seeded
 from adaptmg.solver.dissection import nested_dissection, node_graph
-from adaptmg.threads import seeded
 
 __all__ = ["AMG", "Direct", "LinearSolution", "LinearSolver", "Prepared"]
 

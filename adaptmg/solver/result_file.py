@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptmg.atomic import write_bytes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
+from adaptmg.runtime.atomic import write_bytes
+from adaptmg.runtime.text import printable
 from adaptmg.solver.archive import DAMAGES, read_arrays
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.status import Status
-from adaptmg.text import printable
 
 if TYPE_CHECKING:
     from adaptmg.solver.result import Result

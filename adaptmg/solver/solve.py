@@ -10,6 +10,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
+from adaptmg.runtime.threads import one_blas_thread
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.arguments import (
     checked_outcome,
@@ -24,7 +25,6 @@ from adaptmg.solver.result import Result
 from adaptmg.solver.run import Run, Solver
 from adaptmg.solver.statics import check_statics
 from adaptmg.solver.status import NotConverged
-from adaptmg.threads import one_blas_thread
 
 __all__ = ["solve"]
 

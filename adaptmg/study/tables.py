@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from adaptmg.text import printable
+from adaptmg.runtime.text import printable
 
 __all__ = ["as_html", "as_text"]
 

@@ -13,9 +13,20 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from adaptmg.mesh.geometry import distance_of_segments
-from adaptmg.problem.domains import Box, Domain, Polygon, Rectangle
-from adaptmg.problem.outlines import Outline
-from adaptmg.problem.solids import Ball, Combination, Cylinder, Extrusion, Moved, Revolution, SolidDomain
+from adaptmg.problem.domains import (
+    Ball,
+    Box,
+    Combination,
+    Cylinder,
+    Domain,
+    Extrusion,
+    Moved,
+    Outline,
+    Polygon,
+    Rectangle,
+    Revolution,
+    SolidDomain,
+)
 
 __all__ = ["curved_nodes", "refuse_thin", "refuse_thin_shape", "thickness"]
 

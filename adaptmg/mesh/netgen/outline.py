@@ -17,8 +17,7 @@ from netgen.geom2d import SplineGeometry
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import with_source
-from adaptmg.problem.domains import Polygon, Rectangle
-from adaptmg.problem.outlines import Outline
+from adaptmg.problem.domains import Outline, Polygon, Rectangle
 
 __all__ = ["finished", "onto_outline", "plane_measures", "spline_geometry", "straight_area"]
 

@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 
 from adaptmg.problem import checks
-from adaptmg.problem.domains import Domain, Polygon, Rectangle
-from adaptmg.problem.outlines import Outline
+from adaptmg.problem.domains.outlines import Outline
+from adaptmg.problem.domains.straight import Domain, Polygon, Rectangle
 
 __all__ = ["Ball", "Cylinder", "Extrusion", "Profile", "Revolution", "SolidDomain", "Triple", "direction",
            "outline_of", "triple"]

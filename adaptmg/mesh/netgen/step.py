@@ -16,11 +16,11 @@ from netgen.occ import OCCGeometry, Pnt, Solid, Vec
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import boundaries_of, merged, per_body
 from adaptmg.mesh.build import with_source
-from adaptmg.mesh.interruptible import interruptible
-from adaptmg.mesh.solids import SolidSizes, shape_mesh
-from adaptmg.mesh.step_check import check_step
+from adaptmg.mesh.netgen.interruptible import interruptible
+from adaptmg.mesh.netgen.solids import SolidSizes, shape_mesh
+from adaptmg.mesh.netgen.step_check import check_step
 from adaptmg.problem import checks
-from adaptmg.problem.solids import StepFile
+from adaptmg.problem.domains import StepFile
 
 __all__ = ["from_step", "step_mesh", "step_names"]
 
@@ -39,7 +39,7 @@ def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float]
     size, boundary_sizes, grading, size_function, curvature
         As of :func:`step_mesh`.
     unit, names
-        As of :class:`adaptmg.problem.solids.StepFile`.
+        As of :class:`adaptmg.problem.domains.StepFile`.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float]
     boundary_sizes : mapping of str to float, optional
         Edge length along some boundaries "solid.face", m.
     grading, size_function, curvature
-        As of :func:`adaptmg.mesh.solids.solid_mesh`.
+        As of :func:`adaptmg.mesh.netgen.solids.solid_mesh`.
 
     Returns
     -------

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from adaptmg.problem import checks
-from adaptmg.problem.domains import Domain
+from adaptmg.problem.domains.straight import Domain
 
 __all__ = ["StepFile"]
 
@@ -19,7 +19,7 @@ class StepFile(Domain):
 
     Names come from the file; solids and faces without one are called ``solid1``, ``face1``, ... in the order of the
     file. Of several solids with one name the later ones get "_2", "_3", ...; a "." becomes "_". Names are known only
-    when the file is read (:func:`adaptmg.mesh.step.step_names` lists them).
+    when the file is read (:func:`adaptmg.mesh.netgen.step.step_names` lists them).
 
     Parameters
     ----------

@@ -17,8 +17,8 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import with_source
-from adaptmg.mesh.normalise import normalised
-from adaptmg.mesh.overlap import check_overlap
+from adaptmg.mesh.checks.overlap import check_overlap
+from adaptmg.mesh.files.normalise import normalised
 from adaptmg.problem import checks
 
 __all__ = ["from_netgen_file"]

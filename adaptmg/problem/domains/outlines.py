@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from adaptmg.problem import checks
-from adaptmg.problem.domains import Domain, Polygon, edges
+from adaptmg.problem.domains.straight import Domain, Polygon, edges
 
 __all__ = ["Arc", "Outline"]
 

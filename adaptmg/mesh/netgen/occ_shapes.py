@@ -18,10 +18,20 @@ from netgen.occ import Cylinder as OccCylinder
 from netgen.occ import Fuse as OccFuse
 
 from adaptmg.mesh.geometry import BOX_SIDES, require_simple
-from adaptmg.problem.domains import Box
-from adaptmg.problem.outlines import Outline
-from adaptmg.problem.primitives import Profile, outline_of
-from adaptmg.problem.solids import Ball, Combination, Common, Cut, Cylinder, Extrusion, Moved, Revolution, SolidDomain
+from adaptmg.problem.domains import (
+    Ball,
+    Box,
+    Combination,
+    Common,
+    Cut,
+    Cylinder,
+    Extrusion,
+    Moved,
+    Outline,
+    Revolution,
+    SolidDomain,
+)
+from adaptmg.problem.domains.primitives import Profile, outline_of
 
 __all__ = ["occ_shape"]
 

@@ -26,7 +26,7 @@ __all__ = ["install"]
 
 _log = logging.getLogger(__name__)
 _MODULE = "numba.core.caching"
-_ROOT = str(Path(__file__).parent) + os.sep
+_ROOT = str(Path(__file__).parents[1]) + os.sep
 #: stands for no place at all
 _NOWHERE = os.path.join(os.devnull, "adaptmg-kernels")
 

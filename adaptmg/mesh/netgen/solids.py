@@ -26,14 +26,13 @@ from scipy.spatial import cKDTree
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import own_mesh, with_source
-from adaptmg.mesh.generate import expected_nodes, refuse_too_many
-from adaptmg.mesh.interruptible import interruptible
-from adaptmg.mesh.occ_shapes import occ_shape
-from adaptmg.mesh.thin import curved_nodes, refuse_thin, refuse_thin_shape
+from adaptmg.mesh.netgen.generate import expected_nodes, refuse_too_many
+from adaptmg.mesh.netgen.interruptible import interruptible
+from adaptmg.mesh.netgen.occ_shapes import occ_shape
+from adaptmg.mesh.netgen.thin import curved_nodes, refuse_thin, refuse_thin_shape
 from adaptmg.mesh.topology import facet_keys, facet_table
 from adaptmg.problem import checks
-from adaptmg.problem.domains import Box, Domain
-from adaptmg.problem.solids import SolidDomain
+from adaptmg.problem.domains import Box, Domain, SolidDomain
 
 __all__ = ["SolidSizes", "shape_mesh", "solid_mesh"]
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import with_source
-from adaptmg.mesh.gmsh_check import check_gmsh_file
-from adaptmg.mesh.normalise import normalised
-from adaptmg.mesh.overlap import check_overlap
+from adaptmg.mesh.checks.overlap import check_overlap
+from adaptmg.mesh.files.gmsh_check import check_gmsh_file
+from adaptmg.mesh.files.normalise import normalised
 from adaptmg.mesh.topology import facet_keys, facet_table
 from adaptmg.problem import checks
 

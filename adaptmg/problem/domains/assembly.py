@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg.problem import checks
-from adaptmg.problem.domains import Domain
+from adaptmg.problem.domains.straight import Domain
 
 __all__ = ["Assembly"]
 

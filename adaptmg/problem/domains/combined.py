@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptmg.problem import checks
-from adaptmg.problem.domains import Box
-from adaptmg.problem.primitives import SolidDomain, Triple, direction, triple
+from adaptmg.problem.domains.primitives import SolidDomain, Triple, direction, triple
+from adaptmg.problem.domains.straight import Box
 
 __all__ = ["Combination", "Common", "Cut", "Fuse", "Moved"]
 

@@ -23,17 +23,14 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import boundaries_of, merged, per_body
 from adaptmg.mesh.bisected import bisect
-from adaptmg.mesh.generate import SizeField, expected_nodes, guessed_nodes, netgen_mesh, refuse_too_many
 from adaptmg.mesh.geometry import distance_to_boundaries, require_simple
-from adaptmg.mesh.outline import finished, onto_outline
-from adaptmg.mesh.solids import solid_mesh
-from adaptmg.mesh.step import step_mesh
+from adaptmg.mesh.netgen.generate import SizeField, expected_nodes, guessed_nodes, netgen_mesh, refuse_too_many
+from adaptmg.mesh.netgen.outline import finished, onto_outline
+from adaptmg.mesh.netgen.solids import solid_mesh
+from adaptmg.mesh.netgen.step import step_mesh
 from adaptmg.mesh.topology import facet_keys, facet_table
 from adaptmg.problem import checks
-from adaptmg.problem.assembly import Assembly
-from adaptmg.problem.domains import Box, Domain, Polygon, Rectangle
-from adaptmg.problem.outlines import Outline
-from adaptmg.problem.solids import SolidDomain, StepFile
+from adaptmg.problem.domains import Assembly, Box, Domain, Outline, Polygon, Rectangle, SolidDomain, StepFile
 
 __all__ = ["graded", "sized"]
 
@@ -68,7 +65,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         Growth of the edge length per distance from contact, above 0 and at most 1.
     rounds : int
         How often Netgen meshes again by the size field (only for ratios above 1; solids have their own number, see
-        :func:`adaptmg.mesh.solids.solid_mesh`).
+        :func:`adaptmg.mesh.netgen.solids.solid_mesh`).
 
     Returns
     -------

@@ -22,11 +22,10 @@ from netgen.occ import OCCGeometry, Pnt, X, Y, Z
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import own_mesh, with_source
 from adaptmg.mesh.geometry import BOX_SIDES
-from adaptmg.mesh.interruptible import interruptible
-from adaptmg.mesh.outline import onto_outline, plane_measures, spline_geometry, straight_area
-from adaptmg.mesh.thin import refuse_thin
-from adaptmg.problem.domains import Box, Domain
-from adaptmg.problem.outlines import Outline
+from adaptmg.mesh.netgen.interruptible import interruptible
+from adaptmg.mesh.netgen.outline import onto_outline, plane_measures, spline_geometry, straight_area
+from adaptmg.mesh.netgen.thin import refuse_thin
+from adaptmg.problem.domains import Box, Domain, Outline
 
 __all__ = ["MAX_NODES", "SizeField", "expected_nodes", "guessed_nodes", "netgen_mesh", "refuse_too_many"]
 
@@ -47,7 +46,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
     ----------
     domain : Rectangle, Polygon, Outline or Box
         Its boundaries name those of the mesh; of an Outline the mesh has the numbers of its edges instead, until
-        :func:`adaptmg.mesh.outline.finished`.
+        :func:`adaptmg.mesh.netgen.outline.finished`.
     sizes : callable or sequence of these
         Points (n, dim) in m -> wanted edge length (n,) in m; a sequence has one for each round, and the meshes before
         the last are drafts.
