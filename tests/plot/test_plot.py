@@ -8,9 +8,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from made import cube, result_on, square
+from made_bodies import two_bodies
 from matplotlib.colors import to_rgba
 from matplotlib.quiver import Quiver
-from test_plot_bodies import two_bodies
 
 import adaptmg as am
 from adaptmg import plot

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from made import cube, result_on, square
-from test_plot_bodies import two_bodies
+from made_bodies import two_bodies
 
 import adaptmg as am
 from adaptmg.discretisation.measures import StressData

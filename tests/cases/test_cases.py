@@ -18,7 +18,7 @@ from adaptmg.mesh import graded, structured
 from adaptmg.problem import Assembly, Box, Coulomb, Frictionless, Rectangle, Tresca
 from adaptmg.solver.statics import check_statics
 
-PAPER = Path(__file__).parent.parent / "data" / "paper"
+PAPER = Path(__file__).parents[2] / "data" / "paper"
 
 
 def solve_with(problem: DiscreteProblem, active: np.ndarray) -> np.ndarray:

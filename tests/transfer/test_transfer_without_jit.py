@@ -13,19 +13,19 @@ HERE = Path(__file__).parent
 
 SCRIPT = """
 import sys
-sys.path.insert(0, sys.argv[1])
+sys.path[:0] = sys.argv[1:3]
 import adaptmg.transfer as t
 assert "ngsolve" not in sys.modules and "netgen" not in sys.modules
 from test_transfer_without_jit import results
 import numpy as np
-np.savez(sys.argv[2], **results())
+np.savez(sys.argv[3], **results())
 """
 
 
 def results():
     """Every kernel on small input, by way of the public functions."""
     from scipy import sparse
-    from test_transfer_meshes import disk, structured
+    from simplex_meshes import disk, structured
 
     from adaptmg import transfer as t
 
@@ -50,7 +50,7 @@ def results():
 def test_kernels_without_jit(tmp_path):
     path = tmp_path / "results.npz"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    subprocess.run([sys.executable, "-W", "error::RuntimeWarning", "-c", SCRIPT, str(HERE), str(path)],
+    subprocess.run([sys.executable, "-W", "error::RuntimeWarning", "-c", SCRIPT, HERE, HERE.parent / "helpers", path],
                    env=environment, check=True)
     compiled, plain = results(), np.load(path)
     assert set(compiled) == set(plain)

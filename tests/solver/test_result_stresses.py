@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from made import result_on, square
-from test_plot_bodies import two_bodies
+from made_bodies import two_bodies
 
 import adaptmg as am
 from adaptmg.discretisation.measures import StressData, full_stress, von_mises

@@ -154,7 +154,7 @@ def test_a_bomb_is_not_unpacked(tmp_path):
 
 
 def test_hostile_files_are_sound_before_they_are_damaged(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parent / "hostile"))
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "hostile"))
     import mesh_files
 
     for name, text in (("a.vol", mesh_files.VOL), ("b.msh", mesh_files.MSH2), ("c.msh", mesh_files.MSH4),

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,7 +65,8 @@ def digests():
 
 
 def in_a_child(threads):
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads)}
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads),
+                                "PYTHONPATH": os.pathsep.join(sys.path)}
     return subprocess.Popen([sys.executable, __file__], env=environment, stdout=subprocess.PIPE, text=True)
 
 
@@ -205,5 +205,4 @@ def test_a_fork_inside_is_free_again():
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parent))
     sys.stdout.write(json.dumps(digests()))

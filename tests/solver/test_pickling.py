@@ -9,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
-from made import cube, result_on, square
+from made import cube, result_on, same, square
 
 import adaptmg as am
 from adaptmg.solver.load_path import StepNotConverged
@@ -37,20 +37,6 @@ def returns(n: int) -> am.Result:
     mesh = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), n)
     assert mesh.source is not None
     return result_on(mesh)
-
-
-def same(a: object, b: object) -> bool:
-    """Whether two results, or parts of them, hold the same numbers."""
-    if isinstance(a, np.ndarray):
-        return isinstance(b, np.ndarray) and a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
-    if isinstance(a, dict):
-        return isinstance(b, dict) and a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
-    if isinstance(a, list | tuple):
-        return type(a) is type(b) and len(a) == len(b) and all(map(same, a, b))
-    if type(a).__module__.startswith("adaptmg.") and hasattr(a, "__dataclass_fields__"):
-        return type(a) is type(b) and all(same(getattr(a, k), getattr(b, k)) for k in a.__dataclass_fields__
-                                          if k != "source")
-    return a is b or a == b
 
 
 WAYS = {"pickle": lambda x: pickle.loads(pickle.dumps(x)), "oldest": lambda x: pickle.loads(pickle.dumps(x, 2)),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_transfer_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
+from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
 
 from adaptmg.geometry.box_tree import BoxTree
 from adaptmg.geometry.morton import morton_order

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
-from test_transfer_meshes import disk, log_graded, random_box, structured, two_boxes
+from simplex_meshes import disk, log_graded, random_box, structured, two_boxes
 
 from adaptmg.transfer import Interpolation, PseudoL2, expand, injection, mask, mesh_ratio, restriction
 

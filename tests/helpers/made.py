@@ -88,3 +88,17 @@ def result_on(mesh: MeshArrays | None, **changes: object) -> Result:
                          for k, n in enumerate((25, 81, 289))],
               "problem_name": "made up", "solver_name": "none", "mesh": mesh}
     return Result(**(fields | changes))
+
+
+def same(a: object, b: object) -> bool:
+    """Whether two results, or parts of them, hold the same numbers."""
+    if isinstance(a, np.ndarray):
+        return isinstance(b, np.ndarray) and a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    if isinstance(a, dict):
+        return isinstance(b, dict) and a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, list | tuple):
+        return type(a) is type(b) and len(a) == len(b) and all(map(same, a, b))
+    if type(a).__module__.startswith("adaptmg.") and hasattr(a, "__dataclass_fields__"):
+        return type(a) is type(b) and all(same(getattr(a, k), getattr(b, k)) for k in a.__dataclass_fields__
+                                          if k != "source")
+    return a is b or a == b

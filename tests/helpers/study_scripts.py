@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-STUDIES = Path(__file__).resolve().parents[1] / "studies"
+STUDIES = Path(__file__).resolve().parents[2] / "studies"
 
 
 def load(name: str) -> ModuleType:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import sparse
-from test_transfer_meshes import disk, log_graded, mesh_of, random_box, structured
+from simplex_meshes import disk, log_graded, mesh_of, random_box, structured
 
 from adaptmg.transfer import Interpolation, surface_interpolation, with_contact_rows
 

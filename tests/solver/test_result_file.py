@@ -8,8 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from made import cube, result_on, square
-from test_pickling import same
+from made import cube, result_on, same, square
 
 import adaptmg as am
 from adaptmg.mesh.arrays import MeshArrays

@@ -9,7 +9,7 @@ import warnings
 import matplotlib.pyplot as plt
 import pytest
 from made import cube, result_on, square
-from test_plot_bodies import two_bodies
+from made_bodies import two_bodies
 
 import adaptmg as am
 from adaptmg import plot
