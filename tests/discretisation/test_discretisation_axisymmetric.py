@@ -255,7 +255,6 @@ class TestRefusals:
     def test_dimension(self):
         with pytest.raises(ValueError, match="the material is 3D, the mesh 2D"):
             stiffness(RING, Solid(young=1.0, poisson=0.2))
-        with pytest.raises(ValueError, match="give the tensors"):
-            von_mises(np.zeros((3, 2, 2)), STEEL)
-        with pytest.raises(ValueError, match=r"stress must have shape \(n, 3, 3\)"):
-            von_mises(np.zeros((3, 4)))
+        for shape in ((3, 2, 2), (3, 4)):
+            with pytest.raises(ValueError, match=r"stress must have shape \(n, 3, 3\)"):
+                von_mises(np.zeros(shape))

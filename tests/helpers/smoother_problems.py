@@ -79,3 +79,8 @@ def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:
     load = problem.load.copy()
     load[dofs[~held]] -= force[~held]
     return flexibility @ load
+
+
+def expand(P, dim):
+    """kron(P, I): from nodes to dofs, component by component."""
+    return sparse.csr_array(sparse.kron(P, np.eye(dim)))

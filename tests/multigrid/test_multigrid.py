@@ -89,7 +89,7 @@ def test_frozen_choices_move_the_solution():
 def test_hand_counted_work():
     grids = am.Hierarchy.uniform(problem_2d(), divisions=(4, 8, 16))
     ratio = [level.discrete.matrix.nnz / grids.finest.discrete.matrix.nnz for level in grids.levels]
-    coarse = am.CoarseSolve(rtol=1e-30, max_sweeps=8, batch=4)
+    coarse = am.CoarseSolve(rtol=1e-30, max_sweeps=8)
     for shape, visits in (("V", 1), ("W", 2)):
         runner, run = runner_of(grids, cycle=am.Cycle(shape=shape, pre=2, post=1), coarse=coarse)
         local = runner.stack.fine

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import sparse
+from smoother_problems import expand
 
 import adaptmg as am
-from adaptmg.transfer import expand
 
 LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(3e7), "coulomb": am.Coulomb(0.7)}
 COLD = am.Multigrid(correction=am.Truncated())

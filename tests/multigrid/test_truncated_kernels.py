@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import sparse
-from smoother_problems import network
+from smoother_problems import expand, network
 
 from adaptmg.multigrid import half_sweeps as kernels
 from adaptmg.multigrid import projected_sweeps
@@ -21,7 +21,7 @@ from adaptmg.multigrid.obstacle import Obstacle
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
-from adaptmg.transfer import expand, galerkin_product, is_galerkin, without_fixed
+from adaptmg.transfer import galerkin_product, is_galerkin, without_fixed
 
 
 def random_matrix(rng: np.random.Generator, dim: int, n: int = 9) -> sparse.bsr_array:
@@ -234,7 +234,7 @@ def test_the_truncated_residual_has_the_newton_matrix_as_derivative(dim, law):
 def test_transfers(dim):
     rng = np.random.default_rng(dim)
     P = sparse.random_array((12, 5), density=0.4, rng=rng, format="csr")
-    Q = sparse.csr_array(sparse.kron(P, np.eye(dim)))
+    Q = expand(P, dim)
     r, coarse = rng.normal(size=12 * dim), np.empty(5 * dim)
     assert restrict(ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
     np.testing.assert_allclose(coarse, Q.T @ r)

@@ -187,13 +187,6 @@ class TestProblemOfBodies:
         assert posed.pair_boundaries == ("upper.bottom", "lower.top", "lower.bottom")
         assert posed.bodies == ("upper", "lower") and posed.dim == 2 and not posed.axisymmetric
 
-    def test_materials(self):
-        posed = problem(material={"lower": RUBBER, "upper": STEEL})
-        assert posed.material_of("lower") is RUBBER and posed.material_of("upper") is STEEL
-        assert problem().material_of("anything") is STEEL
-        with pytest.raises(ValueError, match="body 'middle' has no material; material names 'lower', 'upper'"):
-            posed.material_of("middle")
-
     def test_bodies_without_a_domain(self):
         assert problem(domain=None).bodies == ()
         assert problem(domain=None, material={"a": STEEL, "b": RUBBER}).bodies == ("a", "b")

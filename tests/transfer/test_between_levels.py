@@ -9,11 +9,12 @@ import pytest
 from bodies import LOWER_ON_UPPER, UPPER_ON_LOWER, bar_on_block, corner_pushed, turned
 from saddle import Parts
 from scipy import sparse
+from smoother_problems import expand
 
 import adaptmg as am
 from adaptmg.discretisation.discretise import discretise
 from adaptmg.mesh import graded, structured
-from adaptmg.transfer import expand, galerkin_product, surface_interpolation, with_contact_rows
+from adaptmg.transfer import galerkin_product, surface_interpolation, with_contact_rows
 from adaptmg.transfer.between_levels import between_levels
 
 

@@ -13,7 +13,6 @@ from adaptmg.transfer import (
     injected_gap,
     injected_limit,
     injected_slip,
-    interpolated_pressure,
     largest_gap,
     minmod_slip,
     smallest_gap,
@@ -109,12 +108,11 @@ def test_slips_in_the_plane_by_hand():
     np.testing.assert_array_equal(injected_slip(P_LINE, slip), [[3, 0], [2, 0], [0, 1], [0, 0]])
 
 
-def test_limits_are_summed_and_pressures_interpolated():
+def test_limits_are_summed():
     limit = np.array([1.0, 2, 4, 8, 16])
     np.testing.assert_array_equal(summed_limit(P_LINE, limit), [2, 9, 20, 0])
     assert summed_limit(P_LINE, limit).sum() == limit.sum()
     np.testing.assert_array_equal(injected_limit(P_LINE, limit), [1, 4, 16, 0])
-    np.testing.assert_array_equal(interpolated_pressure(P_LINE, np.array([2.0, 4, 0, 9])), [2, 3, 4, 2, 0])
 
 
 def test_supports_are_made_once_and_accepted():
@@ -152,5 +150,3 @@ def test_failures_name_the_argument():
         minmod_slip(P_LINE, np.zeros((5, 2)), angle=2)
     with pytest.raises(ValueError, match="limit must have shape"):
         summed_limit(P_LINE, np.zeros(3))
-    with pytest.raises(ValueError, match="pressure_coarse must have shape"):
-        interpolated_pressure(P_LINE, np.zeros(5))
