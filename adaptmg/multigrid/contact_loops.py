@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "SLIPS", "TANGENTIAL", "count_cut", "directions", "friction_slope",
            "project", "truncate"]

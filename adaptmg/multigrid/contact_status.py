@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import kernel
 from adaptmg.multigrid.contact_loops import BACKWARDS, CLOSED, HELD, SLIPS
+from adaptmg.runtime.compiled import kernel
 from adaptmg.smoother.blocks import in_loop, inner, read, read_upper, times
 from adaptmg.smoother.node_solve import natural_at, read_reference
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["Halves", "split"]
 

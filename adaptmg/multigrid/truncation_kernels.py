@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.multigrid.contact_loops import CLOSED, HELD, TANGENTIAL
 from adaptmg.multigrid.halves import invert_block
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["add_contributions", "changed_blocks", "collect", "count_blocks", "count_contributions",
            "fetch", "fill_contributions", "find_slot", "find_slots", "store"]

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.runtime.threads import one_blas_thread
 from adaptmg.solver.certificate.lines import Condition, ContactClaims, Evidence
-from adaptmg.threads import one_blas_thread
 
 __all__ = ["Certificate", "Condition", "certify"]
 
