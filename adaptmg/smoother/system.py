@@ -13,6 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.discrete import ContactNodes, DiscreteProblem
+from adaptmg.transfer.aggregation import without_fixed
 
 __all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_blocks", "contact_lift",
            "frames_of", "held_tangents", "inverse_blocks",
@@ -215,7 +216,7 @@ def local_system(problem: DiscreteProblem) -> LocalProblem:
     dim, contact = problem.dim, problem.contact
     frames = frames_of(contact, problem.fixed.reshape(-1, dim))
     fixed = _local_fixed(problem, frames)
-    matrix = _eliminated(_rotated(problem.matrix, frames, contact.nodes), fixed)
+    matrix = without_fixed(_rotated(problem.matrix, frames, contact.nodes), fixed, copy=False)
     load = rotate(problem.load - problem.matrix @ problem.fixed_values, frames, contact.nodes)
     load[fixed] = 0.0
     system = LocalSystem.from_matrix(matrix, fixed, contact.nodes)
@@ -314,16 +315,3 @@ def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) ->
     at = np.flatnonzero(in_column >= 0)
     data[at] = np.einsum("nij,nkj->nik", data[at], frames[in_column[at]])
     return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
-
-
-def _eliminated(matrix: sparse.bsr_array, fixed: np.ndarray) -> sparse.bsr_array:
-    """Zero the rows and columns of fixed dofs in place, keep their diagonal entries; the pattern stays."""
-    dim = matrix.blocksize[0]
-    free = (~fixed).astype(np.float64).reshape(-1, dim)
-    held = ~free.all(axis=1)
-    rows = np.repeat(np.arange(matrix.shape[0] // dim), np.diff(matrix.indptr))
-    at = np.flatnonzero(held[rows] | held[matrix.indices])
-    row, column, blocks = rows[at], matrix.indices[at], matrix.data[at]
-    diagonal = (row == column)[:, None, None] * blocks * (np.eye(dim) * (1 - free[row])[:, :, None])
-    matrix.data[at] = blocks * free[row][:, :, None] * free[column][:, None, :] + diagonal
-    return matrix

@@ -6,13 +6,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.coarse import CoarseSolve
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.nested import NestedStart
 from adaptmg.smoother.gauss_seidel import Smoother
 from adaptmg.solver.run import Outcome
 
-__all__ = ["Method", "MultigridOptions", "own"]
+__all__ = ["Method", "MultigridOptions", "need_levels", "own"]
 
 
 class MultigridOptions(Protocol):
@@ -70,3 +71,9 @@ def own(correction: Any, hook: str) -> Any:
     """
     found = getattr(correction, hook, None)
     return found if callable(found) else None
+
+
+def need_levels(hierarchy: Hierarchy) -> None:
+    """Refuse a single level."""
+    if len(hierarchy) < 2:
+        raise ValueError("grids: multigrid needs at least two levels, got one; use SingleGrid or ActiveSet on one grid")

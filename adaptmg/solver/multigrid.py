@@ -15,7 +15,7 @@ from adaptmg.multigrid.monotone import Monotone
 from adaptmg.multigrid.nested import NestedStart
 from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.solver.method import Method, own
+from adaptmg.solver.method import Method, need_levels, own
 from adaptmg.solver.projected import ProjectedMultigrid
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.truncated.options import Truncated
@@ -100,9 +100,7 @@ class Multigrid:
         return self._method(hierarchy, run).from_given(start)
 
     def _method(self, hierarchy: Hierarchy, run: Run) -> Method:
-        if len(hierarchy) < 2:
-            raise ValueError("grids: multigrid needs at least two levels, got one; use SingleGrid or ActiveSet on one "
-                             "grid")
+        need_levels(hierarchy)
         return (own(self.correction, "method") or ProjectedMultigrid)(self, hierarchy, run)
 
 

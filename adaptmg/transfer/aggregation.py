@@ -10,15 +10,23 @@ from adaptmg.runtime.threads import one_blas_thread, seeded
 __all__ = ["aggregated_prolongations", "without_fixed"]
 
 
-def without_fixed(matrix: sparse.bsr_array, fixed: np.ndarray) -> sparse.bsr_array:
-    """A copy in which the rows and columns of fixed dofs (n_dofs,) are zero but for their diagonal."""
+def without_fixed(matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = True) -> sparse.bsr_array:
+    """The matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal; the pattern stays.
+
+    ``copy=False`` changes the given one.
+    """
     dim = matrix.blocksize[0]
-    free = (~fixed).astype(float).reshape(-1, dim)
+    if copy:
+        matrix = sparse.bsr_array((matrix.data.copy(), matrix.indices, matrix.indptr), shape=matrix.shape)
+    free = (~fixed).astype(np.float64).reshape(-1, dim)
+    held = ~free.all(axis=1)
     rows = np.repeat(np.arange(len(free)), np.diff(matrix.indptr))
-    data = matrix.data * free[rows][:, :, None] * free[matrix.indices][:, None, :]
-    on_diagonal = np.flatnonzero(rows == matrix.indices)
-    data[on_diagonal] += matrix.data[on_diagonal] * (np.eye(dim) * (1 - free[rows[on_diagonal]])[:, :, None])
-    return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    # few blocks are touched
+    at = np.flatnonzero(held[rows] | held[matrix.indices])
+    row, column, blocks = rows[at], matrix.indices[at], matrix.data[at]
+    diagonal = (row == column)[:, None, None] * blocks * (np.eye(dim) * (1 - free[row])[:, :, None])
+    matrix.data[at] = blocks * free[row][:, :, None] * free[column][:, None, :] + diagonal
+    return matrix
 
 
 def aggregated_prolongations(matrix: sparse.bsr_array, near_nullspace: np.ndarray | None, fixed: np.ndarray, *,

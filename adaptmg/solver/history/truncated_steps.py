@@ -23,7 +23,7 @@ from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_cycle import TruncatedCycle
 from adaptmg.smoother.system import local_contact
 from adaptmg.solver.history.past import Past, better_start
-from adaptmg.solver.method import MultigridOptions
+from adaptmg.solver.method import MultigridOptions, need_levels
 from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.stop_test import StopTest
@@ -169,6 +169,7 @@ class TruncatedSteps:
                 <= self.EXTRAPOLATE * examiner.relative_residual(nested))
 
     def _machine(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
+        need_levels(hierarchy)
         if self.machine is None or self.machine.spent:
             self.machine = KeptMultigrid(self.options, hierarchy, run)
         else:

@@ -19,6 +19,7 @@ from adaptmg.solver.linear.condensation import Condensed, condense
 from adaptmg.solver.linear.solvers import Direct, LinearSolver, Prepared, solution_of
 from adaptmg.solver.newton.linearised import Linearised
 from adaptmg.solver.run import Run
+from adaptmg.transfer.aggregation import without_fixed
 
 __all__ = ["CondensedSteps", "SparseSteps", "Steps", "local_near_nullspace"]
 
@@ -207,11 +208,12 @@ class SparseSteps:
             return
         phase = "factorise" if isinstance(self.linear, Direct) else "setup"
         with self.run.phase(phase):
-            eliminated = self._eliminated(matrix, prescribed)
-            symmetric = equations.symmetric
-            basis = None if symmetric else self._eliminated(self._contact_rows(equations, spring, coupled=False),
-                                                            prescribed)
-            modes = local_near_nullspace(self.local, prescribed.reshape(-1))
+            released = prescribed.reshape(-1)
+            eliminated = without_fixed(matrix, released, copy=False)
+            symmetric, basis = equations.symmetric, None
+            if not symmetric:
+                basis = without_fixed(self._contact_rows(equations, spring, coupled=False), released, copy=False)
+            modes = local_near_nullspace(self.local, released)
             self._prepared = self.linear.setup(eliminated, modes, symmetric=symmetric, preconditioner=basis,
                                                previous=self._prepared)
         self._prepared_for = key
@@ -231,13 +233,3 @@ class SparseSteps:
         if spring:
             data[at] += spring * self.stiffness[node][:, :, None] * np.eye(system.dim)
         return sparse.bsr_array((data, self._matrix.indices, self._matrix.indptr), shape=self._matrix.shape)
-
-    def _eliminated(self, matrix: sparse.bsr_array, prescribed: np.ndarray) -> sparse.bsr_array:
-        """Zero rows and columns of prescribed components but for their diagonal; the pattern stays."""
-        free = (~prescribed).astype(np.float64)
-        columns = matrix.indices
-        data = matrix.data * free[self._rows][:, :, None] * free[columns][:, None, :]
-        at = np.flatnonzero(self._rows == columns)
-        data[at] += np.einsum("nii->ni", self._matrix.data[at])[:, :, None] * (
-            np.eye(matrix.blocksize[0]) * prescribed[self._rows[at]][:, :, None])
-        return sparse.bsr_array((data, columns, matrix.indptr), shape=matrix.shape)
