@@ -101,7 +101,11 @@ class Multigrid:
 
     def _method(self, hierarchy: Hierarchy, run: Run) -> Method:
         need_levels(hierarchy)
-        return (own(self.correction, "method") or ProjectedMultigrid)(self, hierarchy, run)
+        method = (own(self.correction, "method") or ProjectedMultigrid)(self, hierarchy, run)
+        for name in ("from_given", "from_nested"):
+            checks.offers(f"correction: what the method of {checks.shown(self.correction)} returns", method, name,
+                          "an object that offers from_given(start) and from_nested(start)")
+        return method
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,7 +46,7 @@ class KeptMultigrid(TruncatedMultigrid):
     Attributes
     ----------
     spent : bool
-        Another method had to take over: what is kept may be spoilt, a new machine is needed.
+        Another method had to take over: what is kept may be spoilt, it is set up anew.
     """
 
     def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
@@ -134,21 +134,21 @@ class TruncatedSteps:
 
     def __init__(self, options: MultigridOptions) -> None:
         self.options = options
-        self.machine: KeptMultigrid | None = None
+        self.multigrid: KeptMultigrid | None = None
 
     def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
             ) -> tuple[Outcome, list[np.ndarray] | None]:
         """See :class:`StepSolver`."""
-        machine, coarse, cold = self._machine(hierarchy, run), None, True
+        multigrid, coarse, cold = self._kept(hierarchy, run), None, True
         if self.options.start is not None:
-            *coarse, start = machine.increment(self.options.start, past.levels)
+            *coarse, start = multigrid.increment(self.options.start, past.levels)
             cold = False
             with run.phase("start"):
                 if self._exact_enough(examiner, past, start):
                     start = past.extrapolated
         else:
             start = better_start(examiner, past, run) if past.given else np.zeros(examiner.discrete.n_dofs)
-        outcome = machine.finish(from_prescribed(examiner.discrete, start), cold)
+        outcome = multigrid.finish(from_prescribed(examiner.discrete, start), cold)
         self._hold(outcome.rtol)
         return outcome, coarse
 
@@ -156,8 +156,8 @@ class TruncatedSteps:
         """See :class:`StepSolver`."""
         coarse = None
         if self.options.start is not None:
-            machine = self._machine(hierarchy, Run(unit=hierarchy.finest.matrix.nnz))
-            coarse = machine.increment(self.options.start, past.levels)[:-1]
+            multigrid = self._kept(hierarchy, Run(unit=hierarchy.finest.matrix.nnz))
+            coarse = multigrid.increment(self.options.start, past.levels)[:-1]
         self._hold(rtol)
         return coarse
 
@@ -168,16 +168,16 @@ class TruncatedSteps:
         return (examiner.relative_residual(past.extrapolated)
                 <= self.EXTRAPOLATE * examiner.relative_residual(nested))
 
-    def _machine(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
+    def _kept(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
         need_levels(hierarchy)
-        if self.machine is None or self.machine.spent:
-            self.machine = KeptMultigrid(self.options, hierarchy, run)
+        if self.multigrid is None or self.multigrid.spent:
+            self.multigrid = KeptMultigrid(self.options, hierarchy, run)
         else:
-            self.machine.take(hierarchy, run)
-        return self.machine
+            self.multigrid.take(hierarchy, run)
+        return self.multigrid
 
     def _hold(self, rtol: float) -> None:
         """Keep the tolerance that the discretisation error of the first step has set: increments have smaller ones."""
         if self.options.rtol == "discretisation":
             self.options = replace(self.options, rtol=max(rtol, StopTest.ROUNDING_LIMIT))
-            self.machine.options = self.options
+            self.multigrid.options = self.options

@@ -1,0 +1,124 @@
+"""The loop over iterations, what ends it, and corrections that bring their own method."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.solver.iterate import iterate
+from adaptmg.solver.run import Run
+from adaptmg.solver.sizes import Sizes
+from adaptmg.solver.stop_test import StopTest
+
+
+@pytest.fixture(scope="module")
+def grids():
+    return am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
+
+
+class Halving:
+    """Residuals and changes that fall by ``factor``; gives up after so many cycles."""
+
+    def __init__(self, factor=0.5, gives_up=None):
+        self.factor, self.gives_up, self.cycles, self.done = factor, gives_up, 0, []
+
+    def start(self):
+        self.done.append("start")
+
+    def measure(self, stop):
+        self.done.append("measure")
+        if self.cycles:
+            stop.changes.append(self.factor**self.cycles)
+        stop.size = 1.0
+        stop.take_residual(self.factor**self.cycles, 1.0, floor=0.0)
+
+    def row(self, stop):
+        return stop.measures()
+
+    def step(self, stop):
+        self.done.append("step")
+        self.cycles += 1
+        return am.Status.CYCLING if self.cycles == self.gives_up else None
+
+
+def stop_test(grids, rtol=1e-3, limit=100):
+    return StopTest(rtol, limit, Sizes(grids.finest.discrete))
+
+
+def test_error_and_residual_end_it(grids):
+    method, stop, run = Halving(), stop_test(grids), Run(unit=1)
+    assert iterate(method, stop, run) is am.Status.CONVERGED
+    # with a rate of a half the error that remains is the last change
+    assert method.cycles == 10 and stop.error_estimate == pytest.approx(0.5**10) and stop.rate == pytest.approx(0.5)
+    assert method.done == ["start", *["measure", "step"] * 10, "measure"]
+    assert [row["cycle"] for row in run.history] == list(range(11))
+
+
+@pytest.mark.parametrize(("method", "limit", "status", "cycles"), [
+    (Halving(), 4, am.Status.LIMIT, 4), (Halving(gives_up=3), 100, am.Status.CYCLING, 3),
+    (Halving(1.0), 1000, am.Status.STALLED, StopTest.PATIENCE + 1), (Halving(100.0), 100, am.Status.DIVERGED, 7),
+    (Halving(np.nan), 100, am.Status.DIVERGED, 1)])
+def test_what_else_ends_it(grids, method, limit, status, cycles):
+    assert iterate(method, stop_test(grids, limit=limit)) is status
+    assert method.cycles == cycles
+
+
+def test_what_is_met_may_be_doubted(grids):
+    class Doubting(StopTest):
+        doubts = 2
+
+        def doubted(self):
+            self.doubts -= 1
+            return self.doubts >= 0
+
+    stop, method = Doubting(1e-3, 100, Sizes(grids.finest.discrete)), Halving()
+    assert iterate(method, stop) is am.Status.CONVERGED and method.cycles == 12
+
+
+@dataclass(frozen=True)
+class Own:
+    """A correction with cycles of its own: the active set method in disguise."""
+
+    def method(self, options, hierarchy, run):
+        return _OwnMethod(options, hierarchy, run)
+
+
+@dataclass
+class _OwnMethod:
+    options: object
+    hierarchy: object
+    run: object
+
+    def from_given(self, start):
+        solver = am.ActiveSet(rtol=self.options.rtol, max_steps=self.options.max_cycles)
+        return solver.run(self.hierarchy, self.run, start)
+
+    def from_nested(self, start):
+        assert isinstance(start, am.NestedStart)
+        return replace(self.from_given(None), cycles=1)
+
+
+def test_a_correction_may_bring_its_own_method(grids):
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-12)).displacement
+    for solver in (am.Multigrid(correction=Own()), am.FullMultigrid(correction=Own(), cycle=am.Cycle(shape="W"))):
+        result = am.solve(grids, solver)
+        assert np.abs(result.displacement - exact).max() < 1e-10 * np.abs(exact).max()
+    assert result.cycles == 1
+
+
+def test_load_steps_start_such_a_method_anew(grids):
+    path = am.solve_path(grids, am.LoadPath(default=[0.5, 1.0]), am.FullMultigrid(correction=Own()))
+    exact = am.solve_path(grids, am.LoadPath(default=[0.5, 1.0]), am.ActiveSet(rtol=1e-12))
+    assert np.allclose(path[-1].displacement, exact[-1].displacement, rtol=1e-8, atol=1e-15)
+
+
+def test_what_is_no_method_is_said(grids):
+    class Wrong:
+        def method(self, options, hierarchy, run):
+            return 5
+
+    with pytest.raises(TypeError, match="from_given"):
+        am.solve(grids, am.Multigrid(correction=Wrong()))
+    with pytest.raises(ValueError, match="rtol='discretisation' needs"):
+        am.FullMultigrid(correction=Own(), rtol="discretisation")
