@@ -1,10 +1,10 @@
 """The multigrid ingredients: coarse spaces, corrections, cycles, coarse solves, nested start."""
 
-from adaptmg.multigrid.coarse import CoarseSolve
+from adaptmg.multigrid.coarse_solve import CoarseSolve
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.monotone import Monotone
 from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.paper import PaperCorrection
-from adaptmg.multigrid.truncated import Truncated
+from adaptmg.multigrid.truncated.options import Truncated
 
 __all__ = ["CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection", "Truncated"]

@@ -10,9 +10,9 @@ from scipy import sparse
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.correction import InitialContact
-from adaptmg.multigrid.cycle import CycleRunner
+from adaptmg.multigrid.correction_levels import correction_levels
+from adaptmg.multigrid.cycle import MultigridCycle
 from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prolonged_start
-from adaptmg.multigrid.stack import build_stack
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
 from adaptmg.solver.condensation import Condensed, condense
 from adaptmg.solver.convergence import Convergence
@@ -46,16 +46,16 @@ class Machine:
             self.problems: list[LocalProblem] = [local_system(level.discrete) for level in hierarchy.levels]
         self.initial: list[InitialContact] = []
 
-    def runner(self, finest: int) -> CycleRunner:
+    def runner(self, finest: int) -> MultigridCycle:
         """What runs cycles on level ``finest`` and those below."""
         o = self.options
         with self.run.phase("setup"):
-            stack = build_stack(self.hierarchy, self.problems, finest, o.coarse_matrices)
+            levels = correction_levels(self.hierarchy, self.problems, finest, o.coarse_matrices)
         condensed = None
         if o.coarse.condensed:
             with self.run.phase("factorise"):
-                condensed = self._condensed(stack.levels[0].system)
-        return CycleRunner(stack, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial, condensed)
+                condensed = self._condensed(levels[0].system)
+        return MultigridCycle(levels, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial, condensed)
 
     def _condensed(self, coarsest: LocalSystem) -> Condensed:
         """The coarsest problem on its contact nodes."""
@@ -86,7 +86,7 @@ class Machine:
                     self._by_error(runner, unknowns, start.rtol)
                 else:
                     for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
-                        runner.once(level, local.contact, local.load, unknowns, self.options.cycle.shape)
+                        runner.cycle(level, local.contact, local.load, unknowns, self.options.cycle.shape)
                 if self.options.correction.needs_initial:
                     defect = runner.residual(level, local.load, unknowns)
                     self.initial.append(initial_contact(local, unknowns, defect))
@@ -96,7 +96,7 @@ class Machine:
         self.run.start_work_units = self.run.work_units
         return unknowns
 
-    def _solve_coarsest(self, runner: CycleRunner, start: NestedStart) -> np.ndarray:
+    def _solve_coarsest(self, runner: MultigridCycle, start: NestedStart) -> np.ndarray:
         local = self.problems[0]
         unknowns = np.zeros(local.system.n_dofs)
         project(local, unknowns)
@@ -116,10 +116,10 @@ class Machine:
         displacement = self.problems[-1].to_cartesian(unknowns)
         return Outcome(displacement, status, cycles, o.rtol, watch.error_estimate, watch.rate)
 
-    def _by_error(self, runner: CycleRunner, unknowns: np.ndarray, rtol: float,
+    def _by_error(self, runner: MultigridCycle, unknowns: np.ndarray, rtol: float,
                   record: bool = False) -> tuple[Status, int, Convergence]:
         """Cycle until the error is small; tested after the first smoothing of a cycle, where its residual is known."""
-        o, local, level = self.options, runner.stack.fine, len(runner.stack.levels) - 1
+        o, local, level = self.options, runner.levels.fine, len(runner.levels) - 1
         watch, cycles = self._watch(local, rtol, record), 0
         while True:
             runner.smooth(level, local.contact, local.load, unknowns, o.cycle.pre)
@@ -144,9 +144,9 @@ class Machine:
         known = record and self.run.reference is not None
         return Convergence(local, rtol, self.run, local.to_local(self.run.reference) if known else None)
 
-    def _by_change(self, runner: CycleRunner, unknowns: np.ndarray) -> tuple[Status, int, Convergence]:
+    def _by_change(self, runner: MultigridCycle, unknowns: np.ndarray) -> tuple[Status, int, Convergence]:
         """Cycle until the change over a cycle is small, the paper's test at the end of step g."""
-        o, local, level = self.options, runner.stack.fine, len(runner.stack.levels) - 1
+        o, local, level = self.options, runner.levels.fine, len(runner.levels) - 1
         watch = self._watch(local, o.rtol, True)
         change, cycles = np.inf, 0
         while change > o.rtol and cycles < o.max_cycles:

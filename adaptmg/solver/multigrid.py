@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.coarse import CoarseSolve
+from adaptmg.multigrid.coarse_solve import CoarseSolve
 from adaptmg.multigrid.correction import Correction
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.monotone import Monotone
 from adaptmg.multigrid.nested import NestedStart, project
-from adaptmg.multigrid.truncated import Truncated
+from adaptmg.multigrid.truncated.options import Truncated
 from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.solver.machine import Machine

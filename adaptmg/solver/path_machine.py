@@ -20,8 +20,8 @@ from scipy.sparse.linalg import lsmr
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.nested import NestedStart
-from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
+from adaptmg.multigrid.truncated.step import TruncatedStep
 from adaptmg.smoother.system import local_contact
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.truncated_machine import TruncatedMachine
@@ -51,7 +51,7 @@ class PathMachine(TruncatedMachine):
 
     def __init__(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> None:
         super().__init__(options, hierarchy, run)
-        self._runners: dict[int, TruncatedCycle] = {}
+        self._runners: dict[int, TruncatedStep] = {}
         self.spent = False
 
     def take(self, hierarchy: Hierarchy, run: Run) -> None:
@@ -103,18 +103,18 @@ class PathMachine(TruncatedMachine):
         self.spent = bool(self.run.fallback)
         return outcome
 
-    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
+    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         if number not in self._runners:
             self._runners[number] = super()._runner(number, unknowns)
             return self._runners[number]
         runner, problem = self._runners[number], self.problems[number]
         with self.run.phase("setup"):
-            contact, _ = local_contact(problem)
-            obstacle, load = runner.obstacle, lifted_load(problem)
-            obstacle.take(contact)
-            obstacle.place(unknowns)
+            data, _ = local_contact(problem)
+            contact, load = runner.contact, lifted_load(problem)
+            contact.renew(data)
+            contact.start(unknowns)
             runner.load, runner.unknowns = load, unknowns
-            runner.motions = RigidMotions.of(problem, obstacle, load)
+            runner.motions = RigidMotions.of(problem, contact, load)
         return runner
 
 

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.truncated import Truncated
+from adaptmg.multigrid.truncated.options import Truncated
 from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.examiner import Examiner
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid

@@ -18,13 +18,13 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.coarse_levels import coarse_levels, nodal_prolongations
-from adaptmg.multigrid.interface import Interface
-from adaptmg.multigrid.linear_cycle import LinearCycle
+from adaptmg.multigrid.linear.galerkin_levels import galerkin_levels, nodal_prolongations
+from adaptmg.multigrid.linear.linear_cycle import LinearCycle
 from adaptmg.multigrid.nested import NestedStart
-from adaptmg.multigrid.obstacle import Obstacle
-from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.multigrid.truncated.contact import TruncatedContact
+from adaptmg.multigrid.truncated.interface import Interface
+from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
+from adaptmg.multigrid.truncated.step import TruncatedStep
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.fallback import Fallback
 from adaptmg.solver.run import Outcome, Run
@@ -71,8 +71,9 @@ class TruncatedMachine:
         self.nbytes = 0
         with run.phase("setup"):
             prolongations = nodal_prolongations(hierarchy)
-            levels = coarse_levels(hierarchy, prolongations)
-            self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels))
+            levels = galerkin_levels(hierarchy, prolongations)
+            self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels),
+                                     options.correction.coarse_solve)
         self.problems: list[DiscreteProblem | None] = [level.discrete for level in hierarchy.levels]
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
@@ -117,7 +118,7 @@ class TruncatedMachine:
             return Fallback(self.options, self.hierarchy, self.run, watch.rtol).finish(outcome, better)
         return outcome
 
-    def _falls_short(self, runner: TruncatedCycle, watch: TruncatedWatch) -> bool:
+    def _falls_short(self, runner: TruncatedStep, watch: TruncatedWatch) -> bool:
         """Whether an iterate that meets the test is further off than the watch thinks, which then thinks worse."""
         if watch.run is None or watch.doubts >= self.DOUBTS or watch.at_rounding(runner.rounding()):
             return False
@@ -131,7 +132,7 @@ class TruncatedMachine:
         problem = self.problems[-1]
         return problem.n_dofs <= Fallback.FACTORISED[problem.dim]
 
-    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
+    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         with self.run.phase("setup"):
             problem, levels = self.problems[number], self.cycle.levels
             runner = self._cycle_on(problem, self.cycle, number, unknowns)
@@ -143,17 +144,17 @@ class TruncatedMachine:
             return runner
 
     def _cycle_on(self, problem: DiscreteProblem, cycle: LinearCycle, number: int,
-                  unknowns: np.ndarray) -> TruncatedCycle:
+                  unknowns: np.ndarray) -> TruncatedStep:
         """Cycles for a problem on level ``number`` of a linear cycle, from ``unknowns`` (n_dofs,)."""
-        obstacle, load = Obstacle.of(problem, cycle.levels[number]), _load(problem)
-        obstacle.place(unknowns)
+        contact, load = TruncatedContact.of(problem, cycle.levels[number]), _load(problem)
+        contact.start(unknowns)
         options, interface = self.options.correction, None
         if problem.coupling is not None and options.interface_sweeps:
             interface = Interface(cycle.levels[number], problem.coupling)
-        return TruncatedCycle(cycle, number, obstacle, load, unknowns, options.recombine,
-                              RigidMotions.of(problem, obstacle, load), interface, options.interface_sweeps)
+        return TruncatedStep(cycle, number, contact, load, unknowns, options.recombine,
+                              RigidMotions.of(problem, contact, load), interface, options.interface_sweeps)
 
-    def _start_cycles(self, runner: TruncatedCycle, number: int, start: NestedStart) -> None:
+    def _start_cycles(self, runner: TruncatedStep, number: int, start: NestedStart) -> None:
         """The cycles of a nested start on one level."""
         if start.cycles == "complete":
             watch = TruncatedWatch(self.problems[number], start.rtol)
@@ -163,8 +164,8 @@ class TruncatedMachine:
         wanted = start.cycles_on(self.problems[number], self.problems[number + 1])
         for cycle in range(max(wanted, self.options.correction.safe_cycles)):
             runner.smooth()
-            look = runner.look(safe=False, trusted=self.TRUSTED * watch.sizes.forces(runner.unknowns, 0.0))
-            watch.check(look.residual, watch.sizes.forces(runner.unknowns, look.reactions), 0.0)
+            state = runner.truncate(safe=False, trusted=self.TRUSTED * watch.sizes.forces(runner.unknowns, 0.0))
+            watch.check(state.residual, watch.sizes.forces(runner.unknowns, state.reactions), 0.0)
             runner.correct()
             if cycle + 1 >= wanted and watch.residual <= self.TRUSTED:
                 return
@@ -186,7 +187,8 @@ class TruncatedMachine:
         problem, level = self.problems[0], self.cycle.levels[0]
         n = level.n_nodes
         identity = sparse.csr_array((np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)))
-        cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1))
+        cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1),
+                            self.options.correction.coarse_solve)
         runner = self._cycle_on(problem, cycle, 1, np.zeros(problem.n_dofs))
         status, _ = self._cycles(runner, TruncatedWatch(problem, start.rtol), True, self.COMPLETE_LIMIT, None)
         # unless restored, the matrix stays as the last contact status left it
@@ -218,7 +220,7 @@ class TruncatedMachine:
         result[fine.fixed] = 0.0
         return result
 
-    def _cycles(self, runner: TruncatedCycle, watch: TruncatedWatch, cold: bool, limit: int,
+    def _cycles(self, runner: TruncatedStep, watch: TruncatedWatch, cold: bool, limit: int,
                 start: np.ndarray | None) -> tuple[Status, int]:
         """Cycle until the watch is content.
 
@@ -230,12 +232,12 @@ class TruncatedMachine:
         while True:
             runner.smooth()
             watch.measure(runner, cycles)
-            look = runner.look(safe=left > 0)
-            left = left - 1 if left > 0 and look.changed else 0
+            state = runner.truncate(safe=left > 0)
+            left = left - 1 if left > 0 and state.changed else 0
             # an exact start has no rate to measure, and needs none
             floor = runner.rounding() if cycles < 2 else 0.0
-            met = watch.check(look.residual, watch.sizes.forces(runner.unknowns, look.reactions), floor)
-            watch.record(runner, cycles, look.changed)
+            met = watch.check(state.residual, watch.sizes.forces(runner.unknowns, state.reactions), floor)
+            watch.record(runner, cycles, state.changed)
             if met and not self._falls_short(runner, watch):
                 return Status.CONVERGED, cycles
             if watch.diverged:

@@ -12,7 +12,7 @@ from adaptmg.solver.run import Run
 from adaptmg.solver.sizes import Sizes, displacement_norm, energy_norm
 
 if TYPE_CHECKING:
-    from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+    from adaptmg.multigrid.truncated.step import TruncatedStep
 
 __all__ = ["TruncatedWatch"]
 
@@ -64,7 +64,7 @@ class TruncatedWatch:
         self.sizes = Sizes(problem)
         self._since = 0
 
-    def measure(self, runner: TruncatedCycle, cycle: int) -> None:
+    def measure(self, runner: TruncatedStep, cycle: int) -> None:
         """Measure the displacement after a smoothing; each cycle only where it has to grow into prescribed values."""
         if cycle % 4 == 0 or self.sizes.prescribed:
             self.size = self.sizes.norm(runner.unknowns, runner.energy())
@@ -115,7 +115,7 @@ class TruncatedWatch:
         if self.size > 0:
             self.rtol = min(self.SHARE * change / np.sqrt(3.0) / self.size, self.COARSEST)
 
-    def record(self, runner: TruncatedCycle, cycle: int, changed: int) -> None:
+    def record(self, runner: TruncatedStep, cycle: int, changed: int) -> None:
         """Add a row to the history."""
         if self.run is None:
             return

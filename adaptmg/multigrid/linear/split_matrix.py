@@ -1,4 +1,4 @@
-r"""Halves: a block matrix stored as strict lower part L, strict upper part U and inverse diagonal blocks.
+r"""SplitMatrix: a block matrix stored as strict lower part L, strict upper part U and inverse diagonal blocks.
 
 Gauss-Seidel sweeps in turn, forward after backward, need the half that has changed only:
 with :math:`t = f - U u` kept from the backward sweep, the forward sweep is :math:`D u_i = t_i - L_i u`. Kept apart, a
@@ -15,11 +15,11 @@ from scipy import sparse
 
 from adaptmg.compiled import inner_kernel, kernel
 
-__all__ = ["Halves", "split"]
+__all__ = ["SplitMatrix", "split"]
 
 
 @dataclass(eq=False)
-class Halves:
+class SplitMatrix:
     """A matrix of ``dim`` x ``dim`` blocks in Cartesian components, fixed dofs eliminated.
 
     Attributes
@@ -81,7 +81,7 @@ class Halves:
         arrays = (*self.lower_arrays, *self.upper_arrays, self.diagonal, self.inverse, self.fixed)
         return sum(array.nbytes for array in arrays)
 
-    def copy(self) -> Halves:
+    def copy(self) -> SplitMatrix:
         """With arrays of its own where the contact status changes them."""
         return replace(self, lower=self.lower.copy(), upper=self.upper.copy(), diagonal=self.diagonal.copy(),
                        inverse=self.inverse.copy())
@@ -241,7 +241,7 @@ def _invert_all(dim, diagonal, inverse):
         invert_block(dim, block, scale, inverse, size * i)
 
 
-def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) -> Halves:
+def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) -> SplitMatrix:
     """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed.
 
     Parameters
@@ -254,7 +254,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
 
     Returns
     -------
-    Halves
+    SplitMatrix
     """
     dim = matrix.blocksize[0]
     n = matrix.shape[0] // dim
@@ -279,5 +279,5 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
             _mask(dim, upper_indptr, upper_indices, upper, free, held)
         _decouple(dim, diagonal, dofs)
     _invert_all(dim, diagonal, inverse)
-    return Halves(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse, dofs,
-                  nonzeros)
+    return SplitMatrix(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse,
+                       dofs, nonzeros)
