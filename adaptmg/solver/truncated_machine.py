@@ -73,7 +73,7 @@ class TruncatedMachine:
             prolongations = nodal_prolongations(hierarchy)
             levels = galerkin_levels(hierarchy, prolongations)
             self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels),
-                                     options.correction.coarse_solve)
+                                     options.correction.coarse_solve, options.correction.coarse_smoother)
         self.problems: list[DiscreteProblem | None] = [level.discrete for level in hierarchy.levels]
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
@@ -136,7 +136,7 @@ class TruncatedMachine:
         with self.run.phase("setup"):
             problem, levels = self.problems[number], self.cycle.levels
             runner = self._cycle_on(problem, self.cycle, number, unknowns)
-            if number == len(levels) - 1:
+            if number == len(levels) - 1 and self.cycle.coarse_smoother is None:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:]:
                     level.drop_diagonal()

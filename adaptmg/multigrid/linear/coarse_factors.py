@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
 
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 
+from adaptmg.multigrid.linear.own_parts import LinearSolve, OwnSolve, regular_matrix
 from adaptmg.multigrid.linear.split_matrix import SplitMatrix
-from adaptmg.problem import checks
 
-__all__ = ["CoarseFactors", "LinearSolve"]
-
-
-class LinearSolve(Protocol):
-    """What one's own solver of the coarsest linear problems must offer."""
-
-    def setup(self, matrix: sparse.csr_array) -> Any:
-        """Prepare for a matrix (n_dofs, n_dofs): return an object with ``solve(rhs (n_dofs,)) -> (n_dofs,) array``.
-
-        Called whenever the contact status changes the matrix. It has a unit-scale diagonal where dofs are fixed or
-        truncated; with Coulomb friction it is not symmetric; where only contact holds a body it may be singular. An
-        object with a number ``passes``, the passes over the matrix that its last solve took, has them counted as work.
-        """
+__all__ = ["CoarseFactors"]
 
 
 class CoarseFactors:
@@ -48,17 +35,13 @@ class CoarseFactors:
         scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self._solve: Callable[[np.ndarray], np.ndarray] | None = None
-        self._solver: Any = None
+        self._own_solve: OwnSolve | None = None
 
     def renew(self) -> None:
         """Factorise the matrix as it is now."""
-        matrix = sparse.csr_array(self.level.matrix())
-        empty = np.asarray(abs(matrix).sum(axis=1)).reshape(-1) == 0
-        matrix = matrix + sparse.diags_array(np.where(empty, self._scale, 0.0))
+        matrix = regular_matrix(self.level, self._scale)
         if self.own is not None:
-            self._solver = checks.offers("coarse_solve: what setup returns", self.own.setup(matrix), "solve",
-                                         "an object with solve(rhs) -> solution")
-            self._solve = self._solver.solve
+            self._own_solve = OwnSolve(self.own, matrix)
             return
         factorise = _dense_factors if matrix.shape[0] <= self.DENSE else _sparse_factors
         self._solve = factorise(matrix, self.SINGULAR)
@@ -67,12 +50,10 @@ class CoarseFactors:
 
     def solve(self, load: np.ndarray, result: np.ndarray) -> float:
         """Solve into ``result`` (n_dofs,); returns the passes over the matrix, 0 for factors."""
-        if self.own is None:
-            result[:] = self._solve(load)
-            return 0.0
-        # a copy: the load is the residual that the recombination keeps
-        result[:] = checks.array("coarse_solve: what solve returns", self._solve(load.copy()), load.shape)
-        return checks.nonnegative("coarse_solve: passes", getattr(self._solver, "passes", 0.0))
+        if self._own_solve is not None:
+            return self._own_solve.solve(load, result)
+        result[:] = self._solve(load)
+        return 0.0
 
 
 def _dense_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:

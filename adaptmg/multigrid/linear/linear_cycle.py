@@ -10,7 +10,8 @@ from scipy import sparse
 
 from adaptmg.multigrid.correction import Recorder
 from adaptmg.multigrid.linear import half_sweeps
-from adaptmg.multigrid.linear.coarse_factors import CoarseFactors, LinearSolve
+from adaptmg.multigrid.linear.coarse_factors import CoarseFactors
+from adaptmg.multigrid.linear.own_parts import LinearSmoother, LinearSolve, OwnSmoother
 from adaptmg.multigrid.linear.split_matrix import SplitMatrix
 from adaptmg.multigrid.linear.transfer_kernels import add_prolonged, restrict, zero_at
 from adaptmg.smoother.blocks import ZERO
@@ -48,6 +49,8 @@ class LinearCycle:
         (symmetric both times; 3 passes).
     coarse_solve : LinearSolve, optional
         In place of LU factors on the coarsest level.
+    coarse_smoother : LinearSmoother, optional
+        In place of the symmetric sweeps.
     """
 
     levels: list[SplitMatrix]
@@ -55,11 +58,19 @@ class LinearCycle:
     recorder: Recorder
     sweeps: Sequence[int]
     coarse_solve: LinearSolve | None = None
+    coarse_smoother: LinearSmoother | None = None
     factors: CoarseFactors = field(init=False)
 
     def __post_init__(self) -> None:
         self.factors = CoarseFactors(self.levels[0], self.coarse_solve)
         self._vectors: dict[int, LevelVectors] = {}
+        self._own: dict[int, OwnSmoother] = {}
+
+    def renew(self, number: int) -> None:
+        """Take the matrices below level ``number`` as they are now."""
+        self.factors.renew()
+        if self.coarse_smoother is not None:
+            self._own = {k: OwnSmoother(self.coarse_smoother, self.levels[k]) for k in range(1, number)}
 
     def vectors(self, number: int) -> LevelVectors:
         """Load and solution of a level, made when first asked for."""
@@ -84,7 +95,7 @@ class LinearCycle:
             self.recorder.visit(0, "solve")
             return v.solution
         level, nodal = self.levels[number], self.prolongations[number - 1]
-        self._before(level, v, self.sweeps[number])
+        passes = self._before(number, v)
         self.recorder.visit(number, "smooth", self.sweeps[number])
         below = self.vectors(number - 1)
         components = ZERO[level.n_dofs // nodal.shape[0]]
@@ -95,27 +106,38 @@ class LinearCycle:
         add_prolonged(components, nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
         zero_at(v.solution, level.fixed)
         self.recorder.visit(number, "prolong")
-        self._after(level, v, self.sweeps[number])
+        passes += self._after(number, v)
         self.recorder.visit(number, "smooth", self.sweeps[number])
-        self.recorder.count(1 + self.sweeps[number], level.nonzeros)
+        self.recorder.count(passes, level.nonzeros)
         return v.solution
 
-    def _before(self, level: SplitMatrix, v: LevelVectors, sweeps: int) -> None:
-        """Smooth from zero; the residual is left in ``kept``."""
-        zero = ZERO[level.dim]
+    def _before(self, number: int, v: LevelVectors) -> float:
+        """Smooth from zero; the residual is left in ``kept``. Returns the passes, those of the residual included."""
+        level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
+        if self._own:
+            v.solution[:] = 0.0
+            passes = self._own[number].smooth(v.load, v.solution)
+            v.kept[:] = v.load - self._own[number].matrix @ v.solution
+            return passes + 1
         half_sweeps.forward_from_zero(zero, *level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
         if sweeps == 1:
             half_sweeps.forward_residual(zero, *level.upper_arrays, v.solution, v.kept)
         else:
             half_sweeps.backward_change(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)
             half_sweeps.residual(zero, *level.lower_arrays, v.kept)
+        # forward and residual: L, U; forward, backward, residual: L, U, L
+        return 1 if sweeps == 1 else 1.5
 
-    def _after(self, level: SplitMatrix, v: LevelVectors, sweeps: int) -> None:
-        """Smooth the corrected solution."""
-        zero = ZERO[level.dim]
+    def _after(self, number: int, v: LevelVectors) -> float:
+        """Smooth the corrected solution; returns the passes."""
+        level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
+        if self._own:
+            return self._own[number].smooth(v.load, v.solution)
         if sweeps == 1:
             half_sweeps.backward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
         else:
             half_sweeps.forward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution,
                                      v.kept)
             half_sweeps.backward_kept(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)
+        # backward: L, U; forward, backward: L, U, U
+        return 1 if sweeps == 1 else 1.5

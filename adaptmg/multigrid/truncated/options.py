@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from adaptmg.multigrid.linear.coarse_factors import LinearSolve
+from adaptmg.multigrid.linear.own_parts import LinearSmoother, LinearSolve
 from adaptmg.multigrid.linear.split_matrix import SplitMatrix
 from adaptmg.problem import checks
 
@@ -34,7 +34,11 @@ class Truncated:
         graded ones a tenth; where a joint is soft they bring the rate from .6 or .7 to .4 (``studies/dovetail.py``).
     coarse_solve : LinearSolve, optional
         One's own solver of the coarsest linear problems, anything with ``setup(matrix) -> object with solve(rhs)``; see
-        :class:`~adaptmg.multigrid.linear.coarse_factors.LinearSolve`. Default: LU factors.
+        :class:`~adaptmg.multigrid.linear.own_parts.LinearSolve`. Default: LU factors.
+    coarse_smoother : LinearSmoother, optional
+        One's own smoother of the linear problems between the coarsest level and the finest, anything with
+        ``setup(matrix) -> object with smooth(rhs, x) -> passes``. Default: Gauss-Seidel sweeps. The smoother of the
+        finest level, projected sweeps that leave the residual behind, is part of the method.
     """
 
     #: how much denser than the finest matrix a coarse one is that is smoothed once only
@@ -45,6 +49,7 @@ class Truncated:
     safe_cycles: int = 20
     interface_sweeps: int = 2
     coarse_solve: LinearSolve | None = None
+    coarse_smoother: LinearSmoother | None = None
 
     def __post_init__(self) -> None:
         if checks.integer("recombine", self.recombine) > 2:
@@ -56,6 +61,9 @@ class Truncated:
         if self.coarse_solve is not None:
             checks.offers("coarse_solve", self.coarse_solve, "setup",
                           "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution")
+        if self.coarse_smoother is not None:
+            checks.offers("coarse_smoother", self.coarse_smoother, "setup",
+                          "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes")
 
     def sweeps(self, levels: Sequence[SplitMatrix]) -> list[int]:
         """Sweeps on each of the levels, coarsest first."""

@@ -113,7 +113,7 @@ class TruncatedStep:
         if status.changed or frozen != self._frozen:
             self.contact.linearise_friction()
             self.truncation.apply(newton=not frozen)
-            self.cycle.factors.renew()
+            self.cycle.renew(self.number)
             self.recombination.restart()
             self._frozen = frozen
         return StepState(status.changed, residual, float(np.sqrt(status.reactions)))
