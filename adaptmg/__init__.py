@@ -41,7 +41,8 @@ _WHERE = {
     "adaptmg.solver.path_result": ("PathResult",),
     "adaptmg.solver.certificate": ("Certificate",),
     "adaptmg.solver.result": ("Result",),
-    "adaptmg.solver.status": ("NotConverged", "Status"),
+    "adaptmg.solver.not_converged": ("NotConverged",),
+    "adaptmg.solver.status": ("Status",),
     "adaptmg.study.study": ("Study",),
 }
 _HOME = {name: module for module, names in _WHERE.items() for name in names}

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import njit
+from numba.core.registry import CPUDispatcher
 
 __all__ = ["inner_kernel", "kernel"]
 
@@ -24,5 +25,20 @@ def kernel(function: Callable | None = None, **options: Any) -> Any:
 
 
 def inner_kernel(function: Callable | None = None, **options: Any) -> Any:
-    """Compile a function that only kernels call."""
-    return kernel(function, no_cpython_wrapper=True, **options)
+    """Compile a function that only kernels call; a call from Python is a TypeError."""
+    def inner(function: Callable) -> Any:
+        compiled = kernel(function, no_cpython_wrapper=True, **options)
+        if isinstance(compiled, CPUDispatcher):  # not where numba is told to compile nothing
+            compiled.__class__ = _Inner
+        return compiled
+
+    return inner if function is None else inner(function)
+
+
+class _Inner(CPUDispatcher):
+    """Compiled without a way in from Python: numba would jump to an address that is none."""
+
+    def __call__(self, *arguments: Any, **named: Any) -> None:
+        name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
+        raise TypeError(f"{name} is called by compiled code alone (inner_kernel): compile it with kernel, or call its "
+                        ".py_func")

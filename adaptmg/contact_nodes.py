@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg.discrete_input import SMALLEST, bounded
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.problem.contact_problem import CONTACT
 
 __all__ = ["ContactNodes"]
@@ -50,7 +50,7 @@ class ContactNodes:
     masters: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        nodes = checks.array("nodes", self.nodes, (None,), integer=True)
+        nodes = check_arrays.array("nodes", self.nodes, (None,), integer=True)
         n = len(nodes)
         if n == 0:
             raise ValueError("nodes is empty: a contact problem needs at least one contact node")
@@ -78,7 +78,7 @@ class ContactNodes:
         reference = bounded("slip_reference", reference, normals.shape, checks.VAST)
         names, masters = self._names()
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
-        boundary = checks.array("boundary", boundary, (n,), integer=True)
+        boundary = check_arrays.array("boundary", boundary, (n,), integer=True)
         if boundary.min() < 0 or boundary.max() >= len(names):
             wrong = boundary.min() if boundary.min() < 0 else boundary.max()
             raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")

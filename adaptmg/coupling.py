@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays
 
 __all__ = ["Coupling"]
 
@@ -56,7 +56,7 @@ class Coupling:
     _series: sparse.csr_array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        weights = sparse.csr_array(checks.sparse_matrix("weights", self.weights), dtype=np.float64)
+        weights = sparse.csr_array(check_arrays.sparse_matrix("weights", self.weights), dtype=np.float64)
         fixed = np.asarray(self.fixed)
         n = weights.shape[0]
         if weights.shape != (n, n) or fixed.dtype != bool or fixed.ndim != 1 or n == 0 or len(fixed) not in (2 * n,

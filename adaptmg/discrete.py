@@ -35,7 +35,7 @@ from adaptmg.discrete_input import (
 from adaptmg.exchange import NEGLIGIBLE, Exchange, exchanged, facing_part
 from adaptmg.geometry.rigid_modes import rigid_body_modes
 from adaptmg.on_demand import OnDemand, made_on_demand
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.problem.contact_problem import check_law
 from adaptmg.problem.laws import Law
 
@@ -131,7 +131,7 @@ class DiscreteProblem:
         blocks, n = matrix if own else checked_matrix(matrix, dim), len(fixed)
         if blocks.shape[0] != n:
             raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
-        weights = checks.sparse_matrix("weights", weights, (n // dim, n // dim))
+        weights = check_arrays.sparse_matrix("weights", weights, (n // dim, n // dim))
         contact.check_nodes(n // dim)
         check_bounds(law, len(contact))
         contact, weights, law, exchange = exchanged(contact, weights, fixed, law)

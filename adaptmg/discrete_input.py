@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import sparse
 
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.problem.laws import Law
 
 __all__ = ["SMALLEST", "bounded", "check_bounds", "check_size", "checked_bodies", "checked_mask", "checked_matrix",
@@ -20,7 +20,7 @@ _ASYMMETRY = 1e-8
 
 def bounded(name: str, value: object, shape: tuple[int | None, ...], largest: float = LARGEST) -> np.ndarray:
     """A read-only copy as float64, of a size that energies bear."""
-    result = checks.array(name, value, shape)
+    result = check_arrays.array(name, value, shape)
     size = np.abs(result).max(initial=0.0)
     if not size <= largest:
         raise ValueError(f"{name} must be at most {largest:g} in SI units, got {size:.3g}")
@@ -53,7 +53,7 @@ def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
 def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
     """Nodes by body, checked."""
     checks.instance("bodies", bodies, Mapping, "a mapping of names to arrays of nodes")
-    result = {checks.boundary_name("the names in bodies", name): checks.array(f"bodies[{name!r}]", nodes, (None,),
+    result = {checks.boundary_name("the names in bodies", name): check_arrays.array(f"bodies[{name!r}]", nodes, (None,),
                                                                               integer=True)
               for name, nodes in bodies.items()}
     for name, nodes in result.items():
@@ -65,7 +65,7 @@ def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
 
 def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
     """A stiffness matrix in blocks, symmetric with a positive diagonal."""
-    matrix = checks.square_blocks("matrix", value, dim)
+    matrix = check_arrays.square_blocks("matrix", value, dim)
     scale = np.abs(matrix.data).max(initial=0.0)
     if not scale > 0:
         raise ValueError("matrix is zero")

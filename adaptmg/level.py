@@ -11,7 +11,7 @@ from scipy import sparse
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.on_demand import OnDemand, made_on_demand
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 
 __all__ = ["Level", "ratio_to"]
 
@@ -51,7 +51,7 @@ class Level:
             raise TypeError("galerkin must be a bsr_array where there is no discrete problem, got "
                             f"{checks.described(self.galerkin)}")
         if self.galerkin is not None:
-            rows, columns = checks.sparse_matrix("galerkin", self.galerkin).shape
+            rows, columns = check_arrays.sparse_matrix("galerkin", self.galerkin).shape
             if rows != columns:
                 raise ValueError(f"galerkin must be square, got {(rows, columns)}")
         if self.mesh is not None:
@@ -59,7 +59,7 @@ class Level:
         for name in ("prolongation", "surface_prolongation"):
             value = getattr(self, name)
             if value is not None:
-                value = checks.sparse_matrix(name, value)
+                value = check_arrays.sparse_matrix(name, value)
                 as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
                 object.__setattr__(self, name, value if as_csr else sparse.csr_array(value, dtype=np.float64))
 

@@ -23,6 +23,7 @@ import common
 import linear_rivals as rivals
 import numpy as np
 import pandas as pd
+import waiting
 from matplotlib import pyplot as plt
 
 import adaptmg as am
@@ -270,6 +271,7 @@ def run(context: common.Context) -> common.Section:
         common.Table("benchmark_friction", sweep, "Friction."),
         common.Table("benchmark_methods", against[["nodes", "method", "cycles", "work", "s", "residual", "outcome"]],
                      "Methods for the contact problem, each to its own estimated error of 1e-8."),
+        waiting.table(context),
         _figure(rows),
     ]
     return common.Section("The fast solver", __doc__.split("\n\n")[1], items)

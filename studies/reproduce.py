@@ -16,8 +16,8 @@ from common import Context, Section, Table, show
 
 STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "hertz",
            "adaptive_vs_uniform", "transfer_operators", "amg_comparison", "kernels")
-#: run only where they are named: minutes on large grids, and a campaign of hundreds of problems
-LARGE = ("benchmark", "robustness")
+#: run only where they are named: minutes on large grids, and campaigns of hundreds of problems
+LARGE = ("benchmark", "robustness", "true_errors")
 TITLE = "adaptmg: multigrid for frictional contact"
 SUMMARY = """The three tables of 'Multigrid in Structure Assembling Problem' beside ours, the same on its assemblies
 (reconstructed), closed forms of contact, adaptive against uniform meshes, transfers between meshes that are not nested,
@@ -34,7 +34,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
                                      epilog="example: python studies/reproduce.py --quick --out /tmp/report")
     parser.add_argument("studies", nargs="*", metavar="STUDY",
-                        help=f"some of: {', '.join(STUDIES + LARGE)} (default: all but the last two)")
+                        help=f"some of: {', '.join(STUDIES + LARGE)} (default: all but the last three)")
     parser.add_argument("--quick", action="store_true", help="smaller grids: some three minutes")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
                         help="where report.html, CSV files, pictures and the store go (default: results)")

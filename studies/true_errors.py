@@ -28,25 +28,26 @@ CASES, QUICK_CASES = 500, 6
 FIRST_SEED = 50_000
 #: times rtol that the true error may be
 ALLOWED = 3.0
-#: nodes up to which sweeps on one grid are tried
-SWEPT = 1500
+#: nodes up to which sweeps on one grid, and the monotone correction in 3D, are tried
+SWEPT = 1200
 
 
-def methods(rtol: float, nodes: int, levels: int) -> dict[str, Any]:
+def methods(rtol: float, nodes: int, dim: int, levels: int) -> dict[str, Any]:
     """Every method, with a tolerance."""
     made = {"active set": am.ActiveSet(rtol=rtol), "active set, sparse": am.ActiveSet(rtol=rtol, condensed=False),
             "active set, AMG": am.ActiveSet(rtol=rtol, linear=am.AMG(), condensed=False)}
     if levels > 1:
         made |= {"truncated, nested": am.FullMultigrid(rtol=rtol, correction=am.Truncated()),
-                 "truncated, from zero": am.Multigrid(rtol=rtol, correction=am.Truncated()),
-                 "monotone, nested": am.FullMultigrid(rtol=rtol, correction=am.Monotone(), max_cycles=300),
-                 "monotone, from zero": am.Multigrid(rtol=rtol, correction=am.Monotone(), max_cycles=300)}
+                 "truncated, from zero": am.Multigrid(rtol=rtol, correction=am.Truncated())}
+    if levels > 1 and (dim == 2 or nodes <= SWEPT):
+        made |= {"monotone, nested": am.FullMultigrid(rtol=rtol, correction=am.Monotone()),
+                 "monotone, from zero": am.Multigrid(rtol=rtol, correction=am.Monotone())}
     if nodes <= SWEPT:
-        made |= {"single grid": am.SingleGrid(rtol=rtol, max_sweeps=30_000),
-                 "single grid, omega 1.8": am.SingleGrid(rtol=rtol, omega=1.8, max_sweeps=30_000),
-                 "single grid, condensed": am.SingleGrid(rtol=rtol, condensed=True, max_sweeps=30_000),
+        made |= {"single grid": am.SingleGrid(rtol=rtol, max_sweeps=20_000),
+                 "single grid, omega 1.8": am.SingleGrid(rtol=rtol, omega=1.8, max_sweeps=20_000),
+                 "single grid, condensed": am.SingleGrid(rtol=rtol, condensed=True, max_sweeps=20_000),
                  "single grid, fixed point": am.SingleGrid(rtol=rtol, condensed=True, friction="fixed point",
-                                                           max_sweeps=30_000)}
+                                                           max_sweeps=20_000)}
     return made
 
 
@@ -128,13 +129,17 @@ def _pair_in_3d(rng: np.random.Generator) -> tuple[dict[str, Any], am.Hierarchy]
 
 def measure(seed: int) -> dict[str, Any]:
     """Statuses and errors over rtol of all methods on one problem, by method."""
-    what, grids = random_problem(seed)
     rng = np.random.default_rng((seed, 8))
-    row: dict[str, Any] = {"rtol": float(10 ** rng.uniform(-10, -3)), **what}
+    row: dict[str, Any] = {"rtol": float(10 ** rng.uniform(-10, -3))}
+    try:
+        what, grids = random_problem(seed)
+    except ValueError as error:
+        return row | {"why": str(error)[:200]}  # a random mesh may be too coarse for its contact
+    row |= what
     known: list[np.ndarray] = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        for name, method in methods(row["rtol"], grids.finest.n_nodes, len(grids)).items():
+        for name, method in methods(row["rtol"], grids.finest.n_nodes, grids.finest.discrete.dim, len(grids)).items():
             try:
                 result = am.solve(grids, method, throw=False)
             except (ValueError, np.linalg.LinAlgError) as error:
@@ -182,7 +187,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     """Counts by method."""
     result = []
     for name in [column.removesuffix(": status") for column in rows if column.endswith(": status")]:
-        status, error = rows[f"{name}: status"].dropna(), rows[f"{name}: error"]
+        status, error = rows[f"{name}: status"].dropna(), rows[f"{name}: error"].astype(float)
         good = error[rows[f"{name}: status"] == "CONVERGED"]
         result.append({"method": name, "runs": len(status), "refused": int((status == "REFUSED").sum()),
                        "converged": len(good), "failed": int((~status.isin(["CONVERGED", "REFUSED"])).sum()),

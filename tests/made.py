@@ -6,7 +6,8 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.smoother.state import OPEN, SLIP, STICK
-from adaptmg.solver.result import ContactResult, Result
+from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.result import Result
 from adaptmg.solver.status import Status
 
 

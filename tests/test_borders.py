@@ -9,7 +9,7 @@ import pytest
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.run import Outcome
 
 
@@ -142,18 +142,18 @@ class TestChecks:
     def test_a_user_s_matrix_is_not_changed(self):
         matrix = sparse.csr_array((np.r_[1.0, 1.0, 1.0], np.r_[0, 0, 0], np.r_[0, 2, 3, 3]), shape=(3, 2))
         before = matrix.copy()
-        assert checks.sparse_matrix("matrix", matrix) is matrix
+        assert check_arrays.sparse_matrix("matrix", matrix) is matrix
         np.testing.assert_array_equal(matrix.indices, before.indices)
 
     def test_a_broken_lil_matrix(self):
         matrix = sparse.lil_array(np.eye(3))
         matrix.rows[1] = [10**6]
         with pytest.raises(ValueError, match="matrix: column index 1000000 is outside"):
-            checks.sparse_matrix("matrix", matrix)
+            check_arrays.sparse_matrix("matrix", matrix)
 
     def test_bools_hidden_among_numbers(self):
         with pytest.raises(TypeError, match="gaps must be an array of real numbers"):
-            checks.array("gaps", [0.0, True], (2,))
+            check_arrays.array("gaps", [0.0, True], (2,))
 
     @pytest.mark.parametrize("value", [1e-40, 1.0, 1e40])
     def test_quantities(self, value):

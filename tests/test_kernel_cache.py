@@ -14,7 +14,7 @@ import adaptmg
 
 ROOT = Path(adaptmg.__file__).parent
 RUN = ("import logging; logging.basicConfig(format='%(message)s')\n"
-       "import numpy as np\nfrom adaptmg.transfer import morton\n"
+       "import numpy as np\nfrom adaptmg.geometry import morton\n"
        "assert len(morton.morton_order(np.random.default_rng(1).random((5, 2)))) == 5\n"
        "assert morton.__file__.startswith({folder!r}), morton.__file__\n")
 
@@ -33,7 +33,7 @@ def package(tmp_path):
         assert done.returncode == 0, done.stderr
         return done.stderr
 
-    return copy / "transfer", run
+    return copy / "geometry", run
 
 
 def _nothing_writable(folder: Path) -> dict[str, str]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import corner_pushed
+from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.discretisation.discretise import discretise
@@ -253,8 +254,7 @@ def test_jit_changes_nothing(dim, amplitude, monkeypatch):
     compiled, plain = (Swept(dim, am.Coulomb(0.4), amplitude=amplitude) for _ in range(2))
     compiled.sweep()
     compiled.sweep(compiled.interface.backward)
-    for name, function in list(vars(local_sweeps).items()):
-        monkeypatch.setattr(local_sweeps, name, getattr(function, "py_func", function))
+    uncompile(monkeypatch, local_sweeps)
     assert not hasattr(local_sweeps.local, "py_func")
     plain.sweep(kernel=local_sweeps.local)
     plain.sweep(plain.interface.backward, kernel=local_sweeps.local)

@@ -10,6 +10,7 @@ import pytest
 from netgen.csg import unit_cube
 from netgen.geom2d import SplineGeometry
 from netgen.occ import Cylinder, OCCGeometry, Pnt, Z
+from netgen_text import VOL
 
 from adaptmg.mesh import as_mesh, from_ngsolve, structured
 from adaptmg.problem import Box, Rectangle
@@ -57,51 +58,15 @@ def test_the_same_as_netgen_reads(tmp_path, make):
         assert (found.boundaries, found.bodies) == (wanted.boundaries, wanted.bodies)
 
 
-# as written by Netgen before 2025: twelve columns, the first the number of the boundary
-OLD = """mesh3d
-dimension
-2
-geomtype
-0
-surfaceelements
-2
- 1 1 1 0 3 1 2 3
- 1 1 1 0 3 1 3 4
-volumeelements
-0
-edgesegmentsgi2
-4
- 1 0 1 2 -1 -1 1 0 1 0 1 1
- 2 0 2 3 -1 -1 1 0 2 0 2 1
- 3 0 3 4 -1 -1 1 0 3 0 3 1
- 1 0 4 1 -1 -1 1 0 4 0 4 1
-points
-4
- 0 0 0
- 2 0 0
- 2 1 0
- 0 1 0
-materials
-1
-1 steel
-bcnames
-3
-1 side
-2 right
-3 top
-endmesh
-"""
-
-
 def test_files_of_older_versions(tmp_path):
-    (tmp_path / "old.vol").write_text(OLD)
+    (tmp_path / "old.vol").write_text(VOL)
     mesh = as_mesh(tmp_path / "old.vol")
     assert mesh.boundaries == ("side", "right", "top") and mesh.bodies == ("steel",)
     assert mesh.boundary_facets("side").tolist() == [[0, 1], [3, 0]] and mesh.volumes.sum() == 2
     reference = from_ngsolve(ngsolve.Mesh(str(tmp_path / "old.vol")))
     np.testing.assert_array_equal(mesh.facet_labels, reference.facet_labels)
     assert mesh.bodies == reference.bodies
-    (tmp_path / "dos.vol").write_bytes(OLD.replace("\n", "\r\n").encode())
+    (tmp_path / "dos.vol").write_bytes(VOL.replace("\n", "\r\n").encode())
     np.testing.assert_array_equal(as_mesh(tmp_path / "dos.vol").elements, mesh.elements)
 
 
@@ -133,16 +98,16 @@ def test_files_of_older_versions(tmp_path):
     ("edgesegmentsgi2", "edgesegmentsgi9", "no boundary edges"),
 ])
 def test_damage_is_named(tmp_path, old, new, message):
-    assert old in OLD
-    (tmp_path / "bad.vol").write_text(OLD.replace(old, new, 1))
+    assert old in VOL
+    (tmp_path / "bad.vol").write_text(VOL.replace(old, new, 1))
     with pytest.raises(ValueError, match=message) as caught:
         as_mesh(tmp_path / "bad.vol")
     assert "bad.vol" in str(caught.value)
 
 
 def test_every_cut_is_noticed(tmp_path):
-    for k in range(0, len(OLD) - 9, 17):
-        (tmp_path / "cut.vol").write_text(OLD[:k])
+    for k in range(0, len(VOL) - 9, 17):
+        (tmp_path / "cut.vol").write_text(VOL[:k])
         with pytest.raises(ValueError, match=re.escape("cut.vol")):
             as_mesh(tmp_path / "cut.vol")
 

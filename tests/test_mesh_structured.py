@@ -101,6 +101,10 @@ def test_bad_input():
         structured(RECTANGLE, 2.5)
     with pytest.raises(ValueError, match="one integer or 2"):
         structured(RECTANGLE, (1, 2, 3))
+    with pytest.raises(ValueError, match=r"\(1000, 1000, 1000\) make 1e\+09 nodes, a 3D mesh may have at most 2.1e"):
+        structured(BOX, 1000)
+    with pytest.raises(ValueError, match=r"\(45000, 45000\) make 2.03e\+09 nodes, whose mesh alone would take 1.2"):
+        structured(RECTANGLE, 45000)
     with pytest.raises(ValueError, match="diagonal must be one of"):
         structured(RECTANGLE, 2, "up")
     with pytest.raises(ValueError, match="'right' in 3D"):

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
+from uncompiled import uncompile
 
 from adaptmg.discretisation.mortar import kernels_2d as kernels
 from adaptmg.discretisation.mortar import mortar_2d as module
@@ -291,10 +292,6 @@ def test_without_jit(monkeypatch):
     cases = [two(arc(1.0, np.arange(9) * 2 * np.pi / 9), arc(1.1, -np.arange(7) * 2 * np.pi / 7), closed=True),
              two(line(np.linspace(0, 1, 6)), line([0.13, 0.3, 0.9], up=True))]
     compiled = [mortar_2d(*data) for data in cases]
-    for name in ("_meets", "search_strips", "distance_along_normal", "nearest_pieces"):
-        plain = getattr(getattr(kernels, name), "py_func", getattr(kernels, name))
-        monkeypatch.setattr(kernels, name, plain)
-        if hasattr(module, name):
-            monkeypatch.setattr(module, name, plain)
+    uncompile(monkeypatch, kernels, module)
     for data, expected in zip(cases, compiled, strict=True):
         assert_same(mortar_2d(*data), expected)

@@ -13,7 +13,8 @@ from made import cube, result_on, square
 
 import adaptmg as am
 from adaptmg.solver.load_path import StepNotConverged
-from adaptmg.solver.status import NotConverged, Status
+from adaptmg.solver.not_converged import NotConverged
+from adaptmg.solver.status import Status
 
 cloudpickle = pytest.importorskip("cloudpickle")
 

@@ -28,6 +28,7 @@ from adaptmg.problem import (
     Support,
     Traction,
     Tresca,
+    check_arrays,
     checks,
 )
 
@@ -72,13 +73,13 @@ class TestChecks:
             checks.choice("shape", "X", "VW")
 
     def test_vector(self):
-        result = checks.vector("v", [1, 2], 2)
+        result = check_arrays.vector("v", [1, 2], 2)
         assert result.dtype == np.float64 and not result.flags.writeable
         for bad in ([1.0], [[1.0, 2.0]], [1.0, np.nan]):
             with pytest.raises(ValueError, match="v must be"):
-                checks.vector("v", bad, 2)
+                check_arrays.vector("v", bad, 2)
         with pytest.raises(TypeError, match="sequence of numbers"):
-            checks.vector("v", ["a", "b"])
+            check_arrays.vector("v", ["a", "b"])
 
     def test_field(self):
         points = np.arange(6.0).reshape(3, 2)

@@ -16,12 +16,17 @@ def test_examples_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) == 4
+    assert len(blocks) == 5
+    strut = blocks.pop(2)
     for block in blocks[:3]:
         exec(compile(block, "README.md", "exec"), names)
         assert names["result"].status is am.Status.CONVERGED
         assert names["result"].residual < 1e-7
     assert names["steps"].complete
+    with pytest.warns(RuntimeWarning, match="may not be unique"):
+        exec(compile(strut, "README.md", "exec"), names)
+    found = [set(names[name].contact.state.tolist()) - {am.OPEN} for name in ("open_", "slips", "sticks")]
+    assert found == [set(), {am.SLIP}, {am.STICK}]
     exec(compile(blocks[3], "README.md", "exec"), names)
     table = names["study"].table()
     assert len(table) == 8

@@ -1,6 +1,7 @@
 """The benchmark and the robustness campaign: they run, and what they measure holds."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from study_scripts import load
 
@@ -8,6 +9,7 @@ common = load("common")
 rivals = load("linear_rivals")
 benchmark = load("benchmark")
 robustness = load("robustness")
+true_errors = load("true_errors")
 
 
 def test_exponent_of_a_power():
@@ -50,6 +52,12 @@ def test_random_cases_are_solved():
     for row in rows:
         assert row["nested_status"] == row["cold_status"] == "CONVERGED"
         assert max(row["nested_residual"], row["cold_residual"]) <= robustness.RESIDUAL
+
+
+@pytest.mark.slow
+def test_converged_means_what_it_says():
+    table = true_errors.summary(pd.DataFrame([true_errors.measure(seed) for seed in (1, 4, 10)]))
+    assert (table["wrong"] == 0).all() and table["converged"].sum() >= 25
 
 
 @pytest.mark.slow

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptmg.cases.flanges import Flanges
-from adaptmg.problem import ContactProblem, LoadPath, checks
+from adaptmg.problem import ContactProblem, LoadPath, check_arrays
 from adaptmg.smoother.state import OPEN
-from adaptmg.solver.result import ContactResult, Result
+from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.result import Result
 
 __all__ = ["bolt_force", "joint_opening", "junction_path", "open_to", "sealing_pressure"]
 
@@ -50,7 +51,7 @@ def junction_path(problem: ContactProblem, pressures: Sequence[float]) -> LoadPa
         raise TypeError(f"problem must be one from bolted_junction, got {problem!r}")
     if full == 0:
         raise ValueError("problem has no pressure that a path could scale: give bolted_junction one other than 0")
-    values = np.append(0.0, checks.vector("pressures", pressures)) / full
+    values = np.append(0.0, check_arrays.vector("pressures", pressures)) / full
     return LoadPath(dict.fromkeys(("upper.bore", "lower.bore", "upper.pipe"), values))
 
 

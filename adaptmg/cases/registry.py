@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from types import MappingProxyType
 
 from adaptmg.cases.block import greco_block
@@ -20,7 +19,7 @@ from adaptmg.cases.incline import incline
 from adaptmg.cases.leaning_strut import leaning_strut
 from adaptmg.cases.two_blocks import two_block_patch
 from adaptmg.cases.upset import upset_block
-from adaptmg.problem import ContactProblem
+from adaptmg.problem import ContactProblem, checks
 
 __all__ = ["CASES", "Case", "get", "names"]
 
@@ -72,7 +71,6 @@ def get(name: str) -> Case:
     0.3
     """
     if name not in CASES:
-        close = get_close_matches(str(name), CASES, n=1)
-        hint = f" (did you mean {close[0]!r}?)" if close else ""
-        raise ValueError(f"there is no case {name!r}{hint}; the cases are {', '.join(CASES)}")
+        raise ValueError(f"there is no case {name!r}{checks.suggestion(str(name), CASES)}; the cases are "
+                         f"{', '.join(CASES)}")
     return CASES[name]

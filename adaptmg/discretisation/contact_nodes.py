@@ -26,7 +26,7 @@ from adaptmg.discretisation.mortar.pair_nodes import pair_interface
 from adaptmg.discretisation.mortar.surface_normals import surface_normals
 from adaptmg.discretisation.supports import fixed_dofs
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.pairs import ContactPair
 
@@ -179,11 +179,11 @@ def _facing(obstacle: object, boundary: str, points: np.ndarray, normals: np.nda
     if np.shape(directions) != points.shape or np.shape(gaps) != (len(points),):
         raise ValueError(f"{name} must return normals {points.shape} and gaps ({len(points)},), got "
                          f"{np.shape(directions)} and {np.shape(gaps)}")
-    directions = checks.array(f"{name}: its normals", directions, points.shape)
+    directions = check_arrays.array(f"{name}: its normals", directions, points.shape)
     lengths = np.linalg.norm(directions, axis=1)
     if len(points) and not np.abs(lengths - 1).max() <= 1e-6:
         raise ValueError(f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}")
-    return directions, checks.array(f"{name}: its gaps", gaps, (len(points),))
+    return directions, check_arrays.array(f"{name}: its gaps", gaps, (len(points),))
 
 
 def _check_supports(problem: ContactProblem, mesh: MeshArrays, nodes: np.ndarray, owner: np.ndarray,
@@ -206,4 +206,4 @@ def _at_contact(slip_reference: np.ndarray | None, mesh: MeshArrays, nodes: np.n
     if np.shape(slip_reference) != mesh.points.shape:
         raise ValueError(f"slip_reference must be a displacement of all nodes, shape {mesh.points.shape}, got "
                          f"{np.shape(slip_reference)}")
-    return checks.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
+    return check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import io
 import os
 import platform
@@ -20,7 +19,7 @@ from adaptmg.atomic import write_bytes
 from adaptmg.problem import checks
 from adaptmg.study.fingerprint import environment
 from adaptmg.study.tables import as_html
-from adaptmg.text import printable
+from adaptmg.text import in_html
 
 __all__ = ["Report"]
 
@@ -87,7 +86,7 @@ class Report:
         """Begin a section; it is listed in the table of contents."""
         self._sections.append(_text("title", title))
         number = len(self._sections)
-        self._parts.append(f'<h2 id="section-{number}">{number}. {_escaped(title)}</h2>')
+        self._parts.append(f'<h2 id="section-{number}">{number}. {in_html(title)}</h2>')
         self.text(text)
 
     def text(self, text: str) -> None:
@@ -117,7 +116,7 @@ class Report:
         """Add a picture as it is now, as PNG inside the page; pyplot then forgets it (an open figure costs memory)."""
         if not isinstance(figure, Figure):
             raise TypeError(f"figure must be a matplotlib Figure, got {type(figure).__name__}")
-        caption = _escaped(_text("caption", caption))
+        caption = in_html(_text("caption", caption))
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=160, bbox_inches="tight", facecolor="white")
         plt.close(figure)
@@ -140,16 +139,16 @@ class Report:
 
     def page(self) -> str:
         """The whole page as text."""
-        entries = "\n".join(f'<li><a href="#section-{k}">{_escaped(name)}</a></li>'
+        entries = "\n".join(f'<li><a href="#section-{k}">{in_html(name)}</a></li>'
                             for k, name in enumerate(self._sections, 1))
         contents = f"<nav>\n<ol>\n{entries}\n</ol>\n</nav>\n" if entries else ""
         summary = "\n".join(_paragraphs(self.summary))
         body = "\n".join(self._parts)
         return (f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
                 f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-                f"<title>{_escaped(self.title)}</title>\n<style>\n{_STYLE}</style>\n</head>\n<body>\n<main>\n"
-                f"<h1>{_escaped(self.title)}</h1>\n{summary}\n{contents}{body}\n"
-                f"<footer>{_escaped(self._provenance())}</footer>\n</main>\n</body>\n</html>\n")
+                f"<title>{in_html(self.title)}</title>\n<style>\n{_STYLE}</style>\n</head>\n<body>\n<main>\n"
+                f"<h1>{in_html(self.title)}</h1>\n{summary}\n{contents}{body}\n"
+                f"<footer>{in_html(self._provenance())}</footer>\n</main>\n</body>\n</html>\n")
 
     def _provenance(self) -> str:
         versions = ", ".join(f"{name} {version}" for name, version in environment().items())
@@ -157,11 +156,6 @@ class Report:
         seconds = time.perf_counter() - self._began
         return (f"Written {now} in {seconds:.1f} s, with {versions}; "
                 f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores.")
-
-
-def _escaped(text: str) -> str:
-    """A text as HTML takes it, control characters as codes."""
-    return html.escape(printable(text))
 
 
 def _text(name: str, value: str, empty: bool = False) -> str:
@@ -173,4 +167,4 @@ def _text(name: str, value: str, empty: bool = False) -> str:
 
 
 def _paragraphs(text: str) -> list[str]:
-    return [f"<p>{_escaped(' '.join(part.split()))}</p>" for part in text.split("\n\n") if part.strip()]
+    return [f"<p>{in_html(' '.join(part.split()))}</p>" for part in text.split("\n\n") if part.strip()]

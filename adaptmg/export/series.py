@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptmg.atomic import waiting_folder, write_bytes
 from adaptmg.export.vtu import document
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.result import Result
 from adaptmg.text import printable
 
@@ -50,7 +50,7 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     results = list(results)
     if not results:
         raise ValueError("results is empty: a series needs at least one step")
-    times = np.arange(len(results), dtype=float) if times is None else checks.vector("times", times)
+    times = np.arange(len(results), dtype=float) if times is None else check_arrays.vector("times", times)
     if len(times) != len(results):
         raise ValueError(f"times must have one value a result: {len(results)} results, {len(times)} times")
     if (np.diff(times) <= 0).any():

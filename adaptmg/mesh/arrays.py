@@ -89,13 +89,13 @@ class MeshArrays:
     def __reduce__(self) -> tuple[Any, ...]:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
         return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
-                            self.element_body, self.bodies)
+                            self.element_body, self.bodies), {"sound": self.sound}
 
     def __copy__(self) -> MeshArrays:
-        return trusted(self, vars(self)["source"], sound=self.sound)
+        # what is frozen needs no second copy, and a source that nobody has asked for yet is built once
+        return self
 
     def __deepcopy__(self, memo: dict[int, Any]) -> MeshArrays:
-        # frozen arrays need no second copy, and an ngsolve.Mesh belongs to one mesh however often that is copied
         return self
 
     @property

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import own_mesh, to_ngsolve
+from adaptmg.mesh.build import ngsolve_mesh, own_mesh
 from adaptmg.mesh.check import check_mesh
 from adaptmg.mesh.generate import MAX_NODES
 from adaptmg.mesh.interruptible import interruptible
@@ -54,8 +54,7 @@ def bisect(mesh: MeshArrays, marked: np.ndarray) -> tuple[MeshArrays, np.ndarray
     if not marked.any():
         raise ValueError("marked marks no element: nothing to refine")
     # a copy: Refine changes a mesh, and views of it dangle
-    copy = to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
-                      element_body=mesh.element_body, bodies=mesh.bodies)
+    copy = ngsolve_mesh(mesh)
     copy.SetRefinementFlags(marked.tolist())
     interruptible(copy.Refine)
     parents = np.repeat(np.arange(copy.nv), 2).reshape(-1, 2)

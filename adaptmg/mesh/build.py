@@ -14,7 +14,7 @@ from adaptmg.mesh.normalise import normalised
 from adaptmg.mesh.overlap import check_overlap
 from adaptmg.on_demand import OnDemand
 
-__all__ = ["from_ngsolve", "own_mesh", "to_ngsolve", "with_source"]
+__all__ = ["from_ngsolve", "ngsolve_mesh", "own_mesh", "to_ngsolve", "with_source"]
 
 # Netgen's element types of first and second order
 _TRIANGLES = (10, 12)
@@ -115,10 +115,11 @@ def with_source(mesh: MeshArrays) -> MeshArrays:
         Its source is built when it is first read.
     """
     check_mesh(mesh)
-    return trusted(mesh, OnDemand(_source))
+    return trusted(mesh, OnDemand(ngsolve_mesh))
 
 
-def _source(mesh: MeshArrays) -> ngsolve.Mesh:
+def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
+    """A new ``ngsolve.Mesh`` of checked arrays."""
     return to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
                       element_body=mesh.element_body, bodies=mesh.bodies)
 

@@ -11,10 +11,9 @@ __all__ = ["sound_by_construction"]
 
 
 def _ngsolve_mesh(mesh: MeshArrays) -> Any:
-    from adaptmg.mesh.build import to_ngsolve
+    from adaptmg.mesh.build import ngsolve_mesh
 
-    return to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
-                      element_body=mesh.element_body, bodies=mesh.bodies)
+    return ngsolve_mesh(mesh)
 
 
 def sound_by_construction(mesh: MeshArrays) -> MeshArrays:

@@ -12,7 +12,7 @@ from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 
 __all__ = ["SizeNear"]
 
@@ -42,7 +42,7 @@ class SizeNear:
 
     def __post_init__(self) -> None:
         given = checks.listed("points", self.points, "points")
-        points = tuple(tuple(checks.vector("points", p).tolist()) for p in given)
+        points = tuple(tuple(check_arrays.vector("points", p).tolist()) for p in given)
         if not points or len({len(p) for p in points}) > 1:
             raise ValueError(f"points must be at least one point, all of the same dimension, "
                              f"got {checks.shown(given)}")

@@ -18,7 +18,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import merged, per_body
 from adaptmg.mesh.geometry import BOX_SIDES
 from adaptmg.mesh.on_demand_source import sound_by_construction
-from adaptmg.mesh.topology import facet_table
+from adaptmg.mesh.topology import MOST_NODES, facet_table
 from adaptmg.problem import checks
 from adaptmg.problem.assembly import Assembly
 from adaptmg.problem.domains import Box, Rectangle
@@ -26,9 +26,6 @@ from adaptmg.problem.domains import Box, Rectangle
 __all__ = ["structured"]
 
 Divisions = int | Sequence[int]
-# what fits into memory, and in 3D what facets can be numbered for
-_MAX_NODES = {2: 20_000_000, 3: 2_000_000}
-
 #: what making the mesh takes at its peak, measured
 _BYTES_PER_NODE = {2: 600, 3: 2000}
 
@@ -56,8 +53,8 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     Raises
     ------
     TypeError, ValueError
-        On a domain that is no rectangle or box, divisions below 1, more than 20 million nodes (3D: 2
-        million), a body left out, or an unknown diagonal.
+        On a domain that is no rectangle or box, divisions below 1, more nodes than the main memory holds or can be
+        numbered (3D: 2 million), a body left out, or an unknown diagonal.
     """
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
@@ -74,9 +71,6 @@ def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> Me
         raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
     dim = domain.dim
     counts = _divisions(divisions, dim)
-    if math.prod(n + 1 for n in counts) > _MAX_NODES[dim]:
-        raise ValueError(f"divisions ask for more than {_MAX_NODES[dim]:.0e} nodes, got {checks.shown(divisions)}; "
-                         "take fewer")
     checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
     if dim == 3 and diagonal != "right":
         raise ValueError(f"diagonal must be 'right' in 3D, got {diagonal!r}")
@@ -136,6 +130,9 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
         raise ValueError(f"divisions must be one integer or {dim} of them, got {checks.shown(divisions)}")
     counts = tuple(checks.integer("divisions", n, 1, 2**31) for n in divisions)
     nodes = math.prod(n + 1 for n in counts)
+    if nodes > MOST_NODES[dim]:
+        raise ValueError(f"divisions: {counts} make {nodes:.3g} nodes, a {dim}D mesh may have at most "
+                         f"{MOST_NODES[dim]:.3g}")
     checks.fits("divisions", _BYTES_PER_NODE[dim] * nodes, f"{counts} make {nodes:.3g} nodes, whose mesh alone")
     return counts
 

@@ -12,7 +12,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["FacetTable", "components", "element_facets", "facet_keys", "facet_table", "same_orientation"]
+__all__ = ["MOST_NODES", "FacetTable", "components", "element_facets", "facet_keys", "facet_table", "same_orientation"]
+
+#: by dimension: node numbers are of 32 bits, and the three of a facet must fit into 63
+MOST_NODES = {2: 2**31 - 1, 3: 2**21 - 1}
 
 # facet k lies opposite node k; of a positively oriented element its normal (see MeshArrays.facets) points outwards
 _LOCAL = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])}
@@ -62,14 +65,15 @@ def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
     facets : (n, dim) array of int
         Node numbers below ``n_nodes``.
     n_nodes : int
-        At most 2 million in 3D, where three numbers must fit into 63 bits.
+        At most ``MOST_NODES``.
 
     Returns
     -------
     (n,) int64 array
     """
-    if n_nodes ** facets.shape[1] >= 2**63:
-        raise ValueError(f"a 3D mesh may have at most {int((2**63) ** (1 / 3))} nodes, got {n_nodes}")
+    dim = facets.shape[1]
+    if n_nodes > MOST_NODES[dim]:
+        raise ValueError(f"a {dim}D mesh may have at most {MOST_NODES[dim]} nodes, got {n_nodes}")
     nodes = np.sort(facets.astype(np.int64), axis=1)
     key = nodes[:, 0]
     for column in nodes.T[1:]:

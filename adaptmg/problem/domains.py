@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 
 __all__ = ["Box", "Domain", "Polygon", "Rectangle"]
 
@@ -55,7 +55,7 @@ class Rectangle(Domain):
     def __post_init__(self) -> None:
         object.__setattr__(self, "width", checks.quantity("width", self.width, positive=True))
         object.__setattr__(self, "height", checks.quantity("height", self.height, positive=True))
-        object.__setattr__(self, "origin", tuple(map(float, checks.vector("origin", self.origin, 2))))
+        object.__setattr__(self, "origin", tuple(map(float, check_arrays.vector("origin", self.origin, 2))))
 
     @property
     def lower(self) -> np.ndarray:
@@ -96,7 +96,7 @@ class Box(Domain):
     def __post_init__(self) -> None:
         for name in ("width", "depth", "height"):
             object.__setattr__(self, name, checks.quantity(name, getattr(self, name), positive=True))
-        object.__setattr__(self, "origin", tuple(map(float, checks.vector("origin", self.origin, 3))))
+        object.__setattr__(self, "origin", tuple(map(float, check_arrays.vector("origin", self.origin, 3))))
 
     @property
     def lower(self) -> np.ndarray:
@@ -111,7 +111,7 @@ class Box(Domain):
 
 def edges(vertices: object, boundaries: object, least: int) -> tuple[np.ndarray, tuple[str, ...]]:
     """The vertices (n, 2) of an outline, at least so many, and the names of its edges, checked."""
-    points = checks.array("vertices", vertices, (None, 2))
+    points = check_arrays.array("vertices", vertices, (None, 2))
     if len(points) < least:
         raise ValueError(f"vertices must be at least {least} pairs of numbers, got {checks.shown(vertices)}")
     if not (np.abs(points) <= checks.VAST).all():

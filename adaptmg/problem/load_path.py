@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Support
 
@@ -135,7 +135,7 @@ def _factors(name: str, value: Factors) -> np.ndarray:
     """A finite array of no or one dimension."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0:
         return np.array(checks.quantity(name, value))
-    result = np.array(checks.vector(name, value))
+    result = np.array(check_arrays.vector(name, value))
     if not (np.abs(result) <= checks.VAST).all():
         raise ValueError(f"{name} must be at most {checks.VAST:g}, got {checks.shown(value)}")
     result[np.abs(result) <= _ROUNDING * np.abs(result).max(initial=0.0)] = 0.0

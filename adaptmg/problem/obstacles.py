@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 
 __all__ = ["GapFunction", "Obstacle", "Plane"]
 
@@ -34,10 +34,10 @@ class Plane:
     normal: np.ndarray
 
     def __post_init__(self) -> None:
-        point = checks.vector("point", self.point)
+        point = check_arrays.vector("point", self.point)
         if point.size not in (2, 3):
             raise ValueError(f"point must have 2 or 3 components, got {point.size}")
-        normal = checks.vector("normal", self.normal, point.size)
+        normal = check_arrays.vector("normal", self.normal, point.size)
         length = np.linalg.norm(normal)
         if not length > 0:
             raise ValueError(f"normal must not be zero, got {checks.shown(self.normal)}")

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.problem.domains import Domain, Polygon, edges
 
 __all__ = ["Arc", "Outline"]
@@ -96,7 +96,7 @@ class Outline(Domain):
         points, boundaries = edges(self.vertices, self.boundaries, 2)
         if not isinstance(self.arcs, Mapping):
             raise TypeError(f"arcs must map edge numbers to centres, got {checks.shown(self.arcs)}")
-        arcs = {checks.integer("the edge number in arcs", i): tuple(map(float, checks.vector(f"arcs[{i}]", c, 2)))
+        arcs = {checks.integer("the edge number in arcs", i): tuple(map(float, check_arrays.vector(f"arcs[{i}]", c, 2)))
                 for i, c in self.arcs.items()}
         object.__setattr__(self, "vertices", tuple((float(a), float(b)) for a, b in points))
         object.__setattr__(self, "boundaries", boundaries)

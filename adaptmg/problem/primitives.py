@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.problem.domains import Domain, Polygon, Rectangle
 from adaptmg.problem.outlines import Outline
 
@@ -31,12 +31,12 @@ class SolidDomain(Domain):
 
 def triple(name: str, value: object) -> Triple:
     """Three finite numbers."""
-    return tuple(map(float, checks.vector(name, value, 3)))
+    return tuple(map(float, check_arrays.vector(name, value, 3)))
 
 
 def direction(name: str, value: object) -> Triple:
     """A unit vector from one of any length > 0."""
-    vector = checks.vector(name, value, 3)
+    vector = check_arrays.vector(name, value, 3)
     length = float(np.linalg.norm(vector))
     if not length > 0:
         raise ValueError(f"{name} must not be zero, got {checks.shown(value)}")

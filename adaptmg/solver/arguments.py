@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Outcome
 from adaptmg.solver.status import Status
@@ -39,7 +39,7 @@ def displacement_argument(name: str, value: np.ndarray | Result | None, discrete
         return None
     given = value.displacement if isinstance(value, Result) else value
     wanted = (discrete.n_nodes, discrete.dim)
-    array = checks.array(name, given, wanted)
+    array = check_arrays.array(name, given, wanted)
     size = np.abs(array).max(initial=0.0)
     if not size <= checks.VAST:
         raise ValueError(f"{name} must be at most {checks.VAST:g} m, got {size:.3g}")

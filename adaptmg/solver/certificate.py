@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.solver.certificate_lines import ContactClaims, Evidence, Line
+from adaptmg.solver.certificate_lines import Condition, ContactClaims, Evidence
 from adaptmg.threads import one_blas_thread
 
-__all__ = ["Certificate", "Line", "certify"]
+__all__ = ["Certificate", "Condition", "certify"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -32,7 +32,7 @@ class Certificate:
 
     Attributes
     ----------
-    lines : tuple of Line
+    lines : tuple of Condition
         'equilibrium' (of free dofs, under the claimed contact forces), 'prescribed values', 'penetration', 'tension',
         'complementarity' (pressure times gap), 'friction bound', 'slip direction' (the work of friction on its bound
         and opposite to the slip, less that of the claimed friction), 'slip along the force' (weighted by force, over
@@ -49,7 +49,7 @@ class Certificate:
         What the lines are relative to: N, m, and sqrt(u'Au) (sqrt(N m)); in 2D per metre of thickness.
     """
 
-    lines: tuple[Line, ...]
+    lines: tuple[Condition, ...]
     energy_error: float
     energy_rounding: float
     exact_energy: bool
@@ -64,14 +64,14 @@ class Certificate:
     #: relative violations that rounding may excuse at most; no solver of this package reaches less than about 1e-12
     MOST_ROUNDING = 1e-9
 
-    def __getitem__(self, name: str) -> Line:
+    def __getitem__(self, name: str) -> Condition:
         for line in self.lines:
             if line.name == name:
                 return line
         raise KeyError(f"no line {name!r}; there are {', '.join(line.name for line in self.lines)}")
 
     @property
-    def worst(self) -> Line:
+    def worst(self) -> Condition:
         """The line with the largest relative violation."""
         return max(self.lines, key=lambda line: np.inf if np.isnan(line.relative) else line.relative)
 
@@ -91,7 +91,7 @@ class Certificate:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Certificate:
         """The inverse of :meth:`as_dict`."""
-        return cls(**(values | {"lines": tuple(Line(**line) for line in values["lines"])}))
+        return cls(**(values | {"lines": tuple(Condition(**line) for line in values["lines"])}))
 
     def __repr__(self) -> str:
         rows = [f"Certificate: forces relative to {self.force:.3g} N, lengths to {self.displacement:.3g} m, energy to "

@@ -25,7 +25,8 @@ from adaptmg.compiled import kernel
 
 __all__ = ["FrozenStatus", "residual_energy"]
 
-_STEPS = 4
+#: conjugate gradient steps, and the nodes up to which they cost nothing that anybody notices
+_STEPS, _MORE_STEPS, _SMALL = 4, 12, 100_000
 _BOXES = {2: 12, 3: 5}
 
 
@@ -93,7 +94,7 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, forces: np.n
     diagonal[status.nodes] += np.diagonal(status.stiffening, axis1=1, axis2=2)
     boxes = _Boxes(matrix, status, coordinates)
     energy, direction, before = 0.0, None, 0.0
-    for _ in range(_STEPS):
+    for _ in range(_MORE_STEPS if len(forces) <= _SMALL else _STEPS):
         step = status.project(residual / diagonal)
         boxes.add_correction(residual, step)
         product = _dot(residual, step)

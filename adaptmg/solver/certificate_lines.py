@@ -13,7 +13,7 @@ import numpy as np
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.solver.certificate_energy import FrozenStatus, residual_energy
 
-__all__ = ["ContactClaims", "Evidence", "Line"]
+__all__ = ["Condition", "ContactClaims", "Evidence"]
 
 _OPEN, _SLIP, _STICK = 0, 1, 2
 _EPSILON = float(np.finfo(float).eps)
@@ -32,7 +32,7 @@ class ContactClaims(Protocol):
 
 
 @dataclass(frozen=True)
-class Line:
+class Condition:
     """One condition: by how much it is violated.
 
     Attributes
@@ -109,32 +109,32 @@ class Evidence:
         slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals
         return self.posed.gaps - u_n, slip
 
-    def _forces(self, name: str, forces: np.ndarray) -> Line:
+    def _forces(self, name: str, forces: np.ndarray) -> Condition:
         total = float(np.linalg.norm(forces))
-        return Line(name, float(np.abs(forces).max(initial=0.0)), total, "N", _over(total, self.force),
+        return Condition(name, float(np.abs(forces).max(initial=0.0)), total, "N", _over(total, self.force),
                     _over(self.rounding, self.force))
 
-    def _lengths(self, name: str, lengths: np.ndarray) -> Line:
+    def _lengths(self, name: str, lengths: np.ndarray) -> Condition:
         largest = float(np.abs(lengths).max(initial=0.0))
-        return Line(name, largest, float(np.linalg.norm(lengths)), "m", _over(largest, self.length), 16 * _EPSILON)
+        return Condition(name, largest, float(np.linalg.norm(lengths)), "m", _over(largest, self.length), 16 * _EPSILON)
 
-    def _works(self, name: str, works: np.ndarray, scale: float) -> Line:
+    def _works(self, name: str, works: np.ndarray, scale: float) -> Condition:
         total = float(works.sum())
         rounding = _over(self.rounding, self.force) + 16 * _EPSILON
         # never over next to nothing: bodies that part, or slip without friction
         scale = max(scale, self.force) * self.length
-        return Line(name, float(works.max(initial=0.0)), total, "N m", _over(total, scale), rounding)
+        return Condition(name, float(works.max(initial=0.0)), total, "N m", _over(total, scale), rounding)
 
-    def equilibrium(self) -> Line:
+    def equilibrium(self) -> Condition:
         """Forces at free dofs that neither loads nor claimed contact forces explain."""
         return self._forces("equilibrium", np.where(self.fixed, 0.0, self.unexplained).reshape(-1))
 
-    def prescribed(self) -> Line:
+    def prescribed(self) -> Condition:
         """Distance from prescribed values."""
         values = self.problem.fixed_values.reshape(self.u.shape)
         return self._lengths("prescribed values", (self.unknowns - values)[self.fixed])
 
-    def normal(self) -> tuple[Line, Line, Line]:
+    def normal(self) -> tuple[Condition, Condition, Condition]:
         """Penetration, tension, complementarity."""
         pulling = np.einsum("nd,nd->n", self.unexplained[self.nodes], self.normals) - self.pressure
         works = np.maximum(self.pressure, 0.0) * np.maximum(self.gap, 0.0)
@@ -142,7 +142,7 @@ class Evidence:
                 self._forces("tension", np.maximum(np.maximum(pulling, -self.pressure), 0.0)),
                 self._works("complementarity", works, np.maximum(self.pressure, 0.0).sum()))
 
-    def tangential(self) -> tuple[Line, Line, Line]:
+    def tangential(self) -> tuple[Condition, Condition, Condition]:
         """Friction beyond its bound, and not opposite to the slip."""
         size, slip = np.linalg.norm(self.friction, axis=1), np.linalg.norm(self.slip, axis=1)
         along = np.einsum("nd,nd->n", self.friction, self.slip)
@@ -152,20 +152,21 @@ class Evidence:
         return (self._forces("friction bound", excess), self._works("slip direction", works, self.bound.sum()),
                 self._lengths("slip along the force", same_way))
 
-    def states(self) -> tuple[Line, Line, Line]:
+    def states(self) -> tuple[Condition, Condition, Condition]:
         """What the claimed states contradict."""
         state, slip = np.asarray(self.contact.state), np.linalg.norm(self.slip, axis=1)
         return (self._forces("open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)),
                 self._lengths("touching, open", np.where(state != _OPEN, np.maximum(self.gap, 0.0), 0.0)),
                 self._lengths("slip, sticking", np.where(state == _STICK, slip, 0.0)))
 
-    def balance(self) -> Line:
+    def balance(self) -> Condition:
         """Sum of loads, supports, claimed contact forces and elastic foundations: what free dofs leave unexplained."""
         sums = np.where(self.fixed, 0.0, self.unexplained).sum(axis=0)
         # n forces of random sign sum up to more than one of them
         scale = self.force * np.sqrt(self.problem.n_nodes)
         total = float(np.linalg.norm(sums))
-        return Line("balance", float(np.abs(sums).max()), total, "N", _over(total, scale), _over(self.rounding, scale))
+        return Condition("balance", float(np.abs(sums).max()), total, "N", _over(total, scale),
+                         _over(self.rounding, scale))
 
     def energy_error(self, exact: bool) -> tuple[float, float]:
         """The relative energy error, and as much of it as rounding explains."""

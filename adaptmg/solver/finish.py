@@ -9,7 +9,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.smoother.residuals import states
 from adaptmg.smoother.state import ContactState
 from adaptmg.smoother.system import NodalContact
-from adaptmg.solver.result import ContactResult
+from adaptmg.solver.contact_result import ContactResult
 
 __all__ = ["contact_result"]
 

@@ -23,12 +23,12 @@ from adaptmg.solver.arguments import (
     solver_argument,
     warn_of_large_friction,
 )
+from adaptmg.solver.not_converged import NotConverged
 from adaptmg.solver.path_result import PathResult
 from adaptmg.solver.path_store import PathStore
 from adaptmg.solver.path_walk import PathWalk
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
-from adaptmg.solver.status import NotConverged
 from adaptmg.threads import one_blas_thread
 
 __all__ = ["StepNotConverged", "solve_path"]

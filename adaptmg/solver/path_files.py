@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from adaptmg.atomic import make_folder, write_bytes
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.archive import DAMAGES
 from adaptmg.solver.result import Result, loaded
 from adaptmg.solver.result_file import write_result
@@ -117,7 +117,7 @@ def _read_head(folder: Path) -> PathHead:
     try:
         said = checks.instance("its text", json.loads(text), dict, "an object")
         if said["format"] == _FORMAT:
-            factors = {name: checks.vector(f"factors[{name!r}]", values, checks.integer("steps", said["steps"]))
+            factors = {name: check_arrays.vector(f"factors[{name!r}]", values, checks.integer("steps", said["steps"]))
                        for name, values in checks.instance("factors", said["factors"], dict).items()}
             head = PathHead(factors, checks.integer("steps", said["steps"], maximum=_MOST_STEPS),
                             checks.instance("fingerprint", said["fingerprint"], dict), tuple(said["norms"]))

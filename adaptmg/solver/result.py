@@ -11,115 +11,13 @@ import numpy as np
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation.measures import StressData, von_mises
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.certificate import Certificate, certify
+from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result_file import read_result, write_result
 from adaptmg.solver.status import Status
 
 __all__ = ["ContactResult", "Result"]
-
-
-@dataclass(frozen=True, eq=False)
-class ContactResult:
-    """Contact quantities, one entry a contact node; SI units.
-
-    Between bodies these are displacements of the slave relative to the master (along components that a support fixes
-    at the slave node: its own), and forces on the slave; those on the master balance them.
-
-    Attributes
-    ----------
-    node : (n,) int array
-    x : (n, dim) array
-        Position before deformation, m (NaN if the problem has no coordinates).
-    frames : (n, dim, dim) array
-        Unit vectors by row: the normal, out of the body, then the tangents.
-    gap : (n,) array
-        g0 - u_n, m.
-    u_n : (n,) array
-        Normal displacement, m.
-    u_t, slip : (n, dim - 1) arrays
-        Tangential displacement and slip (u_t minus its reference), m; in 2D along the normal turned by +90 degrees.
-    force_n : (n,) array
-        Compressive nodal force p >= 0, N (2D: N/m).
-    force_t : (n, dim - 1) array
-        Tangential nodal force on the body, N (2D: N/m).
-    weights : (n,) array
-        Lumped boundary mass, m^2 (2D: m).
-    limit : (n,) array
-        What the law allows for |force_t|, N (2D: N/m).
-    state : (n,) int8 array
-        ``am.OPEN``, ``am.SLIP``, ``am.STICK``.
-    boundary : (n,) int array
-        Index into ``names``.
-    names : tuple of str
-        Contact boundaries.
-    masters : tuple of str
-        For each of ``names`` the boundary of the other body, "" for a rigid obstacle.
-    master_node : (m,) int array, optional
-        Nodes that contact nodes follow: of the masters, and those of the slaves that carry no contact conditions of
-        their pair. For each pair each node once.
-    master_force : (m, dim) array, optional
-        Contact forces on them, -W' times those on the contact nodes (Cartesian), N (2D: N/m).
-    master_boundary : (m,) int array, optional
-        Their pair: index into ``names``.
-    """
-
-    node: np.ndarray
-    x: np.ndarray
-    frames: np.ndarray
-    gap: np.ndarray
-    u_n: np.ndarray
-    u_t: np.ndarray
-    slip: np.ndarray
-    force_n: np.ndarray
-    force_t: np.ndarray
-    weights: np.ndarray
-    limit: np.ndarray
-    state: np.ndarray
-    boundary: np.ndarray
-    names: tuple[str, ...] = ("contact",)
-    masters: tuple[str, ...] = ()
-    master_node: np.ndarray | None = None
-    master_force: np.ndarray | None = None
-    master_boundary: np.ndarray | None = None
-
-    def __post_init__(self) -> None:
-        if self.master_node is None:
-            empty = np.empty(0, dtype=np.int64)
-            for name, value in (("master_node", empty), ("master_force", np.empty((0, self.frames.shape[1]))),
-                                ("master_boundary", empty)):
-                object.__setattr__(self, name, value)
-
-    @property
-    def pair(self) -> np.ndarray:
-        """Name of the contact boundary or pair ("slave on master") of each node (n,), str."""
-        masters = self.masters or ("",) * len(self.names)
-        labels = [f"{slave} on {master}" if master else slave
-                  for slave, master in zip(self.names, masters, strict=True)]
-        return np.array(labels)[self.boundary]
-
-    @property
-    def pressure(self) -> np.ndarray:
-        """Compressive nodal force over lumped boundary mass (n,), Pa."""
-        return self.force_n / self.weights
-
-    @property
-    def traction(self) -> np.ndarray:
-        """Tangential nodal force over lumped boundary mass (n, dim - 1), Pa."""
-        return self.force_t / self.weights[:, None]
-
-    @property
-    def normal(self) -> np.ndarray:
-        """Unit normals out of the body (n, dim)."""
-        return self.frames[:, 0]
-
-    @property
-    def force(self) -> np.ndarray:
-        """Contact forces on the contact nodes, Cartesian (n, dim), N (2D: N/m)."""
-        return np.einsum("nk,nkd->nd", np.column_stack([-self.force_n, self.force_t]), self.frames)
-
-    def __len__(self) -> int:
-        return len(self.node)
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +162,7 @@ class Result:
             raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .displacement")
         if getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points))):
             points = [points]  # one point
-        points = checks.array("points", points, (None, self.dim))
+        points = check_arrays.array("points", points, (None, self.dim))
         found = PointLocator(self.mesh).locate(points)
         outside = found.distance > 1e-6 * self.mesh.element_sizes[found.element]
         if outside.any():
@@ -319,7 +217,7 @@ class Result:
         nodes, forces = self._forces_on(boundary)
         if self.mesh is None:
             return Resultant(forces.sum(axis=0), None)
-        about = np.zeros(self.dim) if about is None else checks.vector("about", about, self.dim)
+        about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
         arms = self.mesh.points[nodes] - about
         moment = np.cross(arms, forces) if self.dim == 3 else arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0]
         return Resultant(forces.sum(axis=0), moment.sum(axis=0))

@@ -10,20 +10,19 @@ import io
 import json
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from adaptmg.atomic import write_bytes
+from adaptmg.discretisation.measures import StressData
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.solver.archive import DAMAGES, read_arrays
 from adaptmg.solver.certificate import Certificate
+from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.status import Status
 from adaptmg.text import printable
-
-if TYPE_CHECKING:
-    from adaptmg.solver.result import Result
 
 __all__ = ["read_result", "write_result"]
 
@@ -40,13 +39,26 @@ _STRESS = ("lame", "shear", "kind", "initial_strain")
 _MESH = ("points", "elements", "facets", "facet_labels", "element_body")
 
 
-def write_result(path: str | os.PathLike[str], result: Result, part_of: Mapping[str, Any] | None = None) -> None:
+class Saved(Protocol):
+    """What is written, see :class:`adaptmg.solver.result.Result`; and by name ``_TEXTS`` and ``_NUMBERS``."""
+
+    displacement: np.ndarray
+    reaction: np.ndarray
+    contact: ContactResult
+    status: Status
+    history: dict[str, np.ndarray]
+    mesh: MeshArrays | None
+    stress_data: StressData | None
+    checked: Certificate | None
+
+
+def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[str, Any] | None = None) -> None:
     """Write a result, whole or not at all.
 
     Parameters
     ----------
     path : path
-    result : Result
+    result : adaptmg.Result
     part_of : mapping, optional
         Plain values: to which load path the file belongs, and its step.
 
@@ -103,7 +115,7 @@ def read_result(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str,
     raise ValueError(f"{where} was saved by another version of adaptmg; solve again")
 
 
-def _said(result: Result) -> dict[str, Any]:
+def _said(result: Saved) -> dict[str, Any]:
     """What goes into the JSON text."""
     names = (*_TEXTS, *_NUMBERS, "cycles", "timings", "path", "levels", "versions")
     meta = {name: getattr(result, name) for name in names}

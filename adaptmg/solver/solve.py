@@ -20,10 +20,10 @@ from adaptmg.solver.arguments import (
 from adaptmg.solver.confirm import confirmed_result
 from adaptmg.solver.critical_friction import warn_of_several_solutions
 from adaptmg.solver.examiner import Examiner
+from adaptmg.solver.not_converged import NotConverged
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Run, Solver
 from adaptmg.solver.statics import check_statics_of
-from adaptmg.solver.status import NotConverged
 from adaptmg.threads import one_blas_thread
 
 __all__ = ["solve"]

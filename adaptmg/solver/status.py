@@ -1,14 +1,10 @@
-"""How a run ended, in words that say what to do, and the exception that carries the result."""
+"""How a run ended, in words that say what to do."""
 
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from adaptmg.solver.result import Result
-
-__all__ = ["NotConverged", "Status"]
+__all__ = ["Status"]
 
 
 class Status(Enum):
@@ -28,23 +24,3 @@ class Status(Enum):
     def ok(self) -> bool:
         """True if the tolerance was reached."""
         return self is Status.CONVERGED
-
-
-class NotConverged(RuntimeError):
-    """Raised by :func:`adaptmg.solve` when the tolerance was not reached.
-
-    Attributes
-    ----------
-    result : Result
-        The last iterate with its true residual.
-    """
-
-    def __init__(self, result: Result) -> None:
-        self.result = result
-        super().__init__(f"{result.solver_name}: {result.status.name} after {result.cycles} cycles, natural residual "
-                         f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}. "
-                         "The last iterate is in the exception's .result; throw=False returns it instead.")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # exceptions are rebuilt from .args, which is the text here: a process that is handed one back must not fail
-        return type(self), (self.result,)

@@ -13,14 +13,14 @@ from typing import Any
 
 from adaptmg.study.record import Scalar, Value, plain_results
 
-__all__ = ["Execute", "Outcome", "compute", "in_turn"]
+__all__ = ["Execute", "Finished", "compute", "in_turn"]
 
 Point = dict[str, Value]
 RunFunction = Callable[..., Any]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Finished:
     """What came of one run: results, or the exception; and the seconds it took."""
 
     results: dict[str, Scalar]
@@ -28,20 +28,20 @@ class Outcome:
     seconds: float
 
 
-Execute = Callable[[RunFunction, Iterable[Point]], Iterator[tuple[Point, Outcome]]]
+Execute = Callable[[RunFunction, Iterable[Point]], Iterator[tuple[Point, Finished]]]
 
 
-def compute(function: RunFunction, point: Point) -> Outcome:
+def compute(function: RunFunction, point: Point) -> Finished:
     """One run. An exception of the function, or results that cannot be stored, are part of the outcome."""
     begin = time.perf_counter()
     try:
         results = plain_results(function(**point), point)
     except Exception as error:
-        return Outcome({}, error, time.perf_counter() - begin)
-    return Outcome(results, None, time.perf_counter() - begin)
+        return Finished({}, error, time.perf_counter() - begin)
+    return Finished(results, None, time.perf_counter() - begin)
 
 
-def in_turn(function: RunFunction, points: Iterable[Point]) -> Iterator[tuple[Point, Outcome]]:
+def in_turn(function: RunFunction, points: Iterable[Point]) -> Iterator[tuple[Point, Finished]]:
     """Run after run, in this process."""
     for point in points:
         yield point, compute(function, point)

@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 
 from adaptmg.problem import checks
-from adaptmg.study.execute import Execute, Outcome, Point, RunFunction, in_turn
+from adaptmg.study.execute import Execute, Finished, Point, RunFunction, in_turn
 from adaptmg.study.fingerprint import code_hash, environment
 from adaptmg.study.record import RESERVED, Record, Value, canonical, parameter_value
 from adaptmg.study.store import Store
@@ -144,7 +144,7 @@ class Study:
                     _log.warning("study %s: %s failed: %s", self.name, canonical(point), _text(outcome.error))
         return self.table()
 
-    def _record(self, point: Point, outcome: Outcome, versions: dict[str, str]) -> Record:
+    def _record(self, point: Point, outcome: Finished, versions: dict[str, str]) -> Record:
         return Record(parameters=point, status="done" if outcome.error is None else "failed", results=outcome.results,
                       error="" if outcome.error is None else _text(outcome.error), seconds=outcome.seconds,
                       code=self._code, versions=versions, finished=datetime.now(UTC).isoformat(timespec="seconds"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 import numbers
 from collections.abc import Mapping
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from adaptmg.text import printable
+from adaptmg.text import in_html, printable
 
 __all__ = ["as_html", "as_text"]
 
@@ -63,19 +62,14 @@ def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
     """
     headers, columns = _cells(table, units, formats)
     classes = [' class="n"' if _numeric(table[name]) else "" for name in table.columns]
-    head = "".join(f"<th{c}>{_escaped(h)}</th>" for h, c in zip(headers, classes, strict=True))
-    rows = ("".join(f"<td{c}>{_escaped(cell)}</td>" for cell, c in zip(row, classes, strict=True))
+    head = "".join(f"<th{c}>{in_html(h)}</th>" for h, c in zip(headers, classes, strict=True))
+    rows = ("".join(f"<td{c}>{in_html(cell)}</td>" for cell, c in zip(row, classes, strict=True))
             for row in zip(*columns, strict=True))
     body = "\n".join(f"<tr>{row}</tr>" for row in rows)
-    top = f"<figcaption>{_escaped(caption)}</figcaption>\n" if caption else ""
-    bottom = f'\n<p class="note">{_escaped(note)}</p>' if note else ""
+    top = f"<figcaption>{in_html(caption)}</figcaption>\n" if caption else ""
+    bottom = f'\n<p class="note">{in_html(note)}</p>' if note else ""
     return (f'<figure class="table">\n{top}<div class="scroll"><table>\n<thead><tr>{head}</tr></thead>\n'
             f"<tbody>\n{body}\n</tbody>\n</table></div>{bottom}\n</figure>")
-
-
-def _escaped(text: str) -> str:
-    """A text as HTML takes it, control characters as codes."""
-    return html.escape(printable(text))
 
 
 def _cells(table: pd.DataFrame, units: Mapping[str, str] | None,

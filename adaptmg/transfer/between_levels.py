@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
 from adaptmg.transfer.location import nodes_of_bodies
 from adaptmg.transfer.protocol import Transfer
@@ -91,7 +91,7 @@ def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.c
     if sparse.issparse(returned) and returned.shape != wanted:
         raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
                          f"got {returned.shape}")
-    nodal = checks.sparse_matrix(f"what transfer.build of {checks.shown(transfer)} returns", returned)
+    nodal = check_arrays.sparse_matrix(f"what transfer.build of {checks.shown(transfer)} returns", returned)
     nodal = sparse.csr_array(nodal, dtype=np.float64)
     largest = np.abs(nodal.data).max(initial=0.0)
     if not 1 / checks.VAST <= largest <= checks.VAST:

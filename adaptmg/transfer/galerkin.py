@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.compiled import kernel
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.transfer.aggregation import without_fixed
 
 __all__ = ["coarse_spaces", "galerkin_product", "is_galerkin", "seen"]
@@ -190,7 +190,7 @@ def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: spars
 def _prolongation(name: str, value: Any) -> sparse.csr_array:
     """One of a user's prolongations as csr, its indices and the size of its weights checked."""
     # a copy: duplicates are summed in place
-    P = sparse.csr_array(checks.sparse_matrix(name, value), dtype=np.float64, copy=True)
+    P = sparse.csr_array(check_arrays.sparse_matrix(name, value), dtype=np.float64, copy=True)
     P.sum_duplicates()
     largest = np.abs(P.data).max(initial=0.0)
     if not _SMALLEST <= largest <= 1 / _SMALLEST:

@@ -2,45 +2,16 @@
 
 import gzip
 import struct
+import sys
 from pathlib import Path
 
 from hostile_table import Hostile
 
 from adaptmg.mesh import as_mesh, from_step, step_names
 
-VOL = """mesh3d
-dimension
-2
-geomtype
-0
-surfaceelements
-2
- 1 1 1 0 3 1 2 3
- 1 1 1 0 3 1 3 4
-volumeelements
-0
-edgesegmentsgi2
-4
- 1 0 1 2 -1 -1 1 0 1 0 1 1
- 2 0 2 3 -1 -1 1 0 2 0 2 1
- 3 0 3 4 -1 -1 1 0 3 0 3 1
- 1 0 4 1 -1 -1 1 0 4 0 4 1
-points
-4
- 0 0 0
- 2 0 0
- 2 1 0
- 0 1 0
-materials
-1
-1 steel
-bcnames
-3
-1 side
-2 right
-3 top
-endmesh
-"""
+sys.path.append(str(Path(__file__).parents[1]))
+from netgen_text import VOL
+
 # what is replaced, and by what
 VOL_DAMAGE = {
     "node too large": (" 3 1 2 3", " 3 1 2 9"), "node 0": (" 3 1 2 3", " 3 1 2 0"),

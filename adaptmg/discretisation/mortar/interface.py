@@ -16,7 +16,7 @@ from scipy import sparse
 
 from adaptmg.discretisation.facets import area_vectors
 
-__all__ = ["NEVER_FACING", "MortarInterface", "Surfaces"]
+__all__ = ["NEVER_FACING", "MortarInterface", "Surfaces", "nothing_covered"]
 
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
@@ -216,3 +216,13 @@ def _facets(name: str, value: object, points: np.ndarray) -> np.ndarray:
 
 def _place(points: np.ndarray, node: int) -> tuple[float, ...]:
     return tuple(points[node].tolist())
+
+
+def nothing_covered(covered: np.ndarray, reach: float | None, facet: str) -> str:
+    """Why no slave facet is kept, in words; ``covered`` is how much of each has the master opposite."""
+    if covered.any():
+        return ("the surfaces face each other only where slave nodes are excluded, or on less than min_coverage of "
+                f"each {facet}; take the other surface as slave")
+    within = "" if reach is None else f" within a reach of {reach:.6g} m"
+    return (f"{NEVER_FACING}{within}: no ray along a normal of the slave surface meets the outer side of the master "
+            "surface. Check their positions and the orientation of their facets, or give a larger reach")

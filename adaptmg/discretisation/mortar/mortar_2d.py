@@ -28,7 +28,7 @@ from collections.abc import Iterable
 import numpy as np
 from scipy import sparse
 
-from adaptmg.discretisation.mortar.interface import NEVER_FACING, MortarInterface, Surfaces
+from adaptmg.discretisation.mortar.interface import MortarInterface, Surfaces, nothing_covered
 from adaptmg.discretisation.mortar.kernels_2d import SHORTEST, nearest_pieces, search_strips
 from adaptmg.geometry.box_tree import BoxTree
 from adaptmg.problem.checks import nonnegative, positive
@@ -92,17 +92,8 @@ def mortar_2d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.nd
     covered = np.bincount(edge, ends[:, 1] - ends[:, 0], minlength=len(surfaces.slave))
     kept = ((covered >= min_coverage) & surfaces.carries[surfaces.slave].any(axis=1))[edge]
     if not kept.any():
-        raise ValueError(_nothing_covered(surfaces, covered, reach))
+        raise ValueError(nothing_covered(covered, reach, "edge"))
     return _integrate(surfaces, edge[kept], facet[kept], ends[kept])
-
-
-def _nothing_covered(surfaces: Surfaces, covered: np.ndarray, reach: float | None) -> str:
-    if covered.any():
-        return ("the surfaces face each other only where slave nodes are excluded, or on less than min_coverage of an "
-                "edge; take the other surface as slave")
-    within = "" if reach is None else f" within a reach of {reach:.6g} m"
-    return (f"{NEVER_FACING}{within}: no ray along a normal of the slave surface meets the outer side of the master "
-            "surface. Check their positions and the orientation of their edges, or give a larger reach")
 
 
 def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -37,7 +37,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.discretisation.facets import area_vectors
-from adaptmg.discretisation.mortar.interface import NEVER_FACING, MortarInterface, Surfaces
+from adaptmg.discretisation.mortar.interface import MortarInterface, Surfaces, nothing_covered
 from adaptmg.discretisation.mortar.kernels_3d import common_moments, find_opposite
 from adaptmg.geometry.box_tree import BoxTree
 from adaptmg.geometry.polygons import MOMENTS
@@ -102,17 +102,8 @@ def mortar_3d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.nd
     enough = (covered > 0) & (covered >= min_coverage * parts.areas())
     kept = (enough & surfaces.carries[surfaces.slave].any(axis=1))[parts.slave]
     if not kept.any():
-        raise ValueError(_nothing_covered(covered, reach))
+        raise ValueError(nothing_covered(covered, reach, "triangle"))
     return _integrate(surfaces, parts.only(kept))
-
-
-def _nothing_covered(covered: np.ndarray, reach: float | None) -> str:
-    if covered.any():
-        return ("the surfaces face each other only where slave nodes are excluded, or on less than min_coverage of a "
-                "triangle; take the other surface as slave")
-    within = "" if reach is None else f" within a reach of {reach:.6g} m"
-    return (f"{NEVER_FACING}{within}: no line along a normal of the slave surface meets the outer side of the master "
-            "surface. Check their positions and the orientation of their facets, or give a larger reach")
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from adaptmg.plot.bodies import plane, solid
 from adaptmg.plot.bodies.scene import Coloring, Scene, automatic_factor, make_scene
 from adaptmg.plot.states import state_lines
 from adaptmg.plot.style import GREY, INK, axis_names, canvas, number, plain, scaled, styled
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.result import Result
 
 __all__ = ["deformation"]
@@ -75,7 +75,7 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     ax = canvas(ax, _size(scene), result.dim)
     present: list[int] = []
     if result.dim == 3:
-        present = solid.draw(ax, scene, lines, states, None if view is None else checks.vector("view", view, 2))
+        present = solid.draw(ax, scene, lines, states, None if view is None else check_arrays.vector("view", view, 2))
     else:
         plane.draw(ax, scene, scene.n_elements <= _LINES_UP_TO if lines is None else lines)
         present = plane.draw_states(ax, scene) if states else []

@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.topology import facet_table
 from adaptmg.plot.style import BODY_COLORS, bounds, scaled
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.result import Result
 
 __all__ = ["Coloring", "DrawnBody", "Scene", "automatic_factor", "make_scene"]
@@ -157,7 +157,7 @@ def _bodies(mesh: MeshArrays, names: Sequence[str] | None) -> list[int]:
 def _window(window: tuple[float, float, float, float], dim: int) -> tuple[np.ndarray, np.ndarray]:
     if dim != 2:
         raise ValueError("window is for two dimensions: in 3D choose bodies=... and view=...")
-    x0, x1, y0, y1 = checks.vector("window", window, 4)
+    x0, x1, y0, y1 = check_arrays.vector("window", window, 4)
     if not (x0 < x1 and y0 < y1):
         raise ValueError(f"window must be (xmin, xmax, ymin, ymax) with xmin < xmax and ymin < ymax, got {window!r}")
     return np.array([x0, y0]), np.array([x1, y1])

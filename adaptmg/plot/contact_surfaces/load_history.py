@@ -17,7 +17,7 @@ from adaptmg.plot.contact_surfaces.maps import draw_map
 from adaptmg.plot.contact_surfaces.panels import cells, chosen_boundaries, described, keep_open
 from adaptmg.plot.states import state_lines, stated_curve
 from adaptmg.plot.style import BLUE, label_text, number, plain, styled
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.result import Result
 
 __all__ = ["load_history"]
@@ -85,7 +85,7 @@ def _checked(results: Sequence[Result], factors: Sequence[float]) -> tuple[list[
     results = list(results)
     if not results or not all(isinstance(r, Result) for r in results):
         raise TypeError("results must be a sequence of at least one Result, one a load step")
-    factors = checks.vector("factors", factors)
+    factors = check_arrays.vector("factors", factors)
     if len(factors) != len(results):
         raise ValueError(f"factors must have one value a result: {len(results)} results, {len(factors)} factors")
     if len({(len(r.displacement), r.dim, len(r.contact), r.contact.names) for r in results}) > 1:

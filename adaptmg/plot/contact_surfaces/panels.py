@@ -9,7 +9,8 @@ from matplotlib.figure import SubFigure
 
 from adaptmg.plot.style import quoted
 from adaptmg.problem import checks
-from adaptmg.solver.result import ContactResult, Result
+from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.result import Result
 
 __all__ = ["blocks", "cells", "chosen_boundaries", "described", "keep_open"]
 

@@ -1,0 +1,54 @@
+"""What a user waits for: seconds of wall time from the problem to its solution, by phase, one thread.
+
+Everything counts: meshes, assembly, transfers, statics, set-up, the nested start, cycles to an estimated error of 1e-8
+and the certificate; beside it pyamg's smoothed aggregation (its defaults, rigid motions as near-nullspace) on the glued
+matrix of the same mesh, set-up and solve alone.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pandas as pd
+from common import Context, Table
+
+import adaptmg as am
+from adaptmg.solver.glued import solve_glued
+
+SIZES, QUICK = {"2D": (256, 512, 1024), "3D": (32, 64)}, {"2D": (32,), "3D": (4,)}
+MESH, SOLVE = ("mesh", "assembly", "transfer"), ("statics", "setup", "start", "cycles", "certificate", "result")
+
+
+def wait(family: str, size: int) -> dict[str, Any]:
+    """One row: the better of two runs."""
+    return min((_once(family, size) for _ in range(2)), key=lambda row: row["wall_s"])
+
+
+def _once(family: str, size: int) -> dict[str, Any]:
+    problem = am.cases.greco_bar() if family == "2D" else am.cases.greco_block()
+    chain = [size]
+    while chain[0] % 2 == 0 and chain[0] > (4 if family == "2D" else 2):
+        chain.insert(0, chain[0] // 2)
+    begin = time.perf_counter()
+    grids = am.Hierarchy.uniform(problem, chain)
+    built = time.perf_counter()
+    result = am.solve(grids, am.FullMultigrid(rtol=1e-8))
+    solved = time.perf_counter()
+    glued = solve_glued(grids.finest.discrete, rtol=1e-8)
+    linear = glued.seconds_setup + glued.seconds_solve
+    return {"nodes": grids.finest.n_nodes,
+            **{f"{name}_s": grids.timings.get(name, 0.0) for name in MESH},
+            **{f"{name}_s": result.timings.get(name, 0.0) for name in SOLVE},
+            "hierarchy_s": built - begin, "solve_s": solved - built, "wall_s": solved - begin,
+            "accounted": (sum(grids.timings.values()) + result.seconds) / (solved - begin),
+            "pyamg_setup_s": glued.seconds_setup, "pyamg_solve_s": glued.seconds_solve,
+            "solve_over_pyamg": (solved - built) / linear, "wall_over_pyamg": (solved - begin) / linear}
+
+
+def table(context: Context) -> Table:
+    """All rows."""
+    sizes = QUICK if context.quick else SIZES
+    rows = [context.study(wait, {"family": [family], "size": list(each)}) for family, each in sizes.items()]
+    return Table("benchmark_waiting", pd.concat(rows, ignore_index=True).drop(columns="size"),
+                 "What a user waits for: wall seconds by phase, GRECO, friction 1, to an estimated error of 1e-8.")
