@@ -34,7 +34,7 @@ class Multigrid:
     correction : Truncated, Monotone, PaperCorrection or one's own
         :class:`~adaptmg.multigrid.Truncated` brings its own cycle, smoother and coarse solve and takes ``cycle``,
         ``smoother``, ``coarse``, ``coarse_matrices`` and ``stop`` at their defaults only. Default: Truncated() if these
-        are at their defaults, else Monotone().
+        are at their defaults, else Monotone(). Its linear coarse solve and coarse smoother are options of its own.
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
         iteration first, and starts from zero all the same; the work is counted.
     coarse : CoarseSolve

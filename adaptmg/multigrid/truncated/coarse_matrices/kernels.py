@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.compiled import inner_kernel, kernel
-from adaptmg.multigrid.linear.split_matrix import invert_block
+from adaptmg.multigrid.linear.split_kernels import invert_block
 from adaptmg.smoother.state import CLOSED, HELD, TANGENTIAL
 
 __all__ = ["add_contributions", "changed_blocks", "collect", "count_blocks", "count_contributions",
