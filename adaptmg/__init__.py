@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from adaptmg import kernel_cache
+from adaptmg.runtime import kernel_cache
 
 __version__ = "0.1.0"
 
@@ -22,7 +22,7 @@ _WHERE = {
                         "Coulomb", "Frictionless", "GapFunction", "InitialStrain", "LoadPath", "Outline", "Plane",
                         "PlaneStrain", "PlaneStress", "Polygon", "Pressure", "Rectangle", "Solid", "Support",
                         "Traction", "Tresca"),
-    "adaptmg.problem.solids": ("Ball", "Common", "Cut", "Cylinder", "Extrusion", "Fuse", "Moved", "Revolution",
+    "adaptmg.problem.domains": ("Ball", "Common", "Cut", "Cylinder", "Extrusion", "Fuse", "Moved", "Revolution",
                                "StepFile"),
     "adaptmg.discrete": ("ContactNodes", "DiscreteProblem"),
     "adaptmg.mesh": ("MeshArrays", "SizeNear"),

@@ -34,10 +34,10 @@ from adaptmg.discrete_input import (
 )
 from adaptmg.exchange import NEGLIGIBLE, Exchange, exchanged, facing_part
 from adaptmg.geometry.rigid_modes import rigid_body_modes
-from adaptmg.on_demand import OnDemand, made_on_demand
 from adaptmg.problem import check_arrays, checks
 from adaptmg.problem.contact_problem import check_law
 from adaptmg.problem.laws import Law
+from adaptmg.runtime.on_demand import OnDemand, made_on_demand
 
 __all__ = ["ContactNodes", "DiscreteProblem", "rigid_body_modes"]
 
@@ -93,7 +93,7 @@ class DiscreteProblem:
         """From a matrix of this package's own assembly, which is not searched for what a stranger's may have wrong.
 
         Parameters as of the class. The matrix, in dim x dim blocks with sorted columns and symmetric, is kept without
-        a copy; ``near_nullspace`` may be :class:`~adaptmg.on_demand.OnDemand`.
+        a copy; ``near_nullspace`` may be :class:`~adaptmg.runtime.on_demand.OnDemand`.
         """
         result = cls.__new__(cls)
         object.__setattr__(result, "_assembled", True)

@@ -16,9 +16,9 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy_input import check_coarse_to_fine, each, label, limits_of_bisection, need_domain, need_problem
 from adaptmg.level import Level, ratio_to
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.on_demand import OnDemand
 from adaptmg.problem import ContactProblem, checks
-from adaptmg.threads import one_blas_thread
+from adaptmg.runtime.on_demand import OnDemand
+from adaptmg.runtime.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer

@@ -10,8 +10,8 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.on_demand import OnDemand, made_on_demand
 from adaptmg.problem import check_arrays, checks
+from adaptmg.runtime.on_demand import OnDemand, made_on_demand
 
 __all__ = ["Level", "ratio_to"]
 

@@ -29,8 +29,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from PIL import Image
 
 import adaptmg as am
-from adaptmg.atomic import make_folder, write_bytes
 from adaptmg.mesh import refine_near, structured
+from adaptmg.runtime.atomic import make_folder, write_bytes
 
 DATA = Path(__file__).resolve().parent.parent / "data" / "paper"
 

@@ -160,7 +160,8 @@ def test_nothing_is_made_that_nobody_asked_for(problem, monkeypatch):
     from importlib import import_module
 
     from adaptmg import transfer
-    from adaptmg.mesh import build, check
+    from adaptmg.mesh import build
+    from adaptmg.mesh.checks import check
 
     assembling = import_module("adaptmg.discretisation.discretise")
 

@@ -16,10 +16,9 @@ import pytest
 import adaptmg
 
 ROOT = Path(adaptmg.__file__).parent
-LAYERS = (("atomic", "text", "threads", "kernel_cache", "compiled", "on_demand"), "problem", "geometry",
-          "discrete_input", "contact_nodes", "exchange", "coupling", "discrete", "mesh", "discretisation", "transfer",
-          ("level", "hierarchy_input"), "hierarchy", "smoother", "multigrid", "solver", "estimate", "cases", "study",
-          ("plot", "export"), "cli")
+LAYERS = ("runtime", "problem", "geometry", "discrete_input", "contact_nodes", "exchange", "coupling", "discrete",
+          "mesh", "discretisation", "transfer", ("level", "hierarchy_input"), "hierarchy", "smoother", "multigrid",
+          "solver", "estimate", "cases", "study", ("plot", "export"), "cli")
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in ([names] if isinstance(names, str) else names)}
 MAY_USE_NGSOLVE = {"mesh", "discretisation", "export"}
 FILES = sorted(ROOT.rglob("*.py"))

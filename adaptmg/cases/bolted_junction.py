@@ -48,7 +48,7 @@ from adaptmg.problem import (
     Traction,
     checks,
 )
-from adaptmg.problem.solids import SolidDomain
+from adaptmg.problem.domains import SolidDomain
 
 __all__ = ["BOLTS", "bolted_junction"]
 

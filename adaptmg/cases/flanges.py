@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg.problem import Polygon, checks
-from adaptmg.problem.solids import Cut, Cylinder, Fuse, Revolution, SolidDomain
+from adaptmg.problem.domains import Cut, Cylinder, Fuse, Revolution, SolidDomain
 
 __all__ = ["Flanges", "bolt_places", "bolt_solid", "drilled", "flange_section", "mirrored", "ring_section"]
 

@@ -34,7 +34,7 @@ from adaptmg.problem import (
     Support,
     checks,
 )
-from adaptmg.problem.solids import Revolution
+from adaptmg.problem.domains import Revolution
 
 __all__ = ["PointContact", "hertz_sphere"]
 

@@ -13,7 +13,7 @@ import typer
 
 from adaptmg import __version__
 from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
-from adaptmg.text import printable
+from adaptmg.runtime.text import printable
 
 __all__ = ["app", "main"]
 

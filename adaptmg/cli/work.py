@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 import adaptmg as am
-from adaptmg.atomic import make_folder, write_bytes
 from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
 from adaptmg.problem import checks
+from adaptmg.runtime.atomic import make_folder, write_bytes
 from adaptmg.solver.run import Solver
 
 __all__ = ["hierarchy_of", "out_folder", "problem_of", "solved", "solver_of", "summary", "write"]

@@ -19,9 +19,9 @@ from adaptmg.discretisation.rigid_motions import rigid_motions
 from adaptmg.discretisation.supports import fixed_dofs
 from adaptmg.exchange import find_carriers
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.on_demand import OnDemand
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.threads import one_blas_thread
+from adaptmg.runtime.on_demand import OnDemand
+from adaptmg.runtime.threads import one_blas_thread
 
 __all__ = ["discretise"]
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["add_axisymmetric", "add_plane", "add_solid", "count_neighbours", "fill_neighbours"]
 

@@ -10,7 +10,7 @@ taken: its value at the centroid, :math:`\int u_r \big/ \int r`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +19,9 @@ from adaptmg.discretisation.body_materials import Materials, body_materials, is_
 from adaptmg.discretisation.initial_strain import mean_initial_strain
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import InitialStrain, Load
-from adaptmg.problem.materials import PlaneStrain, PlaneStress
+from adaptmg.problem.materials import PlaneStress
 
-__all__ = ["StressData", "element_strain", "element_stress", "full_stress", "hoop_strain", "von_mises"]
+__all__ = ["StressData", "element_strain", "full_stress", "hoop_strain", "von_mises"]
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -148,42 +148,22 @@ def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray,
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
 
 
-def element_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
-                   ) -> np.ndarray:
-    """In-plane (3D: full) Cauchy stress tensors: the block (n_elements, dim, dim) of :func:`full_stress`."""
-    return full_stress(mesh, material, displacement, loads)[:, :mesh.dim, :mesh.dim]
-
-
-def von_mises(stress: np.ndarray, material: Materials | None = None) -> np.ndarray:
+def von_mises(stress: np.ndarray) -> np.ndarray:
     r"""Equivalent stress :math:`\sqrt{\tfrac32\, s : s}` of the full deviator s.
 
     Parameters
     ----------
-    stress : (n, 3, 3) or (n, 2, 2) array
-        Pa, from :func:`full_stress`; or from :func:`element_stress` in 2D without initial strains.
-    material : PlaneStrain, PlaneStress or Solid, optional
-        Only in-plane stresses (n, 2, 2) need it: plane strain adds sigma_zz = nu (sigma_xx + sigma_yy), plane stress
-        has none.
+    stress : (n, 3, 3) array
+        Pa, from :func:`full_stress`.
 
     Returns
     -------
     (n,) array
         Pa.
     """
-    dim = np.shape(stress)[-1]
-    if np.shape(stress)[1:] not in ((2, 2), (3, 3)):
-        raise ValueError(f"stress must have shape (n, 3, 3) or (n, 2, 2), got {np.shape(stress)}")
-    full = np.zeros((len(stress), 3, 3))
-    full[:, :dim, :dim] = stress
-    if dim == 2:
-        if material is None or isinstance(material, Mapping) or is_axisymmetric(material):
-            raise ValueError("the stress out of the plane is not known from the in-plane stress here: give the tensors "
-                             "(n, 3, 3) of full_stress")
-        if isinstance(material, PlaneStrain):
-            full[:, 2, 2] = material.poisson * (stress[:, 0, 0] + stress[:, 1, 1])
-        elif material.dim != dim:
-            raise ValueError(f"stress is {dim}D, the material {material.dim}D")
-    deviator = full - np.trace(full, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+    if np.shape(stress)[1:] != (3, 3):
+        raise ValueError(f"stress must have shape (n, 3, 3), as of full_stress, got {np.shape(stress)}")
+    deviator = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
     return np.sqrt(1.5 * np.sum(deviator**2, axis=(1, 2)))
 
 

@@ -15,11 +15,11 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.figure import Figure
 
-from adaptmg.atomic import write_bytes
 from adaptmg.problem import checks
+from adaptmg.runtime.atomic import write_bytes
+from adaptmg.runtime.text import in_html
 from adaptmg.study.fingerprint import environment
 from adaptmg.study.tables import as_html
-from adaptmg.text import in_html
 
 __all__ = ["Report"]
 

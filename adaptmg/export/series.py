@@ -11,11 +11,11 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from adaptmg.atomic import waiting_folder, write_bytes
 from adaptmg.export.vtu import document
 from adaptmg.problem import check_arrays, checks
+from adaptmg.runtime.atomic import waiting_folder, write_bytes
+from adaptmg.runtime.text import printable
 from adaptmg.solver.result import Result
-from adaptmg.text import printable
 
 __all__ = ["vtk_series"]
 

@@ -25,10 +25,10 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from adaptmg.atomic import write_bytes
 from adaptmg.problem import checks
+from adaptmg.runtime.atomic import write_bytes
+from adaptmg.runtime.text import printable
 from adaptmg.solver.result import Result
-from adaptmg.text import printable
 
 __all__ = ["document", "vtk"]
 

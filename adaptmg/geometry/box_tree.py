@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.geometry.closest import closest_on_simplex
 from adaptmg.geometry.morton import morton_order
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["STACK", "BoxTree", "bounding_box", "leaf_range", "nearest_simplex", "overlapping", "padded"]
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel
+from adaptmg.runtime.compiled import inner_kernel
 
 __all__ = ["closest_on_simplex"]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.geometry.box_tree import STACK, leaf_range, nearest_simplex
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["INSIDE", "affine_maps", "locate"]
 

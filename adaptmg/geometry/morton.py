@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["morton_order"]
 

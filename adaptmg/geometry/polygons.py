@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["MOMENTS", "ROOM", "add_visible", "clip", "keep_left", "polygon_moments", "separated"]
 

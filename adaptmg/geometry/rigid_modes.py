@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.threads import one_blas_thread
+from adaptmg.runtime.threads import one_blas_thread
 
 __all__ = ["rigid_body_modes"]
 

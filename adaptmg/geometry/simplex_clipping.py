@@ -14,7 +14,7 @@ is exact. No topological case is told apart, and a sliver only makes a piece of 
 
 from __future__ import annotations
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["PIECES", "SNAP", "common_moments"]
 

@@ -10,15 +10,16 @@ from importlib import import_module
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import merged
-from adaptmg.mesh.check import check_mesh
-from adaptmg.mesh.quality import MeshQuality, quality
+from adaptmg.mesh.checks.check import check_mesh
+from adaptmg.mesh.checks.quality import MeshQuality, quality
 from adaptmg.mesh.size_near import SizeNear
 from adaptmg.mesh.structured import structured
 
 # these modules import ngsolve: they are loaded at the first use of a name (PEP 562)
-_LAZY = {"as_mesh": "user", "bisect": "bisected", "from_gmsh": "gmsh", "from_ngsolve": "build", "from_step": "step",
-         "graded": "grading", "refine_near": "bisected", "sized": "grading", "solid_mesh": "solids",
-         "step_names": "step", "to_ngsolve": "build", "with_source": "build"}
+_LAZY = {"as_mesh": "user", "bisect": "bisected", "from_gmsh": "files.gmsh", "from_ngsolve": "build",
+         "from_step": "netgen.step", "graded": "netgen.grading", "refine_near": "bisected",
+         "sized": "netgen.grading", "solid_mesh": "netgen.solids", "step_names": "netgen.step",
+         "to_ngsolve": "build", "with_source": "build"}
 
 __all__ = ["MeshArrays", "MeshQuality", "SizeNear", "as_mesh", "bisect", "check_mesh", "from_gmsh", "from_ngsolve",
            "from_step", "graded", "merged", "quality", "refine_near", "sized", "solid_mesh", "step_names", "structured",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptmg.on_demand import made_on_demand
+from adaptmg.runtime.on_demand import made_on_demand
 
 __all__ = ["MeshArrays", "trusted"]
 

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.check import check_mesh
+from adaptmg.mesh.checks.check import check_mesh
 from adaptmg.mesh.on_demand_source import sound_by_construction
 from adaptmg.problem import checks
 

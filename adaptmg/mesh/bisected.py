@@ -14,9 +14,9 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import ngsolve_mesh, own_mesh
-from adaptmg.mesh.check import check_mesh
-from adaptmg.mesh.generate import MAX_NODES
-from adaptmg.mesh.interruptible import interruptible
+from adaptmg.mesh.checks.check import check_mesh
+from adaptmg.mesh.netgen.generate import MAX_NODES
+from adaptmg.mesh.netgen.interruptible import interruptible
 from adaptmg.problem import checks
 
 __all__ = ["bisect", "refine_near"]

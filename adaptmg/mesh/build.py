@@ -9,10 +9,10 @@ import ngsolve
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays, trusted
-from adaptmg.mesh.check import check_mesh
-from adaptmg.mesh.normalise import normalised
-from adaptmg.mesh.overlap import check_overlap
-from adaptmg.on_demand import OnDemand
+from adaptmg.mesh.checks.check import check_mesh
+from adaptmg.mesh.checks.overlap import check_overlap
+from adaptmg.mesh.files.normalise import normalised
+from adaptmg.runtime.on_demand import OnDemand
 
 __all__ = ["from_ngsolve", "ngsolve_mesh", "own_mesh", "to_ngsolve", "with_source"]
 

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adaptmg.problem.domains import Box, Polygon, Rectangle
-from adaptmg.problem.outlines import Outline
+from adaptmg.problem.domains import Box, Outline, Polygon, Rectangle
 
 __all__ = ["BOX_SIDES", "distance_of_segments", "distance_to_boundaries", "require_simple"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from adaptmg.mesh.arrays import MeshArrays, trusted
-from adaptmg.on_demand import OnDemand
+from adaptmg.runtime.on_demand import OnDemand
 
 __all__ = ["sound_by_construction"]
 

@@ -20,8 +20,7 @@ from adaptmg.mesh.geometry import BOX_SIDES
 from adaptmg.mesh.on_demand_source import sound_by_construction
 from adaptmg.mesh.topology import MOST_NODES, facet_table
 from adaptmg.problem import checks
-from adaptmg.problem.assembly import Assembly
-from adaptmg.problem.domains import Box, Rectangle
+from adaptmg.problem.domains import Assembly, Box, Rectangle
 
 __all__ = ["structured"]
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import from_ngsolve, with_source
-from adaptmg.mesh.check import check_mesh
-from adaptmg.mesh.gmsh import from_gmsh
-from adaptmg.mesh.netgen_file import from_netgen_file
-from adaptmg.mesh.overlap import check_overlap
-from adaptmg.on_demand import OnDemand
+from adaptmg.mesh.checks.check import check_mesh
+from adaptmg.mesh.checks.overlap import check_overlap
+from adaptmg.mesh.files.gmsh import from_gmsh
+from adaptmg.mesh.files.netgen_file import from_netgen_file
 from adaptmg.problem import checks
+from adaptmg.runtime.on_demand import OnDemand
 
 __all__ = ["as_mesh"]
 

@@ -39,9 +39,6 @@ class CoarseSolve:
     test : {"error", "change"}
     omega : float
         Over-relaxation.
-    order : {"forward", "backward", "symmetric"}
-    batch : int
-        Sweeps between tests of the error.
     max_sweeps : int
         At most so many; the iterate reached is used.
     """
@@ -51,9 +48,10 @@ class CoarseSolve:
     atol: float = 0.0
     test: str = "error"
     omega: float = 1.5
-    order: str = "forward"
-    batch: int = 4
     max_sweeps: int = 2000
+
+    #: sweeps between tests of the error
+    BATCH = 4
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rtol", checks.nonnegative("rtol", self.rtol))
@@ -66,15 +64,14 @@ class CoarseSolve:
         checks.choice("test", self.test, ("error", "change"))
         if self.atol > 0 and self.test == "error":
             raise ValueError("atol is for test='change'; give rtol with test='error'")
-        ProjectedGaussSeidel(omega=self.omega, order=self.order)
-        checks.integer("batch", self.batch, 1)
+        ProjectedGaussSeidel(omega=self.omega)
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
     def solve(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
               recorder: Recorder) -> int:
         """Sweep until the tolerance is met, changing ``unknowns`` (n_dofs,) in place; returns the number of sweeps."""
-        smoother = ProjectedGaussSeidel(omega=self.omega, order=self.order)
-        batch = self.batch if self.test == "error" else 1
+        smoother = ProjectedGaussSeidel(omega=self.omega)
+        batch = self.BATCH if self.test == "error" else 1
         norm = self._block_norm(system) if self.test == "error" else np.linalg.norm
         before, sweeps, change = unknowns.copy(), 0, np.inf
         while sweeps < self.max_sweeps:

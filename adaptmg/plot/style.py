@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.mathtext import MathTextParser
 
+from adaptmg.runtime.text import printable
 from adaptmg.solver.result import Result
-from adaptmg.text import printable
 
 __all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "axes_of", "axis_names",
            "bounds", "canvas", "label_text", "number", "plain", "quoted", "scaled", "styled"]

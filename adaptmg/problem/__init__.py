@@ -1,16 +1,29 @@
 """What is posed: problems, materials, laws, loads, obstacles, pairs, domains. Pure data in SI units, no NGSolve."""
 
-from adaptmg.problem.assembly import Assembly
 from adaptmg.problem.contact_problem import Contact, ContactProblem
-from adaptmg.problem.domains import Box, Domain, Polygon, Rectangle
+from adaptmg.problem.domains import (
+    Assembly,
+    Ball,
+    Box,
+    Common,
+    Cut,
+    Cylinder,
+    Domain,
+    Extrusion,
+    Fuse,
+    Moved,
+    Outline,
+    Polygon,
+    Rectangle,
+    Revolution,
+    StepFile,
+)
 from adaptmg.problem.laws import Coulomb, Frictionless, Law, Tresca
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.problem.loads import BodyForce, InitialStrain, Pressure, Support, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStrain, PlaneStress, Solid
 from adaptmg.problem.obstacles import GapFunction, Plane
-from adaptmg.problem.outlines import Outline
 from adaptmg.problem.pairs import ContactPair
-from adaptmg.problem.solids import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
 
 __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Common", "Contact", "ContactPair", "ContactProblem",
            "Coulomb", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless", "Fuse", "GapFunction",

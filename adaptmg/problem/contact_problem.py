@@ -154,14 +154,6 @@ class ContactProblem:
             return self.domain.bodies
         return () if isinstance(self.material, Elastic) else tuple(self.material)
 
-    def material_of(self, body: str) -> Elastic:
-        """The material of a body; ValueError if materials are named by body and this one is not."""
-        if isinstance(self.material, Elastic):
-            return self.material
-        if body not in self.material:
-            raise ValueError(f"body {body!r} has no material; material names {', '.join(map(repr, self.material))}")
-        return self.material[body]
-
     @property
     def contact_boundaries(self) -> tuple[str, ...]:
         """Names of the boundaries that carry contact nodes, in the order of ``contact``; of a pair the slave."""

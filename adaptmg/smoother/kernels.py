@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.smoother.blocks import add, in_loop, inner, over, plus_symmetric, read, scale, times, upper, write
 from adaptmg.smoother.node_solve import natural_at, read_reference, solve
 from adaptmg.smoother.rows import minus_row

@@ -39,9 +39,6 @@ class ActiveSet:
         is better), and, times 10, for the relative natural residual.
     max_steps : int
         Newton steps at most.
-    factor : float
-        Augmentation c over the diagonal of the matrix; it weighs gaps against forces where a status is decided.
-        Small values change fewer nodes at a time.
     linear_rtol : float
         Relative residual to which an iterative linear solver solves each step.
     nested_start : bool
@@ -52,14 +49,13 @@ class ActiveSet:
     Without a start all nodes touch and, under friction, stick: a state that is not singular where the problem is well
     posed. If a later one is (a body that only contact holds and that has lost it), the iteration goes back to that
     state; if it happens again, the step is taken with weak springs at the contact nodes. If a status comes back, the
-    iteration may be cycling: the step is halved and ``factor`` reduced.
+    iteration may be cycling: the step is halved, and gaps weigh less against forces.
     """
 
     linear: LinearSolver = field(default_factory=Direct)
     condensed: bool | None = None
     rtol: float = 1e-10
     max_steps: int = 60
-    factor: float = 0.1
     linear_rtol: float = 1e-2
     nested_start: bool = False
 
@@ -74,7 +70,6 @@ class ActiveSet:
                              "or say condensed=False")
         for name in ("rtol", "linear_rtol"):
             object.__setattr__(self, name, checks.tolerance(name, getattr(self, name)))
-        object.__setattr__(self, "factor", checks.positive("factor", self.factor))
         checks.integer("max_steps", self.max_steps, 1)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
@@ -106,8 +101,9 @@ class _Iteration:
     PATIENCE = 12
     #: every so many steps the iteration is taken to repeat itself
     LONG = 15
-    #: the factor of the augmentation is not reduced below this, lest rounding decide
-    SMALLEST_FACTOR = 1e-4
+    #: augmentation c over the diagonal of the matrix; it weighs gaps against forces where a status is decided: small
+    #: values change fewer nodes at a time. It is not reduced below the second, lest rounding decide.
+    FACTOR, SMALLEST_FACTOR = 0.1, 1e-4
 
     def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int, record: bool) -> None:
         self.options, self.local, self.run, self.level, self.record = options, local, run, level, record
@@ -122,7 +118,7 @@ class _Iteration:
         """Newton steps from ``start`` (n_dofs,), local components, until converged or given up."""
         options, local = self.options, self.local
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
-        factor, repeats, last = options.factor, 0, b""
+        factor, repeats, last = self.FACTOR, 0, b""
         seen: set[bytes] = set()
         while True:
             defect = residual(local.system, local.load, self.unknowns)
@@ -153,7 +149,9 @@ class _Iteration:
 
     def _check(self, defect: np.ndarray) -> bool:
         watch, rtol = self.watch, self.options.rtol
-        watch.check(self.unknowns, defect)
+        if watch.check(self.unknowns, defect) and watch.error_estimate == 0.0:
+            self.error_estimate = 0.0  # nothing strains
+            return True
         size = watch.norm
         if self.steps:
             self.error_estimate = watch.change / size if size > 0 else (0.0 if watch.change == 0 else np.inf)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptmg.problem import checks
-from adaptmg.text import printable
+from adaptmg.runtime.text import printable
 
 __all__ = ["DAMAGES", "read_arrays"]
 

@@ -14,14 +14,14 @@ displacement, energies to u'Au: never to a lifted nodal jump.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.runtime.threads import one_blas_thread
 from adaptmg.solver.certificate_lines import Condition, ContactClaims, Evidence
-from adaptmg.threads import one_blas_thread
 
 __all__ = ["Certificate", "Condition", "certify"]
 
@@ -124,4 +124,9 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
         energy, energy_rounding = found.energy_error(bound)
         lines = (found.equilibrium(), found.prescribed(), *found.normal(), *found.tangential(), *found.states(),
                  found.balance())
+    if found.idle:
+        # nothing is relative to forces that are rounding: what they leave is told in N alone
+        lines = tuple(replace(line, relative=0.0) if line.unit != "m" and line.largest <= found.rounding else line
+                      for line in lines)
+        energy = 0.0
     return Certificate(lines, energy, energy_rounding, bound, found.force, found.length, found.energy)

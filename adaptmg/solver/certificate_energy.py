@@ -21,7 +21,7 @@ from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import splu
 
-from adaptmg.compiled import kernel
+from adaptmg.runtime.compiled import kernel
 
 __all__ = ["FrozenStatus", "residual_energy"]
 

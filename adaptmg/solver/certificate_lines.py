@@ -91,6 +91,12 @@ class Evidence:
         # a row sums terms of the size of its diagonal times its displacement
         self.rounding = 8 * _EPSILON * _norm(self.diagonal * self.u)
 
+    @property
+    def idle(self) -> bool:
+        """Whether all forces are rounding: bodies that their supports move and nothing strains."""
+        moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
+        return moved > 0.0 and self.force <= 1e3 * self.rounding and self.length <= 10 * moved
+
     def _physical(self, forces: np.ndarray) -> np.ndarray:
         coupling = self.problem.coupling
         return forces if coupling is None else coupling.physical_forces(forces)

@@ -78,6 +78,9 @@ class Convergence:
             self.error_estimate = self._estimate()
         self._unknowns, self._defect = unknowns.copy(), defect.copy()
         floor = self.ROUNDING * euclidean_norm(self._diagonal * unknowns)
+        if size <= floor and self.sizes.nothing_strains(scale, floor, unknowns):
+            self.residual = self.error_estimate = 0.0
+            return True
         # a large residual at the level of rounding is that of unknowns that have run away
         if size <= floor and self.residual <= self.ROUNDING_LIMIT:
             # an exact start has no rate to measure, and needs none

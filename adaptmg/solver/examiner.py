@@ -16,6 +16,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.smoother.residuals import natural_at_nodes
 from adaptmg.smoother.system import contact_blocks, held_tangents, local_contact
 from adaptmg.solver.certificate import Certificate, certify
+from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.finish import contact_result
 from adaptmg.solver.result import ContactResult
 from adaptmg.solver.sizes import Sizes, euclidean_norm
@@ -106,6 +107,10 @@ class Examiner:
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
         scale, size = self.sizes.forces(unknowns, euclidean_norm(at_contact.reshape(-1))), euclidean_norm(free)
+        if self.sizes.prescribed:
+            floor = Convergence.ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
+            if size <= floor and self.sizes.nothing_strains(scale, floor, unknowns):
+                return 0.0
         return 0.0 if size == 0.0 else size / (scale or size)
 
     def __call__(self, solved: np.ndarray) -> Examined:

@@ -6,51 +6,14 @@ nonlinearity of contact.
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.problem import checks
 from adaptmg.smoother.system import local_system
-from adaptmg.solver.linear import AMG, LinearSolver
 from adaptmg.solver.newton_steps import local_near_nullspace
 
-__all__ = ["GluedResult", "glued_system", "solve_glued"]
-
-
-@dataclass(frozen=True, eq=False)
-class GluedResult:
-    """Solution of the glued problem.
-
-    Attributes
-    ----------
-    displacement : (n_nodes, dim) array
-        m; prescribed values at fixed dofs, zero local displacement at contact nodes.
-    iterations : int
-        Krylov iterations; 0 of a direct solver.
-    passes : float
-        Passes over the glued matrix; 0 of a direct solver.
-    seconds_setup, seconds_solve : float
-        s.
-    residual : float
-        |b - A x| / |b| of the glued system, Euclidean.
-    converged : bool
-        Whether ``residual`` is below the tolerance.
-    error : float
-        True relative error in the A-norm; NaN without a reference.
-    """
-
-    displacement: np.ndarray
-    iterations: int
-    passes: float
-    seconds_setup: float
-    seconds_solve: float
-    residual: float
-    converged: bool
-    error: float = float("nan")
+__all__ = ["glued_system"]
 
 
 def glued_system(discrete: DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray]:
@@ -83,54 +46,3 @@ def _glued(discrete: DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.
     matrix = sparse.csr_array(local.system.matrix)[dofs][:, dofs]
     matrix = sparse.bsr_array(matrix, blocksize=(dim, dim)).sorted_indices()
     return matrix, local.load[dofs], local_near_nullspace(local)[dofs], dofs
-
-
-def solve_glued(discrete: DiscreteProblem, linear: LinearSolver | None = None, rtol: float = 1e-8, *,
-                reference: np.ndarray | None = None) -> GluedResult:
-    """Solve the glued problem and time it.
-
-    Parameters
-    ----------
-    discrete : DiscreteProblem
-    linear : LinearSolver, optional
-        Default ``AMG()``: conjugate gradients preconditioned by smoothed aggregation with rigid-body modes.
-    rtol : float
-        For the residual relative to the load of the glued system, Euclidean norms.
-    reference : (n_nodes, dim) array, optional
-        The solution (of :func:`solve_glued` with ``Direct()``), for the true error, m.
-
-    Returns
-    -------
-    GluedResult
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the glued problem is singular and the solver finds it out.
-    """
-    rtol = checks.positive("rtol", rtol)
-    if reference is not None and np.shape(reference) != (discrete.n_nodes, discrete.dim):
-        raise ValueError(f"reference must have shape {(discrete.n_nodes, discrete.dim)}, got {np.shape(reference)}")
-    matrix, load, modes, dofs = _glued(discrete)
-    begin = time.perf_counter()
-    prepared = (AMG() if linear is None else linear).setup(matrix, modes)
-    ready = time.perf_counter()
-    solution = prepared.solve(load, rtol=rtol)
-    done = time.perf_counter()
-    displacement = discrete.fixed_values.copy()
-    displacement[dofs] += solution.unknowns
-    error = float("nan")
-    if reference is not None:
-        exact = np.asarray(reference, dtype=np.float64).reshape(-1)[dofs] - discrete.fixed_values[dofs]
-        error = _relative_energy(matrix, solution.unknowns - exact, exact)
-    return GluedResult(displacement=displacement.reshape(discrete.n_nodes, -1), iterations=solution.iterations,
-                       passes=solution.passes, seconds_setup=ready - begin, seconds_solve=done - ready,
-                       residual=solution.residual, converged=solution.converged, error=error)
-
-
-def _relative_energy(matrix: sparse.bsr_array, error: np.ndarray, exact: np.ndarray) -> float:
-    size = float(exact @ (matrix @ exact))
-    squared = max(float(error @ (matrix @ error)), 0.0)
-    if size > 0:
-        return float(np.sqrt(squared / size))
-    return 0.0 if squared == 0 else float("inf")

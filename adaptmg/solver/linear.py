@@ -23,8 +23,8 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, SuperLU, splu
 
 from adaptmg.problem import checks
+from adaptmg.runtime.threads import seeded
 from adaptmg.solver.dissection import nested_dissection, node_graph
-from adaptmg.threads import seeded
 
 __all__ = ["AMG", "Direct", "LinearSolution", "LinearSolver", "Prepared"]
 
@@ -102,21 +102,10 @@ class LinearSolver(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Direct:
-    """Sparse factorisation by SuperLU with a nested-dissection order.
-
-    Parameters
-    ----------
-    refinements : int
-        Steps of iterative refinement with the same factors after a solve.
-    """
-
-    refinements: int = 1
+    """Sparse factorisation by SuperLU with a nested-dissection order, and one step of iterative refinement a solve."""
 
     #: |K^-1 D| beyond this, D the diagonal of K, means singular
     SINGULAR = 1e13
-
-    def __post_init__(self) -> None:
-        checks.integer("refinements", self.refinements)
 
     def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
               preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Factorised:
@@ -133,7 +122,7 @@ class Direct:
             factors = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=threshold, options={"SymmetricMode": True})
         except RuntimeError as error:
             raise np.linalg.LinAlgError(_singular(matrix)) from error
-        result = Factorised(matrix, factors, order, self.refinements)
+        result = Factorised(matrix, factors, order)
         probe = np.random.default_rng(0).standard_normal(matrix.shape[0])
         growth = np.abs(result.apply(matrix.diagonal() * probe)).max()
         if not growth < self.SINGULAR:
@@ -153,7 +142,6 @@ class Factorised:
     matrix: sparse.bsr_array
     factors: SuperLU
     order: np.ndarray
-    refinements: int
 
     def apply(self, rhs: np.ndarray) -> np.ndarray:
         """One solve with the factors."""
@@ -164,11 +152,8 @@ class Factorised:
     def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
         """Solve and refine; see :class:`Prepared`. ``start`` is not needed."""
         unknowns = self.apply(rhs)
-        residual = rhs - self.matrix @ unknowns
-        for _ in range(self.refinements):
-            unknowns += self.apply(residual)
-            residual = rhs - self.matrix @ unknowns
-        relative = _relative(residual, rhs)
+        unknowns += self.apply(rhs - self.matrix @ unknowns)
+        relative = _relative(rhs - self.matrix @ unknowns, rhs)
         return LinearSolution(unknowns, 0, 0.0, relative, relative <= rtol)
 
 
@@ -181,27 +166,18 @@ def _relative(residual: np.ndarray, rhs: np.ndarray) -> float:
 class AMG:
     """Smoothed aggregation (pyamg) as preconditioner of conjugate gradients, or of flexible GMRES if not symmetric.
 
-    The defaults are those of ``pyamg.smoothed_aggregation_solver``.
+    The defaults, and what is no option here, are those of ``pyamg.smoothed_aggregation_solver``.
 
     Parameters
     ----------
     strength : float
         Drop tolerance theta of the symmetric strength of connection, 0 <= theta < 1.
     smoother : {"block_gauss_seidel", "gauss_seidel"}
-    sweep : {"symmetric", "forward", "backward"}
-        Of the smoother; conjugate gradients need "symmetric".
-    sweeps : int
-        Of the smoother, before and after the coarse correction.
-    prolongation_omega : float
-        Weight of the Jacobi smoothing of the prolongation.
-    candidate_sweeps : int
-        Gauss-Seidel sweeps that improve the near-nullspace on the finest level.
-    max_levels, max_coarse : int
-        Levels at most, and unknowns of the coarsest.
+        A symmetric sweep before and after the coarse correction.
+    max_coarse : int
+        Unknowns of the coarsest level.
     max_iterations : int
         Krylov iterations at most.
-    restart : int
-        Iterations between restarts of GMRES.
     lag : int
         Within one active set solve, keep the hierarchy while at most so many dofs have been eliminated or released
         since it was built: less set-up, more iterations. -1 builds one for every matrix.
@@ -214,26 +190,20 @@ class AMG:
 
     strength: float = 0.0
     smoother: str = "block_gauss_seidel"
-    sweep: str = "symmetric"
-    sweeps: int = 1
-    prolongation_omega: float = 4.0 / 3.0
-    candidate_sweeps: int = 4
-    max_levels: int = 10
     max_coarse: int = 10
     max_iterations: int = 500
-    restart: int = 50
     lag: int = 8
+
+    #: iterations between restarts of GMRES
+    RESTART = 50
 
     def __post_init__(self) -> None:
         strength = checks.nonnegative("strength", self.strength)
         if not strength < 1:
             raise ValueError(f"strength must be < 1, got {self.strength!r}")
         checks.choice("smoother", self.smoother, ("block_gauss_seidel", "gauss_seidel"))
-        checks.choice("sweep", self.sweep, ("symmetric", "forward", "backward"))
-        checks.positive("prolongation_omega", self.prolongation_omega)
-        checks.integer("candidate_sweeps", self.candidate_sweeps)
-        for name in ("sweeps", "max_levels", "max_coarse", "max_iterations", "restart"):
-            checks.integer(name, getattr(self, name), 1)
+        checks.integer("max_coarse", self.max_coarse, 1)
+        checks.integer("max_iterations", self.max_iterations, 1)
         checks.integer("lag", self.lag, -1)
 
     def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
@@ -243,14 +213,11 @@ class AMG:
         if isinstance(previous, Preconditioned) and self._may_keep(previous.eliminated, eliminated):
             return Preconditioned(matrix, previous.hierarchy, symmetric, self, previous.eliminated)
         basis = matrix if preconditioner is None else preconditioner
-        smoother = (self.smoother, {"sweep": self.sweep, "iterations": self.sweeps})
-        improve = ("block_gauss_seidel", {"sweep": "symmetric", "iterations": self.candidate_sweeps})
+        smoother = (self.smoother, {"sweep": "symmetric"})
         with seeded():
             hierarchy = pyamg.smoothed_aggregation_solver(
                 sparse.bsr_matrix(basis), B=near_nullspace, symmetry="symmetric",
-                strength=("symmetric", {"theta": self.strength}), smooth=("jacobi", {"omega": self.prolongation_omega}),
-                presmoother=smoother, postsmoother=smoother,
-                improve_candidates=(improve if self.candidate_sweeps else None, None), max_levels=self.max_levels,
+                strength=("symmetric", {"theta": self.strength}), presmoother=smoother, postsmoother=smoother,
                 max_coarse=self.max_coarse)
         return Preconditioned(matrix, hierarchy, symmetric, self, eliminated)
 
@@ -279,8 +246,8 @@ class Preconditioned:
     def cycle_passes(self) -> float:
         """Passes over the finest matrix that a V-cycle costs; see the module for the formula."""
         *levels, coarsest = self.hierarchy.levels
-        smoothing = 2 * self.options.sweeps * (2 if self.options.sweep == "symmetric" else 1)
-        entries = sum((smoothing + 1) * level.A.nnz + 2 * level.P.nnz for level in levels)
+        # four passes of two symmetric sweeps, and a residual
+        entries = sum(5 * level.A.nnz + 2 * level.P.nnz for level in levels)
         return (entries + coarsest.A.shape[0] ** 2) / self.hierarchy.levels[0].A.nnz
 
     def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
@@ -303,7 +270,7 @@ class Preconditioned:
             unknowns, _ = pyamg.krylov.cg(operator, rhs, x0=start, tol=rtol, maxiter=self.options.max_iterations,
                                           M=inverse, residuals=norms)
         else:
-            restart = min(self.options.restart, self.options.max_iterations, shape[0])
+            restart = min(self.options.RESTART, self.options.max_iterations, shape[0])
             unknowns, _ = pyamg.krylov.fgmres(operator, rhs, x0=start, tol=rtol, M=inverse, restart=restart,
                                               maxiter=-(-self.options.max_iterations // restart), residuals=norms)
         relative = _relative(rhs - product(unknowns), rhs)

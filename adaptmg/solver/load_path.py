@@ -17,6 +17,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
 from adaptmg.problem.load_path import LoadPath
+from adaptmg.runtime.threads import one_blas_thread
 from adaptmg.solver.arguments import (
     displacement_argument,
     grids_argument,
@@ -29,7 +30,6 @@ from adaptmg.solver.path_store import PathStore
 from adaptmg.solver.path_walk import PathWalk
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
-from adaptmg.threads import one_blas_thread
 
 __all__ = ["StepNotConverged", "solve_path"]
 

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptmg.atomic import make_folder, write_bytes
 from adaptmg.problem import check_arrays, checks
+from adaptmg.runtime.atomic import make_folder, write_bytes
 from adaptmg.solver.archive import DAMAGES
 from adaptmg.solver.result import Result, loaded
 from adaptmg.solver.result_file import write_result

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from adaptmg.atomic import make_folder
 from adaptmg.discretisation.load_steps import LoadSteps
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
+from adaptmg.runtime.atomic import make_folder
 from adaptmg.solver import path_files
 from adaptmg.solver.labels import label
 from adaptmg.solver.result import Result

@@ -14,15 +14,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from adaptmg.atomic import write_bytes
 from adaptmg.discretisation.measures import StressData
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
+from adaptmg.runtime.atomic import write_bytes
+from adaptmg.runtime.text import printable
 from adaptmg.solver.archive import DAMAGES, read_arrays
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.status import Status
-from adaptmg.text import printable
 
 __all__ = ["read_result", "write_result"]
 

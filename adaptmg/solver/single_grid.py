@@ -29,14 +29,13 @@ class SingleGrid:
     Parameters
     ----------
     omega : float
-        Over-relaxation, 0 < omega < 2; the best value depends on mesh and order.
+        Over-relaxation, 0 < omega < 2; the best value depends on the mesh.
     condensed : bool
         Eliminate all but the contact dofs first (one factorisation, reported as time, not as work units) and sweep
         on the dense Schur complement (its sweeps are counted by its own entries over those of the sparse matrix).
     friction : {"diagonal", "fixed point"}
         Coulomb: update the sliding limit with every node solve (the paper's diagonal process), or solve Tresca
         problems with the limit held and update it between them (Problems P1 and P2 of the paper).
-    order : {"forward", "backward", "symmetric"}
     friction_update : "sweep" or int
         The diagonal process updates the limit within each node solve, or holds it for so many sweeps: over-relaxed
         sweeps that cycle with the former can converge with the latter.
@@ -51,7 +50,6 @@ class SingleGrid:
     omega: float = 1.0
     condensed: bool = False
     friction: str = "diagonal"
-    order: str = "forward"
     friction_update: str | int = "sweep"
     stop: str = "error"
     rtol: float = 1e-8
@@ -67,7 +65,7 @@ class SingleGrid:
 
     def smoother(self) -> ProjectedGaussSeidel:
         """What sweeps."""
-        return ProjectedGaussSeidel(omega=self.omega, order=self.order, friction_update=self.friction_update)
+        return ProjectedGaussSeidel(omega=self.omega, friction_update=self.friction_update)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level; see :class:`adaptmg.solver.run.Solver`."""

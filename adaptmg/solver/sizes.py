@@ -56,6 +56,9 @@ class Sizes:
         Whether a displacement other than zero is prescribed.
     """
 
+    #: forces below so many times the rounding of a residual are none
+    IDLE = 1e3
+
     def __init__(self, problem: DiscreteProblem, frames: np.ndarray | None = None) -> None:
         self.load = euclidean_norm(problem.load)
         self.prescribed = bool(problem.fixed_values.any())
@@ -67,6 +70,25 @@ class Sizes:
         self._rows = sparse.csr_array(problem.matrix)[np.flatnonzero(problem.fixed)]
         self._offset = (lift - problem.load)[problem.fixed]
         self._lift = lift if frames is None else rotate(lift, frames, problem.contact.nodes)
+
+    def nothing_strains(self, forces: float, rounding: float, unknowns: np.ndarray) -> bool:
+        """Whether all forces are rounding: bodies that their supports move, and nothing strains or holds.
+
+        Nothing is relative to such forces. Unknowns that have run away have such forces too, but move further than the
+        supports do.
+
+        Parameters
+        ----------
+        forces : float
+            The largest of their norms, N.
+        rounding : float
+            Of the residual, N.
+        unknowns : (n_dofs,) array
+            m.
+        """
+        if not self.prescribed or forces > self.IDLE * rounding:
+            return False
+        return bool(np.abs(unknowns).max(initial=0.0) <= 10 * np.abs(self._problem.fixed_values).max())
 
     def norm(self, unknowns: np.ndarray, energy: float) -> float:
         """||u||_A from the unknowns w (n_dofs,), zero at fixed dofs, and w'Aw (N m)."""

@@ -10,6 +10,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.discretisation.measures import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
+from adaptmg.runtime.threads import one_blas_thread
 from adaptmg.solver.arguments import (
     checked_outcome,
     displacement_argument,
@@ -24,7 +25,6 @@ from adaptmg.solver.not_converged import NotConverged
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Run, Solver
 from adaptmg.solver.statics import check_statics_of
-from adaptmg.threads import one_blas_thread
 
 __all__ = ["solve"]
 

@@ -26,6 +26,7 @@ from adaptmg.multigrid.truncated.interface import Interface
 from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated.step import TruncatedStep
 from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.convergence import Convergence
 from adaptmg.solver.fallback import Fallback
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.status import Status
@@ -235,8 +236,10 @@ class TruncatedMachine:
             state = runner.truncate(safe=left > 0)
             left = left - 1 if left > 0 and state.changed else 0
             # an exact start has no rate to measure, and needs none
-            floor = runner.rounding() if cycles < 2 else 0.0
-            met = watch.check(state.residual, watch.sizes.forces(runner.unknowns, state.reactions), floor)
+            floor = runner.rounding() if cycles < 2 or watch.sizes.prescribed else 0.0
+            forces = watch.sizes.forces(runner.unknowns, state.reactions)
+            idle = watch.sizes.nothing_strains(forces, Convergence.ROUNDING * floor, runner.unknowns)
+            met = watch.check(state.residual, forces, floor if cycles < 2 or idle else 0.0, idle)
             watch.record(runner, cycles, state.changed)
             if met and not self._falls_short(runner, watch):
                 return Status.CONVERGED, cycles

@@ -69,11 +69,13 @@ class TruncatedWatch:
         if cycle % 4 == 0 or self.sizes.prescribed:
             self.size = self.sizes.norm(runner.unknowns, runner.energy())
 
-    def check(self, residual: float, scale: float, floor: float) -> bool:
+    def check(self, residual: float, scale: float, floor: float, idle: bool = False) -> bool:
         """Take the norms of the natural residual and of the acting forces after a smoothing; True if it is enough.
 
-        A residual of ``Convergence.ROUNDING`` times ``floor`` cannot be bettered.
+        A residual of ``Convergence.ROUNDING`` times ``floor`` cannot be bettered; ``idle``: nor can the forces.
         """
+        if idle and residual <= Convergence.ROUNDING * floor:
+            residual = 0.0
         self.residual = residual / scale if scale > 0 else (0.0 if residual == 0 else np.inf)
         self.residuals.append(self.residual)
         self._last = residual

@@ -14,10 +14,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from adaptmg.atomic import make_folder
 from adaptmg.problem import checks
+from adaptmg.runtime.atomic import make_folder
+from adaptmg.runtime.text import printable
 from adaptmg.study.record import Record, canonical, plain_results, restored
-from adaptmg.text import printable
 
 __all__ = ["Store"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from adaptmg.text import in_html, printable
+from adaptmg.runtime.text import in_html, printable
 
 __all__ = ["as_html", "as_text"]
 

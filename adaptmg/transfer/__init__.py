@@ -1,4 +1,4 @@
-"""Transfers between meshes, nested or not: point location, prolongations, restriction, transport of contact data.
+"""Transfers between meshes, nested or not: point location, prolongations, transport of contact data.
 
 Loads no ngsolve.
 """
@@ -10,7 +10,6 @@ from adaptmg.transfer.constraints import (
     injected_gap,
     injected_limit,
     injected_slip,
-    interpolated_pressure,
     largest_gap,
     minmod_slip,
     smallest_gap,
@@ -21,7 +20,7 @@ from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_ro
 from adaptmg.transfer.galerkin import galerkin_product, is_galerkin
 from adaptmg.transfer.interpolation import Interpolation
 from adaptmg.transfer.location import PointLocator
-from adaptmg.transfer.operators import expand, injection, mask, mesh_ratio, restriction
+from adaptmg.transfer.mesh_ratio import mesh_ratio
 from adaptmg.transfer.projections.l2 import L2
 from adaptmg.transfer.projections.lumped_l2 import LumpedL2
 from adaptmg.transfer.projections.pseudo_l2 import PseudoL2
@@ -41,19 +40,14 @@ __all__ = [
     "Supports",
     "Transfer",
     "aggregated_prolongations",
-    "expand",
     "galerkin_product",
     "injected_gap",
     "injected_limit",
     "injected_slip",
-    "injection",
-    "interpolated_pressure",
     "is_galerkin",
     "largest_gap",
-    "mask",
     "mesh_ratio",
     "minmod_slip",
-    "restriction",
     "smallest_gap",
     "summed_limit",
     "supports",

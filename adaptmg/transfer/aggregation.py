@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from adaptmg.threads import one_blas_thread, seeded
+from adaptmg.runtime.threads import one_blas_thread, seeded
 
 __all__ = ["aggregated_prolongations", "without_fixed"]
 

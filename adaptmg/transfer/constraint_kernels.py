@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import kernel
+from adaptmg.runtime.compiled import kernel
 
 __all__ = ["largest", "minmod_line", "minmod_plane", "smallest"]
 

@@ -33,7 +33,7 @@ from scipy import sparse
 from adaptmg.problem import checks
 from adaptmg.transfer import constraint_kernels as kernels
 
-__all__ = ["Supports", "injected_gap", "injected_limit", "injected_slip", "interpolated_pressure", "largest_gap",
+__all__ = ["Supports", "injected_gap", "injected_limit", "injected_slip", "largest_gap",
            "minmod_slip", "smallest_gap", "summed_limit", "supports"]
 
 
@@ -206,24 +206,3 @@ def injected_limit(P_cc: sparse.csr_array | Supports, limit: np.ndarray) -> np.n
     """
     sets = supports(P_cc)
     return sets.injected(_over_fine("limit", limit, sets.n_fine), 0.0)
-
-
-def interpolated_pressure(P_cc: sparse.csr_array, pressure_coarse: np.ndarray) -> np.ndarray:
-    """Pressures (nodal force over weight) interpolated from coarse to fine contact nodes, for nested iteration.
-
-    Parameters
-    ----------
-    P_cc : (n_fine_contact, n_coarse_contact) sparse
-    pressure_coarse : (n_coarse_contact,) array
-        Pa; times a fine node's weight it gives the fine nodal force.
-
-    Returns
-    -------
-    (n_fine_contact,) array
-        Pa.
-    """
-    pressure = np.asarray(pressure_coarse, dtype=np.float64)
-    if pressure.shape != (P_cc.shape[1],):
-        raise ValueError(f"pressure_coarse must have shape ({P_cc.shape[1]},), one value a coarse contact node, got "
-                         f"{pressure.shape}")
-    return P_cc @ pressure

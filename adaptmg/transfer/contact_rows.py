@@ -15,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from adaptmg.compiled import kernel
 from adaptmg.geometry.box_tree import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.runtime.compiled import kernel
 from adaptmg.transfer.rows import csr_from_weights
 
 __all__ = ["surface_interpolation", "with_contact_rows"]

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from adaptmg.compiled import kernel
 from adaptmg.problem import check_arrays, checks
+from adaptmg.runtime.compiled import kernel
 from adaptmg.transfer.aggregation import without_fixed
 
 __all__ = ["coarse_spaces", "galerkin_product", "is_galerkin", "seen"]

@@ -54,10 +54,8 @@ def _options():
         yield Hostile(f"pre {label}", lambda v=value: am.Cycle(pre=v), "pre")
         yield Hostile(f"recombine {label}", lambda v=value: am.Truncated(recombine=v), "recombine")
         yield Hostile(f"interface_sweeps {label}", lambda v=value: am.Truncated(interface_sweeps=v), "interface_sweeps")
-        yield Hostile(f"batch {label}", lambda v=value: am.CoarseSolve(batch=v), "batch")
         yield Hostile(f"friction_update {label}", lambda v=value: am.ProjectedGaussSeidel(friction_update=v),
                       "friction_update")
-        yield Hostile(f"refinements {label}", lambda v=value: am.Direct(refinements=v), "refinements")
 
 
 INPUTS = (
@@ -72,10 +70,10 @@ INPUTS = (
     Hostile("omega text", lambda: am.ProjectedGaussSeidel(omega="1"), "omega"),
     Hostile("omega True", lambda: am.SingleGrid(omega=True), "omega"),
     Hostile("strength text", lambda: am.AMG(strength="0.1"), "strength"),
-    Hostile("prolongation_omega True", lambda: am.AMG(prolongation_omega=True), "prolongation_omega"),
-    Hostile("order surrogate", lambda: am.SingleGrid(order="\ud800"), "order"),
-    Hostile("order list", lambda: am.SingleGrid(order=["forward"]), "order"),
-    Hostile("order array", lambda: am.SingleGrid(order=np.array(["forward", "backward"])), "order"),
+    Hostile("strength True", lambda: am.AMG(strength=True), "strength"),
+    Hostile("order surrogate", lambda: am.ProjectedGaussSeidel(order="\ud800"), "order"),
+    Hostile("order list", lambda: am.ProjectedGaussSeidel(order=["forward"]), "order"),
+    Hostile("order array", lambda: am.ProjectedGaussSeidel(order=np.array(["forward", "backward"])), "order"),
     # solve
     Hostile("grids None", lambda: am.solve(None), "grids"),
     Hostile("grids class", lambda: am.solve(am.Hierarchy), "grids"),

@@ -15,7 +15,7 @@ from hostile_table import Hostile
 import adaptmg as am
 from adaptmg.study import as_html, as_text
 
-sys.path.append(str(Path(__file__).parents[1]))
+sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 
 
 @functools.cache

@@ -17,7 +17,7 @@ from hostile_table import Hostile
 
 import adaptmg as am
 
-sys.path.append(str(Path(__file__).parents[1]))
+sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 
 FILE = "damaged.npz"
 

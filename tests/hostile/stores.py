@@ -18,7 +18,7 @@ from adaptmg.solver import path_files
 from adaptmg.study import store as study_store
 from adaptmg.study.record import Record
 
-sys.path.append(str(Path(__file__).parents[1]))
+sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 
 STEPS, FACTORS = 3, {"left": np.array([0.5, 1.0, 0.0])}
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import kernel
 from adaptmg.geometry.box_tree import STACK, leaf_range
+from adaptmg.runtime.compiled import kernel
 
 __all__ = ["SHORTEST", "distance_along_normal", "nearest_pieces", "search_strips"]
 

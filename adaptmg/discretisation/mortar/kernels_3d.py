@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.geometry.box_tree import STACK, leaf_range
 from adaptmg.geometry.polygons import (
     MOMENTS,
@@ -20,6 +19,7 @@ from adaptmg.geometry.polygons import (
     polygon_moments,
     separated,
 )
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["common_moments", "find_opposite"]
 

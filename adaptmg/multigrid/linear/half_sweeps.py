@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import kernel
+from adaptmg.runtime.compiled import kernel
 from adaptmg.smoother.blocks import read, subtract, times, write
 from adaptmg.smoother.rows import minus_row
 

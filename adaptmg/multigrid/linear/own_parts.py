@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.multigrid.linear.split_matrix import SplitMatrix
-from adaptmg.problem import checks
+from adaptmg.problem import check_arrays, checks
 
 __all__ = ["LinearSmoother", "LinearSolve", "OwnSmoother", "OwnSolve", "regular_matrix"]
 
@@ -52,7 +52,7 @@ class OwnSolve:
     def solve(self, load: np.ndarray, result: np.ndarray) -> float:
         """Solve into ``result``; returns the passes it took."""
         # a copy: what is handed out may be changed
-        result[:] = checks.array("coarse_solve: what solve returns", self._solver.solve(load.copy()), load.shape)
+        result[:] = check_arrays.array("coarse_solve: what solve returns", self._solver.solve(load.copy()), load.shape)
         return checks.nonnegative("coarse_solve: passes", getattr(self._solver, "passes", 0.0))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import kernel
+from adaptmg.runtime.compiled import kernel
 from adaptmg.smoother.blocks import add, in_loop, inner, read, scale, subtract, write
 
 __all__ = ["add_prolonged", "combine", "dot", "product_of_change", "restrict", "shorten", "zero_at"]

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.smoother.blocks import in_loop, inner, read, read_upper, times
 from adaptmg.smoother.node_solve import natural_at, read_reference
 from adaptmg.smoother.state import BACKWARDS, CLOSED, HELD, SLIPS, TANGENTIAL

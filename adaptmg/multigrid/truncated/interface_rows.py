@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import kernel
+from adaptmg.runtime.compiled import kernel
 
 __all__ = ["alone", "count", "fill"]
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.multigrid.truncated.projected_sweeps import solve_at
 from adaptmg.smoother.blocks import (
     add,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import kernel
+from adaptmg.runtime.compiled import kernel
 
 __all__ = ["Recombination"]
 

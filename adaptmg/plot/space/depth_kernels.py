@@ -7,7 +7,7 @@ The distance to the edge opposite corner k is :math:`w_k \cdot 2A / \ell_k`.
 
 from __future__ import annotations
 
-from adaptmg.compiled import kernel
+from adaptmg.runtime.compiled import kernel
 
 __all__ = ["raster_segments", "raster_triangles"]
 

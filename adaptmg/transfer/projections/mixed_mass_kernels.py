@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
 from adaptmg.geometry.box_tree import STACK, bounding_box, overlapping
 from adaptmg.geometry.simplex_clipping import PIECES, SNAP, common_moments
+from adaptmg.runtime.compiled import inner_kernel, kernel
 
 __all__ = ["clip_elements", "count_rows", "fill_rows"]
 

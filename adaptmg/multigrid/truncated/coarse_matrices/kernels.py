@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.compiled import inner_kernel, kernel
+from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.multigrid.linear.split_kernels import invert_block
 from adaptmg.smoother.state import CLOSED, HELD, TANGENTIAL
 

@@ -1,0 +1,181 @@
+r"""generate: one Netgen mesh of a domain that follows a size field.
+
+Netgen is told a size along each side and, in the later rounds, the wanted size at the centroids of the mesh before
+(its own interpolation of sizes between sides misses the field by up to 4). It grows sizes by at most ``grading`` per
+distance. The domain is scaled to unit extent before, because Netgen and OCC compare lengths with absolute tolerances.
+
+About :math:`\int c\, h^{-d} dx` nodes are expected, c = 1.15 in 2D and 1.4 in 3D; too many are refused before Netgen
+starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import netgen.meshing
+import ngsolve
+import numpy as np
+from netgen.occ import Box as OccBox
+from netgen.occ import OCCGeometry, Pnt, X, Y, Z
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.build import own_mesh, with_source
+from adaptmg.mesh.geometry import BOX_SIDES
+from adaptmg.mesh.netgen.interruptible import interruptible
+from adaptmg.mesh.netgen.outline import onto_outline, plane_measures, spline_geometry, straight_area
+from adaptmg.mesh.netgen.thin import refuse_thin
+from adaptmg.problem.domains import Box, Domain, Outline
+
+__all__ = ["MAX_NODES", "SizeField", "expected_nodes", "guessed_nodes", "netgen_mesh", "refuse_too_many"]
+
+SizeField = Callable[[np.ndarray], np.ndarray]
+
+# what Netgen makes in about a quarter of an hour (0.2 ms a node in 2D, 0.7 ms in 3D)
+MAX_NODES = {2: 5_000_000, 3: 2_000_000}
+# seconds: several times what meshes of that many nodes take
+_LIMIT_S = {2: 20_000.0, 3: 70_000.0}
+_NODES_PER_CELL = {2: 1.15, 3: 1.4}
+
+
+def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
+                grading: float, rounds: int) -> MeshArrays:
+    """Mesh a domain by a size field.
+
+    Parameters
+    ----------
+    domain : Rectangle, Polygon, Outline or Box
+        Its boundaries name those of the mesh; of an Outline the mesh has the numbers of its edges instead, until
+        :func:`adaptmg.mesh.netgen.outline.finished`.
+    sizes : callable or sequence of these
+        Points (n, dim) in m -> wanted edge length (n,) in m; a sequence has one for each round, and the meshes before
+        the last are drafts.
+    max_size : float
+        No element is to be larger, m.
+    side_sizes : dict of str to float
+        Edge length along some of the boundaries, m.
+    grading : float
+        Growth of the size per distance.
+    rounds : int
+        How often to mesh again with the sizes at the centroids of the mesh before.
+
+    Returns
+    -------
+    MeshArrays
+        Deterministic: the same arrays for the same arguments.
+
+    Raises
+    ------
+    ValueError
+        If Netgen fails, or the mesh would have more than 5 million nodes (3D: 2 million).
+    """
+    lower, scale = _extent(domain)
+    refuse_thin(domain, max_size, side_sizes)
+    refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
+    mesh = None
+    for step in range(rounds + 1):
+        # the steps that improve shapes take most of the time; of a draft only the centroids are used
+        draft = {"optsteps2d": 0} if not callable(sizes) and step < rounds else {}
+        options = netgen.meshing.MeshingParameters(maxh=max_size / scale, grading=grading, **draft)
+        if mesh is not None:
+            centroids = mesh.points[mesh.elements].mean(axis=1)
+            wanted = (sizes if callable(sizes) else sizes[step - 1])(centroids)
+            refuse_too_many(expected_nodes(mesh, wanted), domain)
+            small = wanted < max_size
+            places = np.zeros((small.sum(), 3))
+            places[:, :mesh.dim] = (centroids[small] - lower) / scale
+            # one call a point is Netgen's only interface; it costs 1.4 us, meshing 100 times as much
+            for (x, y, z), h in zip(places.tolist(), (wanted[small] / scale).tolist(), strict=True):
+                options.RestrictH(x, y, z, h)
+        sides = {name: h / scale for name, h in side_sizes.items()}
+        mesh = _generate(domain, lower, scale, sides, options)
+    return with_source(mesh)
+
+
+def expected_nodes(mesh: MeshArrays, wanted: np.ndarray) -> float:
+    """About how many nodes a mesh with the sizes ``wanted`` (n_elements,) on the elements of ``mesh`` has."""
+    return _NODES_PER_CELL[mesh.dim] * float(np.sum(mesh.volumes / wanted**mesh.dim))
+
+
+def refuse_too_many(nodes: float, domain: Domain) -> None:
+    """Raise ValueError if more nodes are expected than Netgen can make in reasonable time and memory."""
+    limit = MAX_NODES[domain.dim]
+    if nodes > limit:
+        raise ValueError(f"the sizes ask for about {nodes:.1g} nodes (at most {limit:.0e}) on {domain!r}; "
+                         "take larger sizes (they are in m) or refine a smaller part")
+
+
+def _extent(domain: Domain) -> tuple[np.ndarray, float]:
+    """Lowest corner and largest side of the bounding box."""
+    return domain.lower, float((domain.upper - domain.lower).max())
+
+
+def _measures(domain: Domain) -> tuple[float, dict[str, float]]:
+    """Area or volume of a domain, and the lengths or areas of its boundaries by name."""
+    if not isinstance(domain, Box):
+        return plane_measures(domain)
+    lengths = domain.upper - domain.lower
+    volume = float(np.prod(lengths))
+    return volume, {name: volume / lengths[axis] for name, (axis, _) in BOX_SIDES.items()}
+
+
+def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
+                 grading: float) -> float:
+    """Expected nodes from the sizes along the sides alone: the integral of (h + grading x)^-dim over x > 0."""
+    volume, areas = _measures(domain)
+    with np.errstate(over="ignore", divide="ignore"):
+        cells = volume * np.float64(1 / max_size) ** domain.dim
+        for name, h in side_sizes.items():
+            cells += areas[name] / ((domain.dim - 1) * grading) * np.float64(1 / h) ** (domain.dim - 1)
+    return float(_NODES_PER_CELL[domain.dim] * cells)
+
+
+def _generate(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],
+              options: netgen.meshing.MeshingParameters) -> MeshArrays:
+    """One call of Netgen on the scaled domain; the mesh in m, without source."""
+    try:
+        geometry = (_box if isinstance(domain, Box) else spline_geometry)(domain, lower, scale, sides)
+        unit = own_mesh(ngsolve.Mesh(interruptible(geometry.GenerateMesh, mp=options, limit=_LIMIT_S[domain.dim])))
+    except (netgen.meshing.NgException, ValueError, RuntimeError) as error:
+        raise ValueError(f"Netgen could not mesh {domain!r} ({error}); change the sizes a little or take a smaller "
+                         "grading") from error
+    mesh = replace(unit, points=lower + scale * unit.points, bodies=("body",), source=None)
+    mesh = onto_outline(domain, mesh) if isinstance(domain, Outline) else _onto_planes(domain, mesh, scale)
+    volume = _measures(domain)[0] if isinstance(domain, Box) else straight_area(domain, mesh)
+    if not abs(mesh.volumes.sum() - volume) <= 1e-9 * volume:
+        raise ValueError(f"Netgen meshed {mesh.volumes.sum():.9g} instead of {volume:.9g} of {domain!r}; "
+                         "change the sizes a little")
+    return mesh
+
+
+def _onto_planes(domain: Domain, mesh: MeshArrays, scale: float) -> MeshArrays:
+    """Nodes of sides normal to an axis exactly on them, boundaries in the order of the domain."""
+    points = mesh.points.copy()
+    for name, axis, value in _planes(domain):
+        nodes = mesh.boundary_nodes(name)
+        nodes = nodes[np.abs(points[nodes, axis] - value) < 1e-9 * scale]
+        points[nodes, axis] = value
+    boundaries = tuple(dict.fromkeys(domain.boundaries))
+    labels = np.array([boundaries.index(name) for name in mesh.boundaries])[mesh.facet_labels]
+    return replace(mesh, points=points, facet_labels=labels, boundaries=boundaries, source=None)
+
+
+def _box(domain: Box, lower: np.ndarray, scale: float, sides: dict[str, float]) -> OCCGeometry:
+    """OCC's geometry of a box, scaled, its lowest corner at the origin."""
+    solid = OccBox(Pnt(0, 0, 0), Pnt(*((domain.upper - lower) / scale)))
+    for name, (axis, end) in BOX_SIDES.items():
+        face = (solid.faces.Min, solid.faces.Max)[end]((X, Y, Z)[axis])
+        face.name = name
+        if name in sides:
+            face.maxh = sides[name]
+    return OCCGeometry(solid)
+
+
+def _planes(domain: Domain) -> list[tuple[str, int, float]]:
+    """Sides normal to an axis: name, axis, coordinate in m. Scaling moves them by a rounding error."""
+    if isinstance(domain, Box):
+        return [(name, axis, float((domain.lower, domain.upper)[end][axis]))
+                for name, (axis, end) in BOX_SIDES.items()]
+    vertices = domain.polygon.vertices
+    return [(name, axis, a[axis]) for name, a, b in zip(domain.boundaries, vertices, vertices[1:] + vertices[:1],
+                                                        strict=True) for axis in (0, 1) if a[axis] == b[axis]]

@@ -1,0 +1,55 @@
+"""A result of two bodies made by hand. No NGSolve, no solver."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from made import cube, result_on, square
+
+import adaptmg as am
+from adaptmg.discretisation.measures import StressData
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.solver.result import Result
+
+
+def joined(parts: dict[str, MeshArrays], shifts: dict[str, tuple[float, ...]]) -> MeshArrays:
+    """Meshes moved and put together body by body; boundaries are named 'body.edge'."""
+    fields = {name: [] for name in ("points", "elements", "facets", "facet_labels", "element_body")}
+    names: list[str] = []
+    nodes = 0
+    for k, (body, mesh) in enumerate(parts.items()):
+        fields["points"].append(mesh.points + np.asarray(shifts[body]))
+        fields["elements"].append(mesh.elements + nodes)
+        fields["facets"].append(mesh.facets + nodes)
+        fields["facet_labels"].append(mesh.facet_labels + len(names))
+        fields["element_body"].append(np.full(len(mesh.elements), k))
+        names += [f"{body}.{edge}" for edge in mesh.boundaries]
+        nodes += mesh.n_nodes
+    return MeshArrays(**{name: np.concatenate(found) for name, found in fields.items()}, boundaries=tuple(names),
+                      bodies=tuple(parts))
+
+
+STEEL, RUBBER = {"young": 2e11, "poisson": 0.3}, {"young": 1e7, "poisson": 0.45}
+MATERIALS = {"upper": am.PlaneStrain(**STEEL), "lower": am.PlaneStrain(**RUBBER)}
+SOLIDS = {"upper": am.Solid(**STEEL), "lower": am.Solid(**RUBBER)}
+
+
+def two_bodies(dim: int = 2, n: int = 8, m: int = 5, size: float = 0.04) -> Result:
+    """A block on a larger one: open, slip and stick on 'upper.bottom', whose master is a boundary of 'lower'."""
+    make, wide = (square, 1.5) if dim == 2 else (cube, 1.5)
+    upper, lower = make(n, size), make(m, wide * size)
+    shift = np.zeros(dim)
+    shift[:-1], shift[-1] = -0.25 * size, -wide * size
+    mesh = joined({"upper": upper, "lower": lower}, {"upper": (0.0,) * dim, "lower": tuple(shift)})
+    single = result_on(upper)
+    displacement = np.vstack([single.displacement, 0.0 * lower.points])
+    below = np.vstack([upper.points, lower.points + shift])[len(upper.points):]
+    depth = np.exp(below[:, -1] / size)
+    displacement[len(upper.points):, -1] = -1e-5 * depth
+    displacement[:len(upper.points), -1] -= 1e-5
+    contact = dataclasses.replace(single.contact, names=("upper.bottom",),
+                                  masters=("lower.top" if dim == 2 else "lower.rest",))
+    data = StressData.of(mesh, MATERIALS if dim == 2 else SOLIDS)
+    return dataclasses.replace(single, mesh=mesh, displacement=displacement, reaction=np.zeros_like(displacement),
+                               contact=contact, problem_name="two blocks", stress_data=data)

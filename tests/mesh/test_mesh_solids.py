@@ -1,0 +1,358 @@
+"""Solids: volumes and names survive combining, nodes lie on the surfaces, sizes are achieved, failures are said."""
+
+import math
+import pickle
+
+import netgen.meshing
+import numpy as np
+import pytest
+
+import adaptmg.mesh.netgen.solids as module
+from adaptmg.mesh import check_mesh, quality
+from adaptmg.mesh.netgen import occ_shapes
+from adaptmg.mesh.netgen.occ_shapes import occ_shape
+from adaptmg.mesh.netgen.solids import SolidSizes, _check_volume, _left_by_chords, raised, solid_mesh
+from adaptmg.problem import Box, Outline, Polygon, Rectangle
+from adaptmg.problem.domains import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
+
+PROFILE = Polygon(vertices=((0.04, 0), (0.1, 0), (0.1, 0.02), (0.06, 0.025), (0.05, 0.08), (0.04, 0.08)),
+                  boundaries=("gasket", "rim", "back", "neck", "weld", "bore"))
+QUARTER = Outline(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("base", "cap", "axis"), arcs={1: (0, 0)})
+TRIANGLE = Polygon(vertices=((0, 0), (2, 0), (0, 1)), boundaries=("long", "slope", "short"))
+BALL = Ball((0, 0, 1), 1)
+UNIT = Box(width=1, depth=1, height=1)
+OCTANT = Common(BALL, UNIT)
+HALF = Common(BALL, Box(width=2, depth=2, height=1, origin=(-1, -1, 0)))
+BOLT_CIRCLE, HOLE = 0.08, 0.006
+BOLT = Fuse(Cylinder((0, 0, 0), (0, 0, 1), 0.005, 0.03), Cylinder((0, 0, 0.03), (0, 0, 1), 0.009, 0.006),
+            rename={"a.side": "shank", "b.side": "head", "b.bottom": "under", "b.top": "upside"})
+# Pappus: the volume of a full revolution of a polygon
+_X, _Y = np.array(PROFILE.vertices).T
+_CROSS = _X * np.roll(_Y, -1) - np.roll(_X, -1) * _Y
+FULL = 2 * math.pi * float(np.sum((_X + np.roll(_X, -1)) * _CROSS)) / 6
+
+
+def hole_axes():
+    return [(BOLT_CIRCLE * math.cos(a), BOLT_CIRCLE * math.sin(a)) for a in np.radians([22.5, 67.5])]
+
+
+def flange():
+    """A quarter of a flange with two bolt holes."""
+    solid = Revolution(PROFILE, 90)
+    for x, y in hole_axes():
+        solid = Cut(solid, Cylinder((x, y, -0.01), (0, 0, 1), HOLE, 0.1), rename={"b.side": "hole"})
+    return solid
+
+
+@pytest.fixture(scope="module")
+def flange_mesh():
+    return solid_mesh(flange(), 0.03)
+
+
+def edge_lengths(mesh, boundary):
+    corners = mesh.points[mesh.boundary_facets(boundary)]
+    return np.concatenate([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in ((0, 1), (1, 2), (2, 0))])
+
+
+SOLIDS = {
+    "box": (UNIT, 1.0),
+    "cylinder": (Cylinder((1, 2, 3), (1, 1, 0), 0.1, 0.5), 0.005 * math.pi),
+    "ball": (Ball((1, 2, 3), 0.2), 4 / 3 * math.pi * 0.008),
+    "sector": (Revolution(PROFILE, 90), FULL / 4),
+    "half turn": (Revolution(PROFILE, 180), FULL / 2),
+    "wide sector": (Revolution(PROFILE, 250), FULL * 250 / 360),
+    "ring": (Revolution(PROFILE), FULL),
+    "cap sector": (Revolution(QUARTER, 90), math.pi / 6),
+    "cap": (Revolution(QUARTER, 360), 2 * math.pi / 3),
+    "drum": (Revolution(Rectangle(width=2, height=1)), 4 * math.pi),
+    "prism": (Extrusion(TRIANGLE, 3, base=-1), 3.0),
+    "quarter disc": (Extrusion(QUARTER, 2), math.pi / 2),
+    "octant": (OCTANT, math.pi / 6),
+    "half ball": (HALF, 2 * math.pi / 3),
+    "bolt": (BOLT, math.pi * (25e-6 * 0.03 + 81e-6 * 0.006)),
+    "moved bolt": (Moved(BOLT, (1, 2, 3), 40, (1, 1, 0)), math.pi * (25e-6 * 0.03 + 81e-6 * 0.006)),
+}
+
+
+@pytest.mark.parametrize(("solid", "volume"), SOLIDS.values(), ids=SOLIDS)
+def test_shapes_have_their_volume_names_and_bounding_box(solid, volume):
+    scale = float((solid.upper - solid.lower).max())
+    shape = occ_shape(solid, solid.lower, scale)
+    assert shape.mass * scale**3 == pytest.approx(volume, rel=1e-8)
+    names = {face.name for face in shape.faces}
+    left_over = {"box": set(), "octant": {"bottom", "right", "back"}, "bolt": set(), "moved bolt": set(),
+                 "half ball": {"bottom", "left", "right", "front", "back"}}
+    key = next(k for k, (s, _) in SOLIDS.items() if s is solid)
+    # the top of the shank lies inside the head
+    expected = set(solid.boundaries) - left_over.get(key, set()) - ({"top"} if "bolt" in key else set())
+    assert names == expected
+    for corner, bound in zip(shape.bounding_box, (solid.lower, solid.upper), strict=True):
+        place = solid.lower + scale * np.array([corner.x, corner.y, corner.z])
+        inside = (place - bound) * (1 if bound is solid.lower else -1) / scale
+        assert (inside if corner is shape.bounding_box[0] else -inside).min() > -1e-6 or key == "moved bolt"
+    assert pickle.loads(pickle.dumps(solid)) == solid and hash(solid) == hash(solid)
+
+
+def test_flange_names_and_nodes(flange_mesh):
+    mesh = check_mesh(flange_mesh, (*PROFILE.boundaries, "hole", "start", "end"))
+    assert mesh.boundaries == (*PROFILE.boundaries, "start", "end", "hole") and mesh.source.nv == mesh.n_nodes
+    # planes of symmetry and plane faces: exactly in plane
+    assert (mesh.points[mesh.boundary_nodes("start"), 1] == 0).all()
+    assert (mesh.points[mesh.boundary_nodes("end"), 0] == 0).all()
+    assert (mesh.points[mesh.boundary_nodes("gasket"), 2] == 0).all()
+    assert (mesh.points[mesh.boundary_nodes("weld"), 2] == 0.08).all()
+    radius = np.linalg.norm(mesh.points[:, :2], axis=1)
+    np.testing.assert_allclose(radius[mesh.boundary_nodes("rim")], 0.1, rtol=1e-12)
+    np.testing.assert_allclose(radius[mesh.boundary_nodes("bore")], 0.04, rtol=1e-12)
+    hole = mesh.points[mesh.boundary_nodes("hole"), :2]
+    distance = np.array([np.linalg.norm(hole - axis, axis=1) for axis in hole_axes()])
+    # holes meet the cone of the back in curves that OCC approximates
+    np.testing.assert_allclose(distance.min(axis=0), HOLE, atol=1e-7 * 0.1)
+    assert set(distance.argmin(axis=0)) == {0, 1}
+    # areas by name, up to chords
+    areas = {name: 0.5 * np.linalg.norm(np.cross(*(np.moveaxis(mesh.points[mesh.boundary_facets(name)], 1, 0)[1:]
+                                                   - mesh.points[mesh.boundary_facets(name)][:, 0])), axis=1).sum()
+             for name in mesh.boundaries}
+    assert areas["start"] == pytest.approx(areas["end"], rel=1e-9)
+    assert areas["start"] == pytest.approx(0.5 * _CROSS.sum(), rel=1e-9)
+    assert areas["gasket"] == pytest.approx(math.pi / 4 * (0.01 - 0.0016) - 2 * math.pi * HOLE**2, rel=0.02)
+    assert areas["hole"] == pytest.approx(2 * 2 * math.pi * HOLE * 0.0225, rel=0.1)
+
+
+def test_bolts_keep_clear_of_their_holes(flange_mesh):
+    x, y = hole_axes()[0]
+    bolt = solid_mesh(Moved(BOLT, (x, y, -0.002)), 0.01)
+    shank = np.linalg.norm(bolt.points[bolt.boundary_nodes("shank"), :2] - (x, y), axis=1)
+    np.testing.assert_allclose(shank, 0.005, rtol=1e-9)
+    assert (bolt.points[bolt.boundary_nodes("under"), 2] == 0.028).all()
+    corners = flange_mesh.points[flange_mesh.boundary_facets("hole")][..., :2] - (x, y)
+    corners = corners[np.linalg.norm(corners, axis=2).max(axis=1) < 0.01]
+    middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
+    # the chords of the hole come nearer to the bolt than its circle, but not onto it
+    assert np.linalg.norm(middles, axis=2).min() > 0.005
+
+
+def test_oblique_end_planes_and_full_turns():
+    sector = solid_mesh(Revolution(PROFILE, 60), 0.03)
+    end = sector.points[sector.boundary_nodes("end")]
+    np.testing.assert_allclose(math.sin(math.pi / 3) * end[:, 0] - math.cos(math.pi / 3) * end[:, 1], 0, atol=1e-16)
+    assert (sector.points[sector.boundary_nodes("start"), 1] == 0).all()
+    ring = solid_mesh(Revolution(PROFILE), 0.04)
+    assert ring.boundaries == PROFILE.boundaries
+    assert ring.volumes.sum() == pytest.approx(FULL, rel=0.1)
+
+
+@pytest.mark.parametrize("near", [0.05, 1e-3])
+def test_a_ball_refined_at_its_lowest_point(near):
+    mesh = solid_mesh(OCTANT, 0.25, size_function=lambda x: near + 0.3 * np.linalg.norm(x, axis=1))
+    surface = mesh.points[mesh.boundary_nodes("surface")]
+    # also the nodes that bisection made lie on the sphere and in the planes of symmetry
+    np.testing.assert_allclose(np.linalg.norm(surface - (0, 0, 1), axis=1), 1, rtol=1e-13)
+    for name, axis, value in (("left", 0, 0), ("front", 1, 0), ("top", 2, 1)):
+        assert (mesh.points[mesh.boundary_nodes(name), axis] == value).all()
+    from_tip = np.linalg.norm(mesh.points, axis=1)
+    assert np.sort(from_tip)[0] == 0 and 0.5 * near < np.sort(from_tip)[1] < 2 * near
+    centroids = mesh.points[mesh.elements].mean(axis=1)
+    relative = mesh.element_sizes / np.minimum(0.25, near + 0.3 * np.linalg.norm(centroids, axis=1))
+    assert relative.max() < 3.2 and 0.7 < np.median(relative) < 1.7
+    assert quality(mesh).min_angle > 10 and mesh.n_nodes < 2000
+
+
+@pytest.mark.parametrize("ratio", [8, 50])
+def test_sizes_along_boundaries_are_achieved(ratio):
+    # beyond a ratio of 16 Netgen's mesh is bisected
+    punch = Fuse(UNIT, Cylinder((0.5, 0.5, 1), (0, 0, 1), 0.1, 0.3), rename={"b.side": "shank", "b.top": "tip"})
+    mesh = solid_mesh(punch, 0.5, {"tip": 0.5 / ratio}, 0.5)
+    at_tip = edge_lengths(mesh, "tip") * ratio / 0.5
+    assert at_tip.max() < 2.5 and 0.6 < np.median(at_tip) < 1.4
+    assert np.median(edge_lengths(mesh, "bottom")) > 0.3
+    radius = np.linalg.norm(mesh.points[mesh.boundary_nodes("shank"), :2] - 0.5, axis=1)
+    np.testing.assert_allclose(radius, 0.1, rtol=1e-12)
+    for name, value in (("bottom", 0), ("top", 1), ("tip", 1.3)):
+        assert (mesh.points[mesh.boundary_nodes(name), 2] == value).all()
+
+
+def test_several_faces_of_one_name_are_refined_together():
+    block = Fuse(UNIT, Box(width=1, depth=1, height=1, origin=(1, 0, 0)))
+    mesh = solid_mesh(block, 0.5, {"top": 0.1})
+    middle = mesh.points[mesh.boundary_facets("top")].mean(axis=1)[:, 0]
+    assert edge_lengths(mesh, "top").max() < 0.2 and 0.4 < np.mean(middle < 1) < 0.6
+
+
+def test_the_fastest_growth_is_one_that_netgen_can_mesh():
+    # asked for a grading of 1, Netgen itself fails here
+    assert quality(solid_mesh(OCTANT, 0.5, {"surface": 0.1}, 1.0)).min_angle > 3
+
+
+def test_netgen_is_given_a_second_chance(monkeypatch):
+    original, seen = module._netgen_mesh, []
+
+    def fails_once(shape, lower, scale, sizes, *others):
+        seen.append(sizes.grading)
+        if len(seen) < fails:
+            raise netgen.meshing.NgException("Meshing failed!")
+        return original(shape, lower, scale, sizes, *others)
+
+    monkeypatch.setattr(module, "_netgen_mesh", fails_once)
+    fails = 3
+    assert solid_mesh(OCTANT, 0.5, grading=0.5).n_nodes > 10
+    np.testing.assert_allclose(seen, [0.5, 0.35, 0.25])
+    fails = 9
+    with pytest.raises(ValueError, match=r"could not mesh Common.*Meshing failed!.*smaller grading"):
+        solid_mesh(OCTANT, 0.5)
+
+
+def test_a_mesh_with_holes_is_noticed(monkeypatch):
+    def holey(shape, *others):
+        mesh = original(shape, *others)
+        mesh.ngmesh.Elements2D().NumPy()["nodes"][0, :3] = mesh.ngmesh.Elements2D().NumPy()["nodes"][1, :3]
+        return mesh
+
+    original = module._netgen_mesh
+    monkeypatch.setattr(module, "_netgen_mesh", holey)
+    with pytest.raises(ValueError, match=r"could not mesh Common.*boundary facets are given twice"):
+        solid_mesh(OCTANT, 0.5)
+
+
+def test_the_volume_converges_with_the_square_of_the_size():
+    errors = [math.pi / 6 - solid_mesh(OCTANT, h, curvature=0.1).volumes.sum() for h in (0.4, 0.2, 0.1)]
+    assert errors[0] > 2.5 * errors[1] > 2.5**2 * errors[2] > 0
+
+
+@pytest.mark.parametrize("solid", [OCTANT, HALF, BOLT, Ball((0, 0, 0), 1), flange()],
+                         ids=["octant", "half", "bolt", "ball", "flange"])
+def test_the_volume_check_can_fail(solid):
+    scale = float((solid.upper - solid.lower).max())
+    volume = occ_shape(solid, solid.lower, scale).mass
+    mesh = solid_mesh(solid, 0.5 * scale)
+    unit = type(mesh)(mesh.points / scale, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries)
+    bound = _left_by_chords(unit)
+    # far from failing even on the coarsest mesh, and no blank cheque
+    assert abs(unit.volumes.sum() - volume) < 0.6 * bound < 0.5 * volume
+    assert _check_volume(unit, volume) is None
+    for wrong in (volume + 1.7 * bound, 0.98 * (unit.volumes.sum() - bound)):
+        with pytest.raises(ValueError, match="of the volume, chords explain"):
+            _check_volume(unit, wrong)
+
+
+def test_scaling_changes_nothing_and_meshes_repeat():
+    def pin(s):
+        return Cut(Cylinder((s, 0, 0), (0, 0, 1), s, s), Ball((s, 0, s), 0.5 * s), rename={"surface": "seat"})
+
+    first, again, large = (solid_mesh(pin(s), 0.5 * s, {"seat": 0.25 * s}) for s in (1.0, 1.0, 4096.0))
+    for name in ("points", "elements", "facets", "facet_labels"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+    np.testing.assert_array_equal(first.elements, large.elements)
+    np.testing.assert_allclose(first.points * 4096, large.points, rtol=1e-11, atol=1e-11)
+    assert first.boundaries == ("side", "bottom", "top", "seat")
+
+
+def test_moving_a_solid_moves_its_mesh():
+    # a quarter turn about y takes (x, y, z) to (z, y, -x)
+    turned = Moved(Cylinder((0, 0, 1), (0, 0, 1), 0.5, 1), (10, 0, 0), 90, (0, 2, 0))
+    mesh = solid_mesh(turned, 0.5)
+    assert (mesh.points[mesh.boundary_nodes("bottom"), 0] == 11).all()
+    assert (mesh.points[mesh.boundary_nodes("top"), 0] == 12).all()
+    np.testing.assert_allclose(np.hypot(*mesh.points[mesh.boundary_nodes("side"), 1:].T), 0.5, rtol=1e-12)
+    np.testing.assert_allclose([turned.lower, turned.upper], [[11, -0.5, -0.5], [12, 0.5, 0.5]], atol=1e-14)
+
+
+def test_renaming():
+    hole = Cylinder((0.5, 0.5, -1), (0, 0, 1), 0.2, 3)
+    both = Cut(UNIT, hole, rename={"top": "lid"})
+    assert both.boundaries == ("bottom", "right", "lid", "left", "front", "back", "side")
+    one = Cut(UNIT, hole, rename={"top": "lid", "b.top": "end", "b.side": "hole"})
+    assert one.boundaries == ("bottom", "right", "lid", "left", "front", "back", "hole", "end")
+    mesh = solid_mesh(one, 1.0)
+    assert "hole" in mesh.boundaries and "end" not in mesh.boundaries
+    # faces that coincide have the name given by the first solid
+    flush = Cut(UNIT, Box(width=0.5, depth=1, height=1), rename={"b.right": "cut"})
+    assert {f.name for f in occ_shape(flush, np.zeros(3), 1.0).faces} == {*UNIT.boundaries, "cut"} - {"left"}
+    stacked = Fuse(UNIT, Box(width=1, depth=1, height=1, origin=(0, 0, 1)), rename={"b.front": "face"})
+    names = [f.name for f in occ_shape(stacked, np.zeros(3), 2.0).faces]
+    assert {"front", "face"} <= set(names) and names.count("top") == 1 and names.count("bottom") == 1
+
+
+def test_names_without_faces_are_an_error_only_when_used():
+    assert "bottom" in OCTANT.boundaries
+    mesh = solid_mesh(OCTANT, 0.5)
+    assert mesh.boundaries == ("surface", "top", "left", "front")
+    with pytest.raises(ValueError, match="boundary 'bottom' does not exist"):
+        mesh.boundary_nodes("bottom")
+    with pytest.raises(ValueError, match="of boundary 'bottom' no face is left"):
+        solid_mesh(OCTANT, 0.5, {"bottom": 0.1})
+
+
+@pytest.mark.parametrize(("make", "error", "message"), [
+    (lambda: Cylinder((0, 0, 0), (0, 0, 0), 1, 1), ValueError, "axis must not be zero"),
+    (lambda: Cylinder((0, 0, 0), (0, 0, 1), -1, 1), ValueError, "radius must be > 0"),
+    (lambda: Cylinder((0, 0), (0, 0, 1), 1, 1), ValueError, "point must be a vector of 3"),
+    (lambda: Ball((0, 0, 0), float("nan")), ValueError, "radius must be finite"),
+    (lambda: Revolution(PROFILE, 0), ValueError, "angle must be > 0"),
+    (lambda: Revolution(PROFILE, 361), ValueError, "angle must be at most 360"),
+    (lambda: Revolution(UNIT), TypeError, "polygon must be a Polygon"),
+    (lambda: Revolution(Rectangle(width=1, height=1, origin=(-0.1, 0))), ValueError, "half plane r >= 0"),
+    (lambda: Revolution(Polygon(vertices=((0, 0), (1, -1), (1, 1)), boundaries=("a", "b", "c"))), ValueError,
+     "axis at the single vertex 0"),
+    (lambda: Revolution(Polygon(vertices=((1, 0), (2, 0), (2, 1)), boundaries=("start", "b", "c")), 90), ValueError,
+     "must not be called 'start'"),
+    (lambda: Extrusion(Rectangle(width=1, height=1), 1), ValueError, "must not be called 'bottom'"),
+    (lambda: Extrusion(TRIANGLE, 0), ValueError, "height must be > 0"),
+    (lambda: Cut(UNIT, TRIANGLE), TypeError, "b must be a Box or another solid"),
+    (lambda: Cut(UNIT, BALL, rename={"c.top": "x"}), ValueError, "the keys of rename must be one of"),
+    (lambda: Cut(UNIT, BALL, rename={"top": ""}), ValueError, "must not be empty"),
+    (lambda: Fuse(UNIT, BALL, rename=[("top", "x")]), TypeError, "rename must map"),
+    (lambda: Common(UNIT, Ball((5, 0, 0), 1)), ValueError, "nothing in common"),
+    (lambda: Moved(UNIT, angle=float("inf")), ValueError, "angle must be finite"),
+    (lambda: Moved(UNIT, axis=(0, 0, 0)), ValueError, "axis must not be zero"),
+    (lambda: StepFile(3), TypeError, "path must be a path"),
+    (lambda: StepFile("a.step", unit=0), ValueError, "unit must be > 0"),
+    (lambda: StepFile("a.step", names={"solid1": "a.b"}), ValueError, "must not contain '.'"),
+])
+def test_bad_solids(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), [
+    ((TRIANGLE, 1), TypeError, "domain must be a Box or another solid"),
+    ((OCTANT, 0), ValueError, "size must be > 0"),
+    ((OCTANT, 1, {"surfac": 0.1}), ValueError, "boundary 'surfac' does not exist; the boundaries are surface, bottom"),
+    ((OCTANT, 1, {"surface": -1}), ValueError, r"boundary_sizes\['surface'\] must be > 0"),
+    ((OCTANT, 1, ["surface"]), TypeError, "boundary_sizes must map"),
+    ((OCTANT, 1, {}, 2), ValueError, "grading must be at most 1"),
+    ((OCTANT, 1e-3), ValueError, "nodes .at most 2e"),
+    ((OCTANT, 1, {"surface": 1e-4}), ValueError, "nodes .at most 2e"),
+    ((OCTANT, 1, {}, 0.3, lambda x: np.full(len(x), 1e-4)), ValueError, "nodes .at most 2e"),
+    ((OCTANT, 1, {}, 0.3, lambda x: 0 * x[:, 0]), ValueError, "size_function must be > 0, got 0.0 at"),
+    ((OCTANT, 1, {}, 0.3, lambda x: x), ValueError, "the function must return shape"),
+    ((Cut(UNIT, Box(width=3, depth=3, height=3, origin=(-1, -1, -1))), 1), ValueError, "leaves nothing"),
+    ((Cut(UNIT, Box(width=0.2, depth=3, height=3, origin=(0.4, -1, -1))), 1), ValueError, "leaves 2 pieces"),
+    ((Fuse(UNIT, Ball((5, 0, 0), 1)), 1), ValueError, "leaves 2 pieces"),
+    ((Extrusion(Polygon(vertices=((0, 0), (4, 0), (4, 4), (1, -1)), boundaries=tuple("abcd")), 1), 1), ValueError,
+     "of the polygon meet"),
+])
+def test_bad_meshes(arguments, error, message):
+    with pytest.raises(error, match=message):
+        solid_mesh(*arguments)
+
+
+def test_a_boolean_operation_that_fails_is_noticed(monkeypatch):
+    # OCC says nothing when an operation fails: here it forgets to cut
+    class Deaf:
+        faces, mass = (), 1.0
+
+        def __mul__(self, other):
+            return type("Common", (), {"mass": 0.25})()
+
+        def __sub__(self, other):
+            return self
+
+    monkeypatch.setattr(occ_shapes, "_box", lambda *_: Deaf())
+    with pytest.raises(ValueError, match=r"volumes do not add up \(1 instead of 0.75\)"):
+        occ_shape(Cut(UNIT, Box(width=1, depth=1, height=1)), np.zeros(3), 1.0)
+
+
+def test_sizes_that_netgen_is_asked_for():
+    assert raised(1.0, 0.5) == 1.0 and raised(0.1, 0.5) == pytest.approx(0.8) and raised(0.1, 0.0) == 0.1
+    assert SolidSizes(1.0, {"a": 3.0}).boundaries == {"a": 1.0}

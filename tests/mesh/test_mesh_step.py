@@ -1,0 +1,165 @@
+"""STEP files, written here by OCC: names and places survive, solids are meshed apart, what is missing is said."""
+
+import numpy as np
+import pytest
+from netgen.occ import Axis, Box, Compound, Cylinder, Glue, Pnt, Vec, X, Y, Z
+
+from adaptmg.mesh import as_mesh, check_mesh
+from adaptmg.mesh.netgen.step import from_step, step_mesh, step_names
+from adaptmg.problem.domains import StepFile
+
+SIDES = ("left", "right", "front", "back", "bottom", "top")
+
+
+def named_box(name, low, high):
+    """Millimetres."""
+    box = Box(Pnt(*low), Pnt(*high))
+    for direction, pair in ((X, SIDES[:2]), (Y, SIDES[2:4]), (Z, SIDES[4:])):
+        box.faces.Min(direction).name, box.faces.Max(direction).name = pair
+    box.name = name
+    return box
+
+
+def two_boxes():
+    return [named_box("lower", (0, 0, 0), (10, 20, 5)), named_box("upper", (0, 0, 5), (10, 20, 12))]
+
+
+@pytest.fixture
+def two(tmp_path):
+    path = tmp_path / "two.step"
+    Compound(two_boxes()).WriteStep(str(path))
+    return path
+
+
+def test_two_named_boxes(two):
+    assert step_names(two) == {"lower": SIDES, "upper": SIDES}
+    mesh = check_mesh(from_step(two, 5e-3))
+    assert mesh.bodies == ("lower", "upper") and mesh.source.nv == mesh.n_nodes
+    assert mesh.boundaries == tuple(f"{body}.{side}" for body in ("lower", "upper") for side in SIDES)
+    # millimetres in the file, metres here; exactly in plane
+    for body, low, high in (("lower", (0, 0, 0), (0.01, 0.02, 0.005)), ("upper", (0, 0, 0.005), (0.01, 0.02, 0.012))):
+        for k, side in enumerate(SIDES):
+            nodes = mesh.boundary_nodes(f"{body}.{side}")
+            assert (mesh.points[nodes, k // 2] == (low, high)[k % 2][k // 2]).all()
+        volume = mesh.volumes[mesh.element_body == mesh.bodies.index(body)].sum()
+        assert volume == pytest.approx(np.prod(np.subtract(high, low)), rel=1e-12)
+    # bodies touch, but share no nodes; arrays come body by body
+    nodes = [np.unique(mesh.elements[mesh.element_body == k]) for k in range(2)]
+    assert nodes[0].max() < nodes[1].min() and len(nodes[0]) + len(nodes[1]) == mesh.n_nodes
+    assert (np.diff(mesh.element_body) >= 0).all()
+
+
+def test_sizes_by_body_and_by_face(two):
+    mesh = from_step(two, {"lower": 5e-3, "upper": 2.5e-3})
+    lower, upper = (np.median(mesh.element_sizes[mesh.element_body == k]) for k in range(2))
+    assert 1.5 < lower / upper < 2.5
+    mesh = from_step(two, 5e-3, {"lower.top": 2e-3})
+    assert len(mesh.boundary_nodes("lower.top")) > 3 * len(mesh.boundary_nodes("upper.bottom"))
+    # positions in m
+    mesh = from_step(two, 5e-3, size_function=lambda x: 1.5e-3 + 0.5 * x[:, 2])
+    assert len(mesh.boundary_nodes("lower.bottom")) > 2 * len(mesh.boundary_nodes("upper.top"))
+    first, second = (step_mesh(StepFile(two), 5e-3, {"upper.bottom": 2e-3}) for _ in range(2))
+    np.testing.assert_array_equal(first.points, second.points)
+    np.testing.assert_array_equal(first.elements, second.elements)
+
+
+def test_renaming(two):
+    domain = StepFile(two, names={"solid2": "punch", "upper.face5": "contact", "lower.top": "seat",
+                                  "solid1.left": "symmetry"})
+    assert domain.boundaries is None and domain.bodies is None and domain.dim == 3
+    assert step_names(domain) == {"lower": ("symmetry", *SIDES[1:5], "seat"),
+                                  "punch": (*SIDES[:4], "contact", "top")}
+    mesh = step_mesh(domain, 5e-3, {"punch.contact": 2e-3})
+    assert (mesh.points[mesh.boundary_nodes("punch.contact"), 2] == 0.005).all()
+    # several faces may share a name
+    everything = from_step(two, 1e-2, names={f"lower.face{k}": "skin" for k in range(1, 7)})
+    assert len(everything.boundary_facets("lower.skin")) == (everything.facet_labels == 0).sum()
+    assert "lower.skin" in everything.boundaries and "lower.top" not in everything.boundaries
+
+
+def test_files_without_names(tmp_path):
+    path = tmp_path / "pins.stp"
+    pin = Cylinder(Pnt(0, 0, 0), Z, 1, 2)
+    # copies beside it, and oblique and far away
+    oblique = pin.Rotate(Axis(Pnt(0, 0, 0), X), 30).Move(Vec(500, 0, 0))
+    Compound([pin, pin.Move(Vec(5, 0, 0)), oblique]).WriteStep(str(path))
+    assert step_names(path) == {f"solid{k}": ("face1", "face2", "face3") for k in (1, 2, 3)}
+    mesh = from_step(path, 1e-3, {"solid1.face2": 0.25e-3})
+    np.testing.assert_allclose(np.bincount(mesh.element_body, mesh.volumes), np.pi * 2e-9, rtol=0.06)
+    # a size on a face is not one on its copies
+    fine, *others = (len(mesh.boundary_facets(f"solid{k}.face2")) for k in (1, 2, 3))
+    assert fine > 2 * max(others)
+    sides = mesh.points[mesh.boundary_nodes("solid1.face1")]
+    np.testing.assert_allclose(np.linalg.norm(sides[:, :2], axis=1), 1e-3, rtol=1e-12)
+    axis = np.array([0, -np.sin(np.pi / 6), np.cos(np.pi / 6)])
+    sides = mesh.points[mesh.boundary_nodes("solid3.face1")] - (0.5, 0, 0)
+    np.testing.assert_allclose(np.linalg.norm(np.cross(sides, axis), axis=1), 1e-3, rtol=1e-9)
+
+
+def test_one_solid_is_prefixed_too(tmp_path):
+    path = tmp_path / "one.step"
+    named_box("a.b", (0, 0, 0), (1, 1, 1)).WriteStep(str(path))
+    assert step_names(path) == {"a_b": SIDES}
+    assert from_step(path, 1e-3).boundaries[0] == "a_b.left"
+
+
+def test_solids_of_one_name_are_numbered(tmp_path):
+    path = tmp_path / "bolts.step"
+    Compound([named_box("bolt", (10 * k, 0, 0), (10 * k + 1, 1, 1)) for k in range(3)]).WriteStep(str(path))
+    assert list(step_names(path)) == ["bolt", "bolt_2", "bolt_3"]
+
+
+def test_glued_solids_come_apart(tmp_path):
+    path = tmp_path / "glued.step"
+    Glue(two_boxes()).WriteStep(str(path))
+    mesh = from_step(path, 5e-3, names={"upper.face5": "bottom"})
+    for name in ("lower.top", "upper.bottom"):
+        assert (mesh.points[mesh.boundary_nodes(name), 2] == 0.005).all()
+    assert not set(mesh.boundary_nodes("lower.top")) & set(mesh.boundary_nodes("upper.bottom"))
+
+
+def test_units(two):
+    text = two.read_text()
+    assert "SI_UNIT(.MILLI.,.METRE.)" in text
+    metres = two.with_name("metres.step")
+    metres.write_text(text.replace("SI_UNIT(.MILLI.,.METRE.)", "SI_UNIT($,.METRE.)"))
+    np.testing.assert_allclose(from_step(metres, 5.0).points.max(axis=0), (10, 20, 12), rtol=1e-14)
+    np.testing.assert_allclose(from_step(two, 5.0, unit=1.0).points.max(axis=0), (10, 20, 12), rtol=1e-14)
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"names": {"middle": "x"}}, "names: 'middle' is neither a solid nor a 'solid.face' of .*it holds lower: left, r"),
+    ({"names": {"lower.lid": "x"}}, "names: 'lower.lid' is neither"),
+    ({"names": {"lower": "upper"}}, "two solids are called 'upper'"),
+    ({"boundary_sizes": {"top": 1e-3}}, "boundary 'top' does not exist; the boundaries are lower.left, lower.right"),
+    ({"boundary_sizes": {"lower.top": 0}}, "must be > 0"),
+    ({"size": 0}, "size must be > 0"),
+    ({"size": {"lower": 1e-3}}, "size must name each body once"),
+    ({"size": 1e-6}, "nodes .at most 2e"),
+    ({"unit": -1}, "unit must be > 0"),
+])
+def test_bad_arguments(two, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        from_step(two, **({"size": 5e-3} | arguments))
+
+
+def test_bad_files(tmp_path):
+    with pytest.raises(FileNotFoundError, match="path: there is no file"):
+        from_step(tmp_path / "none.step", 1e-3)
+    path = tmp_path / "text.step"
+    path.write_text("something else\n")
+    with pytest.raises(ValueError, match="cannot be read as a STEP file"):
+        from_step(path, 1e-3)
+    surface = tmp_path / "surface.step"
+    Compound([Cylinder(Pnt(0, 0, 0), Z, 1, 4).faces[0]]).WriteStep(str(surface))
+    with pytest.raises(ValueError, match="holds no solids; surfaces must be closed"):
+        from_step(surface, 1e-3)
+    other = tmp_path / "mesh.msh"
+    other.write_text("")
+    with pytest.raises(ValueError, match=r"is not a \.step or \.stp file"):
+        from_step(other, 1e-3)
+    with pytest.raises(TypeError, match="domain must be a StepFile"):
+        step_mesh(str(surface), 1e-3)
+    # a geometry is no mesh
+    with pytest.raises(ValueError, match="from_step"):
+        as_mesh(surface)

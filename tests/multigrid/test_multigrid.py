@@ -1,0 +1,154 @@
+"""Corrections, cycles, coarse solves: properties and hand-counted work."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import adaptmg as am
+from adaptmg.multigrid.correction import correction_contact
+from adaptmg.multigrid.correction_levels import correction_levels
+from adaptmg.multigrid.cycle import MultigridCycle
+from adaptmg.multigrid.nested import project
+from adaptmg.smoother.residuals import energy, residual
+from adaptmg.smoother.system import local_system
+from adaptmg.solver.run import Run
+
+
+def problem_2d(law=None):
+    return am.cases.greco_bar(law=am.Coulomb(1.0) if law is None else law)
+
+
+@pytest.fixture(scope="module")
+def hierarchies():
+    block = am.cases.greco_block(law=am.Tresca(3e7))
+    return {
+        "nested": am.Hierarchy.uniform(problem_2d(am.Tresca(3e7)), divisions=(2, 4, 8)),
+        "graded": am.Hierarchy.graded(problem_2d(am.Tresca(3e7)), sizes=(20e-3, 10e-3, 5e-3), contact_ratio=2),
+        "L2": am.Hierarchy.graded(problem_2d(am.Tresca(3e7)), sizes=(10e-3, 5e-3), contact_ratio=2,
+                                  transfer=am.PseudoL2()),
+        "block": am.Hierarchy.uniform(block, divisions=(1, 2, 4)),
+    }
+
+
+def runner_of(grids, **options):
+    solver = am.Multigrid(**{"correction": am.Monotone()} | options)
+    problems = [local_system(level.discrete) for level in grids.levels]
+    run = Run(unit=grids.finest.discrete.matrix.nnz)
+    levels = correction_levels(grids, problems, len(grids) - 1, solver.coarse_matrices)
+    return MultigridCycle(levels, solver.cycle, solver.smoother, solver.correction, solver.coarse, run), run
+
+
+@pytest.mark.parametrize("name", ["nested", "graded", "L2", "block"])
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 10_000), shape=st.sampled_from(["V", "W", "F"]), sweeps=st.sampled_from([(0, 1), (2, 0)]))
+def test_tresca_energy_never_rises(hierarchies, name, seed, shape, sweeps):
+    grids = hierarchies[name]
+    pre, post = sweeps
+    runner, _ = runner_of(grids, cycle=am.Cycle(shape=shape, pre=pre, post=post), coarse=am.CoarseSolve(rtol=0.3))
+    local, level = runner.levels.fine, len(grids) - 1
+    random = np.random.default_rng(seed)
+    w = random.normal(scale=1e-4, size=local.system.n_dofs) * ~local.system.fixed
+    project(local, w)
+    before = energy(local.system, local.contact, local.load, w)
+    for _ in range(3):
+        defect = residual(local.system, local.load, w)
+        runner.correct(level, local.contact, w, defect)
+        after = energy(local.system, local.contact, local.load, w)
+        assert after <= before + 1e-13 * abs(before)
+        runner.smooth(level, local.contact, local.load, w, 1)
+        before = energy(local.system, local.contact, local.load, w)
+    normal = w.reshape(-1, local.system.dim)[local.system.nodes, 0]
+    assert (normal <= local.contact.gap + 1e-15).all()
+
+
+@pytest.mark.parametrize("correction", [am.Monotone(), am.PaperCorrection(slip="minmod", limit="summed")])
+def test_no_correction_at_the_solution(correction):
+    grids = am.Hierarchy.uniform(problem_2d(), divisions=(4, 8))
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
+    runner, _ = runner_of(grids, correction=correction, coarse=am.CoarseSolve(rtol=1e-12))
+    local = runner.levels.fine
+    w = local.to_local(exact.displacement)
+    moved = w.copy()
+    runner.correct(1, local.contact, moved, residual(local.system, local.load, w))
+    assert np.abs(moved - w).max() < 1e-12 * np.abs(w).max()
+
+
+def test_frozen_choices_move_the_solution():
+    """The paper's frozen slip and limit do not vanish at the fine solution: why its mode stalls."""
+    grids = am.Hierarchy.uniform(problem_2d(), divisions=(4, 8))
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
+    result = am.solve(grids, am.FullMultigrid(correction=am.PaperCorrection(), stop="change", rtol=1e-10,
+                                              cycle=am.Cycle(shape="complete"), coarse=am.CoarseSolve(rtol=1e-10)),
+                      throw=False, reference=exact)
+    assert result.status is am.Status.STALLED
+    assert result.history["true_error"][-1] > 1e-4
+    assert "Monotone" in result.status.value
+
+
+def test_hand_counted_work():
+    grids = am.Hierarchy.uniform(problem_2d(), divisions=(4, 8, 16))
+    ratio = [level.discrete.matrix.nnz / grids.finest.discrete.matrix.nnz for level in grids.levels]
+    coarse = am.CoarseSolve(rtol=1e-30, max_sweeps=8)
+    for shape, visits in (("V", 1), ("W", 2)):
+        runner, run = runner_of(grids, cycle=am.Cycle(shape=shape, pre=2, post=1), coarse=coarse)
+        local = runner.levels.fine
+        runner.cycle(2, local.contact, local.load, np.zeros(local.system.n_dofs), shape)
+        # three sweeps and one residual a level, eight sweeps on the coarsest, which is solved once a visit of level 1
+        expected = 4 + 4 * visits * ratio[1] + 8 * visits * ratio[0]
+        assert run.work_units == pytest.approx(expected, rel=1e-12)
+        assert sum(step == (0, "solve", 8) for step in run.path) == visits
+
+
+def test_path_of_a_v_cycle_goes_down_and_up():
+    grids = am.Hierarchy.uniform(problem_2d(), divisions=(2, 4, 8))
+    runner, run = runner_of(grids, cycle=am.Cycle(pre=1, post=1))
+    local = runner.levels.fine
+    runner.cycle(2, local.contact, local.load, np.zeros(local.system.n_dofs), "V")
+    assert [(level, action) for level, action, _ in run.path] == [
+        (2, "smooth"), (2, "restrict"), (1, "smooth"), (1, "restrict"), (0, "solve"), (1, "prolong"), (1, "smooth"),
+        (2, "prolong"), (2, "smooth")]
+
+
+def test_coarse_solve_meets_its_tolerance(hierarchies):
+    local = local_system(hierarchies["nested"][1].discrete)
+    exact, found = np.zeros((2, local.system.n_dofs))
+    run = Run(unit=local.system.nonzeros)
+    am.CoarseSolve(rtol=1e-13, omega=1.0, max_sweeps=20_000).solve(local.system, local.contact, local.load, exact, run)
+    for rtol in (1e-3, 1e-6):
+        found[:] = 0
+        am.CoarseSolve(rtol=rtol).solve(local.system, local.contact, local.load, found, run)
+        assert np.linalg.norm(found - exact) <= 3 * rtol * np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"shape": "X"}, "shape"), ({"pre": -1}, "pre"), ({"pre": 0, "post": 0}, "pre and post"), ({"pre": 1.5}, "pre")])
+def test_cycle_refuses(options, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        am.Cycle(**options)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"rtol": np.nan}, "rtol"), ({"rtol": -1}, "rtol"), ({"rtol": 0}, "rtol and atol"), ({"omega": 2.0}, "omega"),
+    ({"atol": 1e-6}, "atol"), ({"max_sweeps": 0}, "max_sweeps"), ({"test": "luck"}, "test")])
+def test_coarse_solve_refuses(options, message):
+    with pytest.raises(ValueError, match=message):
+        am.CoarseSolve(**options)
+
+
+@pytest.mark.parametrize("name", ["gap", "slip", "limit"])
+def test_paper_correction_refuses(name):
+    with pytest.raises(ValueError, match=name):
+        am.PaperCorrection(**{name: "guess"})
+
+
+def test_fixed_tangents_of_the_coarse_grid_have_no_slip_offset(hierarchies):
+    grids = hierarchies["nested"]
+    runner, _ = runner_of(grids)
+    fine, coarse, local = runner.levels[2], runner.levels[1], runner.levels.fine
+    w = np.ones(local.system.n_dofs) * 1e-5
+    data = correction_contact(am.Monotone(), fine.supports, fine.system, coarse.system, local.contact, -w,
+                              residual(local.system, local.load, -w), None)
+    fixed = coarse.system.fixed.reshape(-1, 2)[coarse.system.nodes, 1]
+    assert fixed.any()
+    assert (data.slip_reference[fixed] == 0).all()

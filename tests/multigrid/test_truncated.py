@@ -1,0 +1,219 @@
+"""The truncated multigrid: agreement with independent solutions, mesh independence, robustness, failure paths."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import sparse
+from smoother_problems import expand
+
+import adaptmg as am
+
+LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(3e7), "coulomb": am.Coulomb(0.7)}
+COLD = am.Multigrid(correction=am.Truncated())
+NESTED = am.FullMultigrid(correction=am.Truncated())
+
+
+def wavy(points: np.ndarray) -> np.ndarray:
+    return 5e-6 * (1 + np.sin(points[:, 0] * 300)) + 1e-5 * points[:, -1]
+
+
+def bar(law: am.problem.Law, n: int = 32) -> am.Hierarchy:
+    problem = replace(am.cases.greco_bar(law=law), contact=am.Contact("bottom", am.GapFunction(wavy)), reference={})
+    return am.Hierarchy.uniform(problem, divisions=[d for d in (4, 8, 16, 32, 64, 128) if d <= n])
+
+
+def block(law: am.problem.Law) -> am.Hierarchy:
+    problem = am.cases.greco_block(law=law, plane_strain=False)
+    return am.Hierarchy.uniform(problem, divisions=(2, 4, 8))
+
+
+def exact(hierarchy: am.Hierarchy) -> am.Result:
+    return am.solve(hierarchy, am.ActiveSet(rtol=1e-12))
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("solver", [COLD, NESTED], ids=["cold", "nested"])
+@pytest.mark.parametrize("make", [bar, block], ids=["2d", "3d"])
+def test_agrees_with_the_active_set(make, solver, law):
+    hierarchy = make(LAWS[law])
+    reference = exact(hierarchy)
+    result = am.solve(hierarchy, replace(solver, rtol=1e-10), reference=reference)
+    assert result.history["true_error"][-1] <= 3e-10
+    assert result.residual <= 1e-8
+    assert (result.contact.gap >= -1e-15).all()
+    assert (result.contact.state == reference.contact.state).all()
+
+
+def test_graded_independent_meshes():
+    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(16e-3, 8e-3, 4e-3), contact_ratio=4)
+    result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
+    assert result.history["true_error"][-1] <= 3e-8 and result.cycles <= 15
+
+
+@pytest.mark.parametrize("transfer", [am.L2(), am.PseudoL2(), am.QuasiInterpolation()], ids=str)
+def test_other_transfers_converge_to_the_same(transfer):
+    sizes = (12e-3, 6e-3, 3e-3)
+    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), sizes=sizes, contact_ratio=2, transfer=transfer)
+    result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
+    assert result.history["true_error"][-1] <= 3e-8
+
+
+def test_cycles_and_work_do_not_grow_with_the_mesh():
+    results = [am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=divisions), NESTED)
+               for divisions in ((4, 8, 16, 32), (4, 8, 16, 32, 64, 128))]
+    assert all(r.cycles <= 12 for r in results)
+    assert results[-1].work_units <= 32 and results[-1].start_work_units <= 1.0
+
+
+@pytest.mark.parametrize("friction", [0.1, 2.0])
+def test_small_and_large_friction(friction):
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, 32, 64))
+    assert am.solve(hierarchy, NESTED).cycles <= 16
+    assert am.solve(hierarchy, COLD).residual <= 1e-7
+
+
+def test_the_estimate_does_not_flatter():
+    hierarchy = bar(am.Coulomb(1.0), 64)
+    result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
+    known = np.isfinite(result.history["error_estimate"]) & (result.history["cycle"] > 3)
+    assert (result.history["true_error"] <= 3 * result.history["error_estimate"])[known].all()
+
+
+def test_a_body_held_by_contact_only_with_prescribed_displacement():
+    problem = am.cases.greco_bar(law=am.Coulomb(0.3))
+    problem = replace(problem, supports=(am.Support("right", x=-1e-5),), reference={})
+    hierarchy = am.Hierarchy.uniform(problem, divisions=(4, 8, 16, 32))
+    result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
+    assert result.history["true_error"][-1] <= 3e-8
+    right = hierarchy.finest.mesh.boundary_nodes("right")
+    assert np.abs(result.displacement[right, 0] + 1e-5).max() == 0
+
+
+def test_work_units_by_hand():
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
+    coarse, fine = (level.matrix.nnz for level in hierarchy.levels)
+    result = am.solve(hierarchy, NESTED)
+    # cycles of one pass, and half a pass for each line search
+    steps = result.start_work_units * fine / coarse / 0.5
+    assert steps == pytest.approx(round(steps))
+    # two levels: the coarse one is solved directly
+    assert result.work_units - result.start_work_units == pytest.approx(result.cycles + 1)
+    three = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
+    coarse, fine = (level.matrix.nnz for level in three.levels[1:])
+    result = am.solve(three, NESTED)
+    assert (result.work_units - result.start_work_units
+            == pytest.approx(result.cycles + 1 + 3 * result.cycles * coarse / fine))
+
+
+def test_discretisation_tolerance_stops_early_and_below_the_discretisation_error():
+    hierarchy = bar(am.Coulomb(1.0), 32)
+    finer = am.solve(bar(am.Coulomb(1.0), 128), replace(NESTED, rtol=1e-10))
+    reference = exact(hierarchy)
+    solver = am.FullMultigrid(correction=am.Truncated(), rtol="discretisation")
+    result = am.solve(hierarchy, solver, reference=reference)
+    # every fourth line of the finer grid
+    sampled = finer.displacement.reshape(129, 129, 2)[::4, ::4].reshape(-1, 2)
+    error = (sampled - reference.displacement).reshape(-1)
+    size = reference.displacement.reshape(-1)
+    matrix = hierarchy.finest.matrix
+    discretisation = np.sqrt(error @ (matrix @ error) / (size @ (matrix @ size)))
+    assert result.history["true_error"][-1] < discretisation
+    assert result.cycles <= 4 and 0 < result.rtol < 0.1
+
+
+def test_bare_matrices():
+    hierarchy = bar(am.Coulomb(0.5))
+    discrete, reference = hierarchy.finest.discrete, exact(hierarchy)
+    nodal = [level.prolongation for level in hierarchy.levels[1:]]
+    solver = replace(COLD, rtol=1e-10)
+    results = [am.solve(am.Hierarchy.from_prolongations(discrete, nodal), solver),
+               am.solve(am.Hierarchy.from_prolongations(discrete, [expand(P, 2) for P in nodal]), solver),
+               am.solve(am.Hierarchy.algebraic(discrete), solver)]
+    for result in results:
+        assert np.abs(result.displacement - reference.displacement).max() <= 1e-9 * np.abs(reference.displacement).max()
+    assert results[0].cycles == results[1].cycles or abs(results[0].cycles - results[1].cycles) <= 3
+
+
+def test_algebraic_in_3d_and_its_default_solver():
+    discrete = block(am.Coulomb(0.5)).finest.discrete
+    hierarchy = am.Hierarchy.algebraic(discrete)
+    assert not hierarchy.discretised and "aggregation" in repr(hierarchy)
+    assert am.solve(hierarchy).residual <= 1e-7
+
+
+@pytest.mark.parametrize("solver", [am.FullMultigrid(correction=am.Truncated()), am.Multigrid(correction=am.Monotone()),
+                                    am.ActiveSet(nested_start=True)], ids=str)
+def test_what_needs_coarse_problems_refuses_coarse_spaces(solver):
+    hierarchy = am.Hierarchy.algebraic(bar(am.Coulomb(0.5)).finest.discrete)
+    with pytest.raises(ValueError, match="only spaces"):
+        am.solve(hierarchy, solver)
+
+
+def test_bad_prolongations():
+    discrete = bar(am.Coulomb(0.5), 8).finest.discrete
+    n = discrete.n_nodes
+    for given, message in (([], "empty"), ([sparse.eye_array(n + 1, 10)], "rows"), ([sparse.eye_array(n, n)], "fewer"),
+                           ([sparse.eye_array(10, 4), sparse.eye_array(n, 11)], "rows"),
+                           ([sparse.eye_array(n, 10) * np.nan], "finite")):
+        with pytest.raises(ValueError, match=message):
+            am.Hierarchy.from_prolongations(discrete, given)
+    with pytest.raises(TypeError, match="sparse"):
+        am.Hierarchy.from_prolongations(discrete, [np.eye(n, 10)])
+    with pytest.raises(ValueError, match="nothing to coarsen"):
+        am.Hierarchy.algebraic(discrete, max_coarse=10_000)
+
+
+def test_options_check_themselves():
+    for options in ({"recombine": 3}, {"recombine": -1}, {"coarse_sweeps": 3}, {"coarse_sweeps": 0},
+                    {"safe_cycles": -1}):
+        with pytest.raises(ValueError, match=next(iter(options))):
+            am.Truncated(**options)
+    with pytest.raises(ValueError, match="cycle"):
+        am.Multigrid(correction=am.Truncated(), cycle=am.Cycle(shape="W"))
+    with pytest.raises(ValueError, match="discretisation"):
+        am.Multigrid(correction=am.Truncated(), rtol="discretisation")
+    with pytest.raises(ValueError, match="rtol"):
+        am.FullMultigrid(correction=am.Truncated(), rtol="loose")
+
+
+def test_a_limit_is_reported():
+    hierarchy = bar(am.Coulomb(1.0))
+    result = am.solve(hierarchy, replace(COLD, max_cycles=2), throw=False)
+    assert result.status is am.Status.LIMIT and result.cycles == 2
+    with pytest.raises(am.NotConverged):
+        am.solve(hierarchy, replace(COLD, max_cycles=2))
+
+
+@pytest.mark.parametrize("recombine", [0, 1, 2])
+@pytest.mark.parametrize("sweeps", [1, 2])
+def test_each_variant_converges(recombine, sweeps):
+    correction = am.Truncated(recombine=recombine, coarse_sweeps=sweeps)
+    assert am.solve(bar(am.Coulomb(0.7)), am.FullMultigrid(correction=correction)).residual <= 1e-7
+
+
+def test_random_cold_starts():
+    rng = np.random.default_rng(3)
+    for _ in range(6):
+        problem = am.cases.greco_bar(law=am.Coulomb(float(rng.choice([0.3, 1.0, 2.0]))),
+                                     top_pressure=float(rng.uniform(1e7, 1e8)),
+                                     side_pressure=float(rng.uniform(-1e8, 3e8)))
+        hierarchy = am.Hierarchy.uniform(problem, divisions=(4, 8, 16, 32))
+        n = hierarchy.finest.n_nodes
+        result = am.solve(hierarchy, COLD, start=1e-5 * rng.standard_normal((n, 2)))
+        assert result.residual <= 1e-7
+
+
+@pytest.mark.filterwarnings("ignore:friction")
+def test_the_active_set_method_takes_over_where_friction_is_too_large():
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(5.0)), divisions=(4, 8, 16, 32, 64))
+    result = am.solve(hierarchy, am.FullMultigrid())
+    assert result.residual <= 1e-7 and "ActiveSet from cycle" in result.solver_name
+    # one count of cycles and of work for both
+    steps = result.history["cycle"]
+    assert (np.diff(steps) >= 0).all() and steps[-1] == result.cycles <= 100
+    assert (np.diff(result.history["work_units"]) >= 0).all()
+    early = am.solve(hierarchy, am.FullMultigrid(max_cycles=20), throw=False)
+    assert early.status is am.Status.LIMIT and "then" not in early.solver_name

@@ -1,0 +1,278 @@
+"""The parts of the truncated multigrid against dense algebra."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import sparse
+from smoother_problems import expand, network
+
+from adaptmg.multigrid.linear import half_sweeps as kernels
+from adaptmg.multigrid.linear.coarse_factors import CoarseFactors
+from adaptmg.multigrid.linear.split_matrix import split
+from adaptmg.multigrid.linear.transfer_kernels import add_prolonged, combine, restrict
+from adaptmg.multigrid.truncated import projected_sweeps
+from adaptmg.multigrid.truncated.coarse_matrices.truncation import Truncation
+from adaptmg.multigrid.truncated.contact import TruncatedContact
+from adaptmg.smoother.blocks import ZERO
+from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
+from adaptmg.transfer import galerkin_product, is_galerkin, without_fixed
+
+
+def random_matrix(rng: np.random.Generator, dim: int, n: int = 9) -> sparse.bsr_array:
+    """Nonsymmetric, diagonally dominant, blocks of dim."""
+    dense = rng.normal(size=(n * dim, n * dim)) * np.kron(rng.random((n, n)) < 0.4, np.ones((dim, dim)))
+    dense += np.diag(np.abs(dense).sum(axis=1) + 1)
+    return sparse.bsr_array(dense, blocksize=(dim, dim))
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_half_passes_are_gauss_seidel(dim):
+    rng = np.random.default_rng(dim)
+    matrix = random_matrix(rng, dim)
+    halves, zero = split(matrix, np.zeros(matrix.shape[0], dtype=bool)), ZERO[dim]
+    dense, n = matrix.toarray(), matrix.shape[0]
+    blocks = np.kron(np.eye(n // dim), np.ones((dim, dim)))
+    D = dense * blocks
+    L, U = np.tril(dense) * (1 - blocks), np.triu(dense) * (1 - blocks)
+    f, u, kept = rng.normal(size=n), np.zeros(n), np.zeros(n)
+    kernels.forward_from_zero(zero, *halves.lower_arrays, halves.inverse, f, u, kept)
+    expected = np.linalg.solve(L + D, f)
+    np.testing.assert_allclose(u, expected, atol=1e-12)
+    result = np.zeros(n)
+    kernels.forward_residual(zero, *halves.upper_arrays, u, result)
+    np.testing.assert_allclose(result, f - dense @ u, atol=1e-12)
+    kernels.backward_change(zero, *halves.upper_arrays, halves.inverse, u, kept)
+    expected = np.linalg.solve(U + D, f - L @ expected)
+    np.testing.assert_allclose(u, expected, atol=1e-12)
+    kernels.residual(zero, *halves.lower_arrays, kept)
+    np.testing.assert_allclose(kept, f - dense @ u, atol=1e-12)
+    u += rng.normal(size=n)
+    start = u.copy()
+    kernels.forward_full(zero, *halves.lower_arrays, *halves.upper_arrays, halves.inverse, f, u, kept)
+    expected = np.linalg.solve(L + D, f - U @ start)
+    np.testing.assert_allclose(u, expected, atol=1e-12)
+    kernels.backward_kept(zero, *halves.upper_arrays, halves.inverse, u, kept)
+    np.testing.assert_allclose(u, np.linalg.solve(U + D, f - L @ expected), atol=1e-12)
+    u = start.copy()
+    kernels.backward_full(zero, *halves.lower_arrays, *halves.upper_arrays, halves.inverse, f, u)
+    np.testing.assert_allclose(u, np.linalg.solve(U + D, f - L @ start), atol=1e-12)
+    np.testing.assert_allclose(halves.matrix().toarray(), dense)
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_the_lower_half_of_a_symmetric_matrix_is_enough(dim):
+    rng = np.random.default_rng(dim)
+    matrix = random_matrix(rng, dim)
+    matrix = sparse.bsr_array(matrix + matrix.T, blocksize=(dim, dim)).sorted_indices()
+    fixed = rng.random(matrix.shape[0]) < 0.2
+    both, lower = split(matrix, fixed), split(matrix, fixed, symmetric=True)
+    assert lower.symmetric and not both.symmetric and lower.nonzeros == both.nonzeros
+    assert lower.nbytes < both.nbytes
+    free = np.outer(~fixed, ~fixed) | np.diag(fixed)
+    for halves in (both, lower):
+        np.testing.assert_allclose(halves.matrix().toarray(), np.where(free, matrix.toarray(), 0.0))
+        blocks = halves.diagonal.reshape(-1, dim, dim)
+        np.testing.assert_allclose(halves.inverse.reshape(blocks.shape), np.linalg.inv(blocks), rtol=1e-12)
+
+
+def test_inverse_blocks_leave_out_vanishing_entries():
+    blocks = [[[0, 0], [0, 2]], [[4, 0], [0, 0]], [[1, 1], [1, 1]], [[3, 1], [2, 4]]]
+    matrix = sparse.bsr_array((np.array(blocks, dtype=float), np.arange(4), np.arange(5)), shape=(8, 8))
+    inverse = split(matrix, np.zeros(8, dtype=bool)).inverse.reshape(-1, 2, 2)
+    expected = [[[0, 0], [0, 0.5]], [[0.25, 0], [0, 0]], [[1, 0], [0, 0]], np.array([[4, -1], [-2, 3]]) / 10]
+    np.testing.assert_allclose(inverse, expected, atol=1e-14)
+
+
+def parts(dim: int, law: str):
+    """A small contact problem as a split matrix and contact."""
+    problem = network(dim, law, 3)
+    discrete = problem.discrete
+    level = split(discrete.matrix, discrete.fixed, symmetric=True)
+    load = np.where(discrete.fixed, 0.0, discrete.load - discrete.matrix @ discrete.fixed_values)
+    return problem, level, TruncatedContact.of(discrete, level), load
+
+
+def smooth(level, contact, load, u):
+    zero, defect = ZERO[level.dim], np.zeros_like(u)
+    projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, load, contact.contact_of,
+                              *contact.node_data, u, defect)
+    projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, contact.diagonal, contact.contact_of,
+                             *contact.node_data, u, defect)
+    return defect
+
+
+@pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_projected_half_passes_are_the_smoother(dim, law):
+    problem, level, contact, load = parts(dim, law)
+    u = np.zeros(problem.system.n_dofs)
+    contact.start(u)
+    w = problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim))
+    for _ in range(3):
+        defect = smooth(level, contact, load, u)
+        ProjectedGaussSeidel(order="backward").smooth(problem.system, problem.contact, problem.load, w)
+        ProjectedGaussSeidel(order="forward").smooth(problem.system, problem.contact, problem.load, w)
+        np.testing.assert_allclose(problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim)), w,
+                                   atol=1e-11)
+        np.testing.assert_allclose(defect, load - level.matrix() @ u, atol=1e-11)
+    other = np.random.default_rng(0).normal(size=u.shape) * ~problem.discrete.fixed
+    product = projected_sweeps.energy_product(ZERO[dim], *level.lower_arrays, level.inverse, other, u)
+    assert product == pytest.approx((other - u) @ (level.matrix() @ (other - u)), rel=1e-10)
+
+
+def newton_matrix(problem, contact, newton: bool) -> np.ndarray:
+    """T (S A + H) T in Cartesian components, dense, written down afresh."""
+    dim, n = problem.system.dim, problem.system.n_nodes
+    frames = contact.frames.reshape(-1, dim, dim)
+    F = np.eye(n * dim)
+    for k, node in enumerate(contact.nodes):
+        F[dim * node:dim * node + dim, dim * node:dim * node + dim] = frames[k]
+    A = F @ without_fixed(problem.discrete.matrix, problem.discrete.fixed).toarray() @ F.T
+    J, T = A.copy(), np.ones(n * dim)
+    for k, node in enumerate(contact.nodes):
+        at, tau = dim * node, contact.values.reshape(-1, dim)[k, 1:] - contact.reference.reshape(-1, dim - 1)[k]
+        closed, tangential = contact.codes[k] & 1, contact.codes[k] & 6
+        if tangential >= 4:
+            e = tau / np.linalg.norm(tau)
+            if newton and closed:
+                J[at + 1:at + dim] -= contact.friction[k] * np.outer(e, A[at])
+            if dim == 3:
+                g = contact.limit[k] + closed * contact.friction[k] * contact.pressure[k]
+                J[at + 1:at + 3, at + 1:at + 3] += g / np.linalg.norm(tau) * (np.eye(2) - np.outer(e, e))
+        if closed:
+            T[at] = 0
+        if tangential == 2:
+            T[at + 1:at + dim] = 0
+    return F.T @ (T[:, None] * J * T) @ F
+
+
+@pytest.mark.parametrize("of_dofs", [False, True], ids=["nodal", "dofs"])
+@pytest.mark.parametrize("newton", [True, False], ids=["newton", "frozen"])
+@pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
+    rng = np.random.default_rng(1)
+    problem, level, contact, load = parts(dim, law)
+    n = problem.system.n_nodes
+    u = np.zeros(n * dim)
+    contact.start(u)
+    for _ in range(3):
+        defect = smooth(level, contact, load, u)
+    contact.update_status(defect)
+    assert len(np.unique(contact.codes)) > 1
+    P1 = sparse.csr_array(rng.random((n, 8)) * (rng.random((n, 8)) < 0.5) + np.eye(n, 8))
+    P2 = sparse.csr_array(rng.random((8, 3)) + 0.1)
+    matrix = without_fixed(problem.discrete.matrix, problem.discrete.fixed)
+    given = [expand(P1, dim), expand(P2, dim)] if of_dofs else [P1, P2]
+    finest = sparse.bsr_array(sparse.csr_array(matrix), blocksize=(1, 1)) if of_dofs else matrix
+    middle = galerkin_product(finest, given[0])
+    coarsest = galerkin_product(middle, given[1])
+    levels = [split(m, np.zeros(m.shape[0], dtype=bool)) for m in (coarsest, middle)] + [level]
+    truncation = Truncation(levels, given[::-1], contact)
+    contact.linearise_friction()
+    truncation.apply(newton=newton)
+    J = newton_matrix(problem, contact, newton)
+    Q1, Q2 = expand(P1, dim).toarray(), expand(P2, dim).toarray()
+    expected = Q1.T @ J @ Q1
+    np.testing.assert_allclose(levels[1].matrix().toarray(), expected, atol=1e-10)
+    np.testing.assert_allclose(levels[0].matrix().toarray(), Q2.T @ expected @ Q2, atol=1e-9)
+    if not newton:
+        np.testing.assert_allclose(expected, expected.T, atol=1e-12)
+    blocks = levels[1].diagonal.reshape(-1, levels[1].dim, levels[1].dim)
+    np.testing.assert_allclose(levels[1].inverse.reshape(blocks.shape), np.linalg.inv(blocks), rtol=1e-6, atol=1e-10)
+    truncation.restore()
+    np.testing.assert_allclose(levels[1].matrix().toarray(), middle.toarray(), atol=1e-12)
+    np.testing.assert_allclose(levels[0].matrix().toarray(), coarsest.toarray(), atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["tresca", "coulomb"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_truncated_residual_has_the_newton_matrix_as_derivative(dim, law):
+    problem, level, contact, load = parts(dim, law)
+    u = np.zeros(problem.system.n_dofs)
+    contact.start(u)
+    for _ in range(30):
+        defect = smooth(level, contact, load, u)
+    contact.update_status(defect)
+    contact.linearise_friction()
+    J = newton_matrix(problem, contact, True)
+    rng = np.random.default_rng(2)
+    step = rng.normal(size=u.shape)
+    # a step the truncation lets pass
+    step = np.linalg.pinv(J) @ (J @ step)
+    free = J.any(axis=0)
+    step[~free] = 0.0
+    values, size = contact.values.copy(), 1e-7
+
+    def truncated(vector: np.ndarray) -> np.ndarray:
+        r = load - level.matrix() @ vector
+        local = np.einsum("nij,nj->ni", contact.frames.reshape(-1, dim, dim), vector.reshape(-1, dim)[contact.nodes])
+        contact.values[:] = local.reshape(-1)
+        contact.truncate(r)
+        return r
+
+    frames = contact.frames.reshape(-1, dim, dim)
+    for k, node in enumerate(contact.nodes):
+        local = frames[k] @ step.reshape(-1, dim)[node]
+        if contact.codes[k] & 1:
+            local[0] = 0.0
+        if contact.codes[k] & 6 == 2:
+            local[1:] = 0.0
+        step.reshape(-1, dim)[node] = frames[k].T @ local
+    difference = (truncated(u + size * step) - truncated(u - size * step)) / (2 * size)
+    contact.values[:] = values
+    np.testing.assert_allclose(difference, -J @ step, rtol=2e-5, atol=2e-5 * np.abs(J @ step).max())
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_transfers(dim):
+    rng = np.random.default_rng(dim)
+    P = sparse.random_array((12, 5), density=0.4, rng=rng, format="csr")
+    Q = expand(P, dim)
+    r, coarse = rng.normal(size=12 * dim), np.empty(5 * dim)
+    assert restrict(ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
+    np.testing.assert_allclose(coarse, Q.T @ r)
+    u, first, second = rng.normal(size=(3, 12 * dim))
+    expected = u + 0.3 * (first - u) - 0.2 * (second - u) + Q @ coarse
+    combine(ZERO[dim], P.indptr, P.indices, P.data, coarse, u, first, second, 0.3, -0.2)
+    np.testing.assert_allclose(second, expected)
+    expected = u + Q @ coarse
+    add_prolonged(ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
+    np.testing.assert_allclose(u, expected)
+
+
+def test_galerkin_products():
+    rng = np.random.default_rng(0)
+    matrix = random_matrix(rng, 2)
+    P = sparse.csr_array(rng.random((9, 4)) * (rng.random((9, 4)) < 0.6) + np.eye(9, 4))
+    product = galerkin_product(matrix, P)
+    Q = np.kron(P.toarray(), np.eye(2))
+    np.testing.assert_allclose(product.toarray(), Q.T @ matrix.toarray() @ Q, atol=1e-12)
+    assert is_galerkin(matrix, P, product) and not is_galerkin(matrix, P, product * 1.001)
+    P = sparse.csr_array(np.hstack([P.toarray(), np.zeros((9, 1))]))
+    assert (galerkin_product(matrix, P).diagonal() > 0).all()
+
+
+def test_a_singular_coarsest_matrix_is_shifted():
+    matrix = sparse.bsr_array(np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]]),
+                              blocksize=(2, 2))
+    factors = CoarseFactors(split(matrix, np.zeros(4, dtype=bool)))
+    factors.renew()
+    result = np.empty(4)
+    factors.solve(np.array([1.0, -1.0, 0.0, 2.0]), result)
+    assert np.isfinite(result).all()
+    np.testing.assert_allclose(matrix @ result, [1, -1, 0, 2], atol=1e-5)
+
+
+@pytest.mark.slow
+def test_kernels_without_jit():
+    environment = dict(os.environ, NUMBA_DISABLE_JIT="1")
+    done = subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow",
+                           str(Path(__file__))], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-2000:]

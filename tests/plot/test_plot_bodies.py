@@ -1,0 +1,316 @@
+"""Pictures of several bodies: what is drawn is what the result says, body by body and pair by pair."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from made_bodies import MATERIALS, SOLIDS, STEEL, two_bodies
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.patches import Patch, PathPatch
+
+import adaptmg as am
+from adaptmg import plot
+from adaptmg.discretisation.measures import StressData, full_stress, von_mises
+from adaptmg.plot.contact_surfaces.flattened import flattened
+from adaptmg.plot.contact_surfaces.line import lines_of
+from adaptmg.plot.space.surface import Surface
+from adaptmg.plot.states import STATE_INKS
+from adaptmg.plot.walks import walks
+from adaptmg.smoother.state import OPEN, SLIP, STICK
+from adaptmg.solver.result import Result
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def words(figure) -> str:
+    """All text of a figure."""
+    figure.canvas.draw()
+    return "\n".join(t.get_text() for t in figure.findobj(plt.Text) if t.get_text())
+
+
+def two_pairs(**changes) -> Result:
+    """The two blocks with the left half of the slave surface as one pair and the right half as another."""
+    result = two_bodies(**changes)
+    mesh = result.mesh
+    labels, x = mesh.facet_labels.copy(), mesh.points[mesh.facets].mean(axis=1)[:, 0]
+    slave = mesh.boundaries.index("upper.bottom")
+    labels[(labels == slave) & (x > 0.02)] = len(mesh.boundaries)
+    mesh = dataclasses.replace(mesh, facet_labels=labels, boundaries=(*mesh.boundaries, "upper.right half"))
+    contact = dataclasses.replace(result.contact, names=("upper.bottom", "upper.right half"),
+                                  masters=("lower.top", ""), boundary=(result.contact.x[:, 0] > 0.02).astype(int))
+    return dataclasses.replace(result, mesh=mesh, contact=contact)
+
+
+PLANE, SOLID = two_bodies(), two_bodies(3, 4, 3)
+
+
+def test_walks_use_every_edge_once_and_close_rings():
+    ring, other, line = [[0, 1], [1, 2], [2, 0]], [[2, 3], [3, 4], [4, 2]], [[7, 6], [6, 5]]
+    edges = np.array([*line, *other, *ring])[::-1]
+    found = walks(edges)
+    assert found[0].tolist() == [7, 6, 5]
+    assert all(walk[0] == walk[-1] for walk in found[1:])
+    used = [pair for walk in found for pair in zip(walk[:-1].tolist(), walk[1:].tolist(), strict=True)]
+    assert sorted(used) == sorted(map(tuple, edges.tolist()))
+
+
+def test_deformation_draws_each_body_in_its_own_color_and_names_it():
+    figure = plot.deformation(PLANE, amplify=20)
+    (ax,) = figure.axes
+    moved = 1e3 * (PLANE.mesh.points + 20 * PLANE.displacement)
+    filled = {tuple(c.get_facecolor()[0]): c for c in ax.collections if isinstance(c, PolyCollection)}
+    legend = {text.get_text(): patch.get_facecolor() for text, patch in
+              zip(ax.get_legend().get_texts(), ax.get_legend().legend_handles, strict=True) if isinstance(patch, Patch)}
+    assert list(legend) == ["upper", "lower"] and len(set(legend.values())) == 2
+    for k, body in enumerate(PLANE.mesh.bodies):
+        drawn = [path.vertices[:3] for path in filled[legend[body]].get_paths()]
+        np.testing.assert_allclose(drawn, moved[PLANE.mesh.elements[PLANE.mesh.element_body == k]], rtol=1e-12)
+    assert ax.get_title() == "two blocks: displacement drawn 20 times" and ax.get_xlabel() == "x [mm]"
+    assert ax.get_aspect() == 1
+    assert "drawn to scale" in words(plot.deformation(PLANE, 1))
+
+
+def area(path) -> float:
+    """Area within a compound path; holes, which run clockwise, count as negative."""
+    total, begins = 0.0, [*np.flatnonzero(path.codes == path.MOVETO), len(path.codes)]
+    for a, b in pairwise(begins):
+        (x, y), (x2, y2) = path.vertices[a:b].T, np.roll(path.vertices[a:b], -1, axis=0).T
+        total += 0.5 * np.sum(x * y2 - x2 * y)
+    return total
+
+
+def test_large_meshes_are_filled_without_lines_holes_left_out():
+    result = two_bodies(n=6)
+    inner = np.abs(result.mesh.points[result.mesh.elements].mean(axis=1) - [0.02, 0.02]).max(axis=1) < 0.01
+    keep = ~inner
+    mesh = dataclasses.replace(result.mesh, elements=result.mesh.elements[keep],
+                               element_body=result.mesh.element_body[keep])
+    (ax,) = plot.deformation(dataclasses.replace(result, mesh=mesh), 1, lines=False).axes
+    paths = [p.get_path() for p in ax.patches if isinstance(p, PathPatch)]
+    wanted = [1e6 * np.linalg.det(np.diff((mesh.points + result.displacement)[mesh.elements[mesh.element_body == k]],
+                                          axis=1)).sum() / 2 for k in (1, 0)]
+    np.testing.assert_allclose([area(path) for path in paths], wanted)
+    assert not any(isinstance(c, PolyCollection) for c in ax.collections)
+    many = plot.deformation(two_bodies(n=70, m=4)).axes[0]
+    assert not any(isinstance(c, PolyCollection) for c in many.collections)
+
+
+def test_a_window_shows_what_lies_in_it():
+    (ax,) = plot.deformation(PLANE, 1, window=(-2e-3, 8e-3, -3e-3, 4e-3)).axes
+    assert (*ax.get_xlim(), *ax.get_ylim()) == pytest.approx((-2, 8, -3, 4))
+    drawn = sum(len(c.get_paths()) for c in ax.collections if isinstance(c, PolyCollection))
+    assert 0 < drawn < len(PLANE.mesh.elements) / 4
+    with pytest.raises(ValueError, match="shows nothing"):
+        plot.deformation(PLANE, 1, window=(1, 2, 1, 2))
+    with pytest.raises(ValueError, match="xmin < xmax"):
+        plot.deformation(PLANE, 1, window=(1, 0, 0, 1))
+    with pytest.raises(ValueError, match="bodies"):
+        plot.deformation(SOLID, 1, window=(0, 1, 0, 1))
+
+
+def test_bodies_may_be_chosen():
+    shown = words(plot.deformation(PLANE, bodies=["upper"]))
+    assert "upper" in shown and "lower" not in shown
+    with pytest.raises(ValueError, match="bodies must be one of 'upper', 'lower'"):
+        plot.deformation(PLANE, bodies=["middle"])
+    with pytest.raises(ValueError, match="at least one"):
+        plot.deformation(PLANE, bodies=[])
+
+
+def test_states_color_the_slave_surface():
+    (ax,) = plot.deformation(PLANE, 10, states=True).axes
+    inks = {to_rgba(STATE_INKS[s]): s for s in (OPEN, SLIP, STICK)}
+    (drawn,) = [c for c in ax.collections if isinstance(c, LineCollection) and c.get_linewidth()[0] == 2.8]
+    c = PLANE.contact
+    moved = 1e3 * (PLANE.mesh.points + 10 * PLANE.displacement)[c.node]
+    state_at = {tuple(np.round(p, 9)): s for p, s in zip(moved, c.state, strict=True)}
+    for k, (segment, color) in enumerate(zip(drawn.get_segments(), drawn.get_colors(), strict=True)):
+        assert inks[tuple(color)] == state_at[tuple(np.round(segment[k % 2], 9))]
+    assert len(drawn.get_segments()) == 2 * (len(c) - 1)
+    assert {"open", "slip", "stick"} <= set(words(ax.figure).split("\n"))
+    shown = words(plot.deformation(SOLID, states=True, bodies=["upper"], view=(-20, 30)))
+    assert "stick" in shown
+
+
+@pytest.mark.parametrize("result", [PLANE, SOLID], ids=["2D", "3D"])
+def test_stress_is_that_of_each_body_in_megapascal(result):
+    figure = plot.deformation(result, stress=True, states=True)
+    assert "von Mises stress [MPa]" in words(figure)
+    stress = von_mises(full_stress(result.mesh, MATERIALS if result.dim == 2 else SOLIDS, result.displacement))
+    np.testing.assert_array_equal(result.von_mises(), stress)
+    bar = next(ax for ax in figure.axes if ax.get_ylabel() == "von Mises stress [MPa]")
+    assert bar.get_ylim()[1] == pytest.approx(1e-6 * stress.max())
+    if result.dim == 3:
+        # rubber low, steel high: each facet shows the element behind it
+        (surface,) = plot.deformation(result, 0, stress=True).findobj(Surface)
+        lower = surface.corners.mean(axis=1)[:, 2] < -1.0
+        assert lower.any() and np.ptp(surface.colors[lower], axis=(0, 1)).max() < 0.05
+        assert np.abs(surface.colors[~lower].mean(axis=(0, 1)) - surface.colors[lower].mean(axis=(0, 1))).max() > 0.3
+    with pytest.raises(ValueError, match="no materials"):
+        plot.deformation(dataclasses.replace(result, stress_data=None), stress=True)
+    with pytest.raises(ValueError, match="two pictures"):
+        plot.deformation(result, stress=True, displacement=True)
+
+
+def test_axes_of_axisymmetric_problems_are_r_and_z():
+    moved = dataclasses.replace(PLANE.mesh, points=PLANE.mesh.points + np.array([1.0, 0.0]))
+    data = StressData.of(moved, am.Axisymmetric(**STEEL))
+    result = dataclasses.replace(PLANE, mesh=moved, stress_data=data)
+    (ax,) = plot.deformation(result).axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("r [mm]", "z [mm]")
+    assert plot.contact(result).axes[2].get_xlabel() == "r [mm]"
+
+
+def stated(ax) -> np.ndarray:
+    """Points of the curve coloured by state."""
+    (marks,) = [c for c in ax.collections if isinstance(c, PathCollection)]
+    return np.asarray(marks.get_offsets())
+
+
+def test_contact_draws_pressure_friction_gap_and_slip():
+    figure = plot.contact(PLANE)
+    c, order = PLANE.contact, np.argsort(PLANE.contact.x[:, 0])
+    values = (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], 1e6 * c.gap)
+    for ax, wanted in zip(figure.axes, values, strict=True):
+        np.testing.assert_allclose(stated(ax)[:, 0], 1e3 * c.x[order, 0])
+        np.testing.assert_allclose(stated(ax)[:, 1], wanted[order])
+    (slip,) = [drawn for drawn in figure.axes[2].lines if drawn.get_label() == "slip"]
+    np.testing.assert_allclose(slip.get_ydata(), 1e6 * c.slip[order, 0])
+    (band,) = [b for b in figure.axes[1].collections if isinstance(b, PolyCollection)]
+    bound = 1e-6 * (c.limit / c.weights).max()
+    assert band.get_paths()[0].get_extents().y0 == pytest.approx(-bound)
+    shown = words(figure)
+    for text in ("'upper.bottom' on 'lower.top'", "pressure p\n[MPa]", "friction t\n[MPa]", "gap, slip\n[µm]",
+                 "two blocks", "x [mm]", "slip"):
+        assert text in shown
+    wide = dataclasses.replace(PLANE, contact=dataclasses.replace(c, gap=c.gap + 2e-4))
+    assert "gap, slip\n[mm]" in words(plot.contact(wide))
+    assert "frictionless" in words(plot.contact(dataclasses.replace(
+        PLANE, contact=dataclasses.replace(c, limit=0 * c.limit, force_t=0 * c.force_t))))
+
+
+def test_contact_draws_each_pair_or_one():
+    result = two_pairs()
+    assert len(plot.contact(result).axes) == 6
+    shown = words(plot.contact(result, boundary="upper.right half"))
+    assert "'upper.right half'" in shown and "lower.top" not in shown
+    pair = am.ContactPair("upper.bottom", "lower.top")
+    assert "lower.top" in words(plot.contact(result, boundary=pair))
+    with pytest.raises(ValueError, match=r"boundary must be one of 'upper\.bottom'"):
+        plot.contact(result, boundary="lower.top")
+
+
+def test_an_open_pair_does_not_show_rounding():
+    result = two_pairs()
+    noise = np.where(result.contact.boundary == 1, 1e-9, result.contact.force_n)
+    contact = dataclasses.replace(result.contact, force_n=noise, limit=noise, force_t=1e-3 * noise[:, None])
+    axes = plot.contact(dataclasses.replace(result, contact=contact)).axes
+    assert axes[3].get_ylim() == (0, 1) and axes[4].get_ylim() == (-1, 1)
+    assert axes[0].get_ylim()[1] > 5
+
+
+def test_parts_without_contact_nodes_interrupt_the_arc():
+    result = two_bodies(n=10)
+    c = result.contact
+    keep = np.ones(len(c), bool)
+    keep[4:6] = False
+    some = {f.name: getattr(c, f.name)[keep] for f in dataclasses.fields(c)
+            if isinstance(getattr(c, f.name), np.ndarray) and len(getattr(c, f.name)) == len(c)}
+    first, second = lines_of(dataclasses.replace(result, contact=dataclasses.replace(c, **some)), "upper.bottom")
+    np.testing.assert_allclose(first.position, 4.0 * np.arange(4), atol=1e-9)
+    np.testing.assert_allclose(second.position, 4.0 * np.arange(6, 11))
+
+
+def test_contact_maps_the_slave_surface_of_solids():
+    shown = words(plot.contact(SOLID))
+    for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "friction traction |t| [MPa]",
+                 "gap [µm]", "stick (", "x [mm]"):
+        assert text in shown
+
+
+def around_a_cylinder(radius: float) -> Result:
+    """Contact nodes on the wall of a hole about the line x = 0.1, y = 0.2 along z; pressure falls with z."""
+    angle, z = (part.ravel() for part in np.meshgrid(np.arange(-170, 180, 20.0), np.linspace(0.0, 0.03, 5)))
+    normal = -np.stack([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0 * angle], 1)
+    x = np.array([0.1, 0.2, 0.0]) - radius * normal + np.stack([0 * z, 0 * z, z], 1)
+    n = len(x)
+    frames = np.stack([normal, np.cross([0, 0, 1.0], normal), np.tile([0, 0, 1.0], (n, 1))], axis=1)
+    contact = dataclasses.replace(
+        SOLID.contact, node=np.arange(n), x=x, frames=frames, gap=np.zeros(n), u_n=np.zeros(n), u_t=np.zeros((n, 2)),
+        slip=np.zeros((n, 2)), force_n=1e3 * z, force_t=np.zeros((n, 2)), weights=np.full(n, 1e-6), limit=np.zeros(n),
+        state=np.full(n, 1), boundary=np.zeros(n, int))
+    return dataclasses.replace(SOLID, mesh=None, contact=contact)
+
+
+def test_a_hole_is_unrolled_about_its_axis():
+    result = around_a_cylinder(0.015)
+    flat = flattened(result, "upper.bottom")
+    offset = result.contact.x - [0.1, 0.2, 0]
+    np.testing.assert_allclose(flat.points[:, 0], np.degrees(np.arctan2(offset[:, 1], offset[:, 0])))
+    np.testing.assert_allclose(flat.points[:, 1], 1e3 * offset[:, 2])
+    assert flat.labels == ("angle around z [°]", "z [mm]") and not flat.equal
+    assert "angle around z [°]" in words(plot.contact(result))
+
+
+FACTORS = (0.25, 0.5, 1.0, 0.5)
+QUANTITIES = {"force [kN]": lambda r: 1e-3 * r.contact.force_n.sum(), "slip [µm]": lambda r: 1e6 * r.contact.slip.max()}
+
+
+def steps_of(result: Result) -> list[Result]:
+    c = result.contact
+    return [dataclasses.replace(result, contact=dataclasses.replace(c, force_n=f * c.force_n)) for f in FACTORS]
+
+
+def test_load_history_draws_the_quantities_and_the_pressure_of_each_step():
+    steps = steps_of(PLANE)
+    figure = plot.load_history(steps, FACTORS, QUANTITIES)
+    for ax, (label, function) in zip(figure.axes[:2], QUANTITIES.items(), strict=True):
+        assert ax.get_ylabel() == label and ax.get_xlabel() == "load factor"
+        np.testing.assert_array_equal(ax.lines[0].get_xdata(), FACTORS)
+        np.testing.assert_allclose(ax.lines[0].get_ydata(), [function(step) for step in steps])
+    order = np.argsort(PLANE.contact.x[:, 0])
+    for ax, step, factor in zip(figure.axes[2:], steps, FACTORS, strict=True):
+        np.testing.assert_allclose(stated(ax)[:, 1], 1e-6 * step.contact.pressure[order])
+        assert ax.get_title() == f"load factor {factor:g}"
+    shown = words(figure)
+    assert "'upper.bottom' on 'lower.top'" in shown and "pressure [MPa]" in shown
+
+
+def test_load_history_shows_as_many_steps_as_asked_for_first_and_last_among_them():
+    titles = [ax.get_title() for ax in plot.load_history(steps_of(PLANE), FACTORS, {}, steps=2).axes]
+    assert titles == ["load factor 0.25", "load factor 0.5"]
+    assert len(plot.load_history(steps_of(PLANE), FACTORS, QUANTITIES, steps=0).axes) == 2
+    assert "contact pressure [MPa]" in words(plot.load_history(steps_of(SOLID), FACTORS, QUANTITIES, against="step"))
+    assert len(plot.load_history(steps_of(two_pairs()), FACTORS, {}, steps=3).axes) == 6
+
+
+def test_load_history_refuses_what_it_cannot_draw():
+    steps = steps_of(PLANE)
+    with pytest.raises(ValueError, match="4 results, 3 factors"):
+        plot.load_history(steps, FACTORS[:3], QUANTITIES)
+    with pytest.raises(TypeError, match="at least one Result"):
+        plot.load_history([], [], QUANTITIES)
+    with pytest.raises(TypeError, match="functions of a Result"):
+        plot.load_history(steps, FACTORS, {"force": 1.0})
+    with pytest.raises(ValueError, match=r"'force'.*step 0 must be finite"):
+        plot.load_history(steps, FACTORS, {"force": lambda r: np.nan})
+    with pytest.raises(ValueError, match="same mesh"):
+        plot.load_history([*steps[:3], SOLID], FACTORS, QUANTITIES)
+    with pytest.raises(ValueError, match="nothing to draw"):
+        plot.load_history(steps, FACTORS, {}, steps=0)
+
+
+def test_a_mesh_of_several_bodies_has_several_colors():
+    (ax,) = plot.mesh(PLANE.mesh).axes
+    colors = ax.collections[0].get_facecolor()
+    assert len(np.unique(colors[PLANE.mesh.element_body == 0], axis=0)) == 1
+    assert len(np.unique(colors, axis=0)) == 2

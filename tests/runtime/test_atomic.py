@@ -1,0 +1,182 @@
+"""The one writer: files are whole or not there, with the permissions of others, and nothing is left beside them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from adaptmg.runtime import atomic
+from adaptmg.runtime.atomic import make_folder, waiting_folder, write_bytes
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="names of Unix")
+
+
+@pytest.fixture(params=["nameless", "named"])
+def way(request, monkeypatch):
+    """With files that have no name while they are written, and without."""
+    if request.param == "named":
+        monkeypatch.setattr(atomic, "_write_nameless", lambda *arguments: False)
+    return request.param
+
+
+@pytest.fixture
+def mask():
+    old = os.umask(0o027)
+    yield 0o027
+    os.umask(old)
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir())
+
+
+@POSIX
+def test_a_new_file_has_the_permissions_of_the_umask_and_an_old_one_keeps_its_own(way, tmp_path, mask):
+    write_bytes(tmp_path / "a", b"1")
+    assert mode(tmp_path / "a") == 0o640
+    (tmp_path / "a").chmod(0o604)
+    write_bytes(tmp_path / "a", b"22")
+    assert mode(tmp_path / "a") == 0o604 and (tmp_path / "a").read_bytes() == b"22"
+    assert names(tmp_path) == ["a"]
+
+
+def test_the_longest_name_can_be_written_and_replaced(way, tmp_path):
+    target = tmp_path / ("n" * 255)
+    for content in (b"1", b"2"):
+        write_bytes(target, content)
+        assert target.read_bytes() == content
+    with pytest.raises(OSError, match="n" * 256):
+        write_bytes(tmp_path / ("n" * 256), b"")
+    assert names(tmp_path) == [target.name]
+
+
+@POSIX
+def test_links_are_written_through(way, tmp_path):
+    (tmp_path / "there").mkdir()
+    target, link, dangling = tmp_path / "there" / "file", tmp_path / "link", tmp_path / "dangling"
+    target.write_bytes(b"old")
+    link.symlink_to(target)
+    dangling.symlink_to(Path("there", "new"))
+    write_bytes(link, b"new")
+    write_bytes(dangling, b"made")
+    assert link.is_symlink() and target.read_bytes() == b"new"
+    assert dangling.is_symlink() and (tmp_path / "there" / "new").read_bytes() == b"made"
+    circle = tmp_path / "circle"
+    circle.symlink_to(circle)
+    with pytest.raises(OSError, match="circle"):
+        write_bytes(circle, b"")
+
+
+@POSIX
+def test_devices_and_pipes_are_written_to_and_stay(tmp_path):
+    write_bytes(os.devnull, b"gone")
+    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    found = []
+    reader = threading.Thread(target=lambda: found.append(pipe.read_bytes()))
+    reader.start()
+    write_bytes(pipe, b"x" * 200_000)
+    reader.join(10)
+    assert found == [b"x" * 200_000] and stat.S_ISFIFO(pipe.stat().st_mode)
+    with pytest.raises(OSError):
+        write_bytes("/dev/full", b"x")
+
+
+@POSIX
+@pytest.mark.parametrize("name", ["/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"])
+def test_standard_output_goes_on_where_it_was(tmp_path, name):
+    code = f"from adaptmg.runtime.atomic import write_bytes\nprint('a')\nwrite_bytes({name!r}, b'b\\n')\nprint('c')"
+    with open(tmp_path / "out", "wb") as out:
+        subprocess.run([sys.executable, "-c", code], stdout=out, check=True)
+    assert (tmp_path / "out").read_text() == "a\nb\nc\n" and names(tmp_path) == ["out"]
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "a\nb\nc\n"
+
+
+def test_what_is_in_the_way_is_named(tmp_path, monkeypatch):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(IsADirectoryError, match="folder"):
+        write_bytes(tmp_path / "folder", b"")
+    with pytest.raises(FileNotFoundError, match=r"there is no folder '.*nowhere'"):
+        write_bytes(tmp_path / "nowhere" / "file", b"")
+    with pytest.raises(NotADirectoryError):
+        write_bytes(tmp_path / "file" / "below", b"")
+    for path in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(NotADirectoryError, match="out must be a folder"):
+            make_folder("out", path)
+    make_folder("out", tmp_path / "a" / "b")
+    monkeypatch.setattr(os, "access", lambda path, how: False)
+    with pytest.raises(PermissionError, match="write-protected"):
+        write_bytes(tmp_path / "file", b"")
+    assert names(tmp_path) == ["a", "file", "folder"]
+
+
+@POSIX
+def test_a_tilde_is_the_home_directory(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    write_bytes("~/file", b"1")
+    assert names(tmp_path) == ["file"]
+
+
+@pytest.mark.parametrize("failing", ["replace", "fsync"])
+def test_a_failure_leaves_the_old_file_and_nothing_else(way, tmp_path, monkeypatch, failing):
+    (tmp_path / "a").write_bytes(b"old")
+    monkeypatch.setattr(os, failing, lambda *arguments: (_ for _ in ()).throw(OSError(28, "disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        write_bytes(tmp_path / "a", b"new")
+    assert names(tmp_path) == ["a"] and (tmp_path / "a").read_bytes() == b"old"
+
+
+@POSIX
+@pytest.mark.parametrize("nameless", [True, False])
+def test_a_kill_leaves_nothing_that_the_next_writer_does_not_remove(tmp_path, nameless):
+    code = ("import sys\nfrom pathlib import Path\nfrom adaptmg.runtime import atomic\n"
+            f"if not {nameless}: atomic._write_nameless = lambda *a: False\n"
+            "sys.stdout.write('x'); sys.stdout.flush()\n"
+            "for k in range(10**9):\n"
+            "    atomic.write_bytes(Path(sys.argv[1], f'f{k % 3}'), bytes([k % 256]) * 10**6)\n")
+    left = 0
+    for k in range(6):
+        with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE) as writer:
+            writer.stdout.read(1)
+            time.sleep(0.02 + 0.013 * k)
+            writer.send_signal(signal.SIGKILL)
+        left = max(left, len([name for name in names(tmp_path) if name.endswith(".part")]))
+        assert left <= 1, "the writer before removed what was there"
+        for file in tmp_path.glob("f?"):
+            content = file.read_bytes()
+            assert len(content) == 10**6 and len(set(content)) == 1
+    (tmp_path / f".adaptmg-{atomic._HOST}-999999999-0123abcd.part").mkdir()
+    (tmp_path / f".adaptmg-{atomic._HOST}-{os.getppid()}-0123abcd.part").write_bytes(b"of a live one")
+    write_bytes(tmp_path / "f0", b"end")
+    kept = [name for name in names(tmp_path) if name.endswith(".part")]
+    assert kept == [f".adaptmg-{atomic._HOST}-{os.getppid()}-0123abcd.part"]
+
+
+def test_many_threads_may_write_one_file(way, tmp_path):
+    threads = [threading.Thread(target=write_bytes, args=(tmp_path / "a", bytes([k]) * 10_000)) for k in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(set((tmp_path / "a").read_bytes())) == 1 and names(tmp_path) == ["a"]
+
+
+def test_a_waiting_folder_goes(tmp_path):
+    with pytest.raises(KeyError), waiting_folder(tmp_path) as waiting:
+        (waiting / "x").write_bytes(b"")
+        raise KeyError
+    assert not names(tmp_path)

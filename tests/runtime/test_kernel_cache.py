@@ -1,0 +1,105 @@
+"""Kernels run where their compiled code can be neither kept nor read back; each case in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import adaptmg
+
+ROOT = Path(adaptmg.__file__).parent
+RUN = ("import logging; logging.basicConfig(format='%(message)s')\n"
+       "import numpy as np\nfrom adaptmg.geometry import morton\n"
+       "assert len(morton.morton_order(np.random.default_rng(1).random((5, 2)))) == 5\n"
+       "assert morton.__file__.startswith({folder!r}), morton.__file__\n")
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A copy of what the kernel needs, without any cache; a function that runs it in a new process."""
+    copy = tmp_path / "src" / "adaptmg"
+    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def run(before: str = "", **environment: str) -> str:
+        done = subprocess.run([sys.executable, "-B", "-c", before + RUN.format(folder=str(tmp_path))],
+                              capture_output=True, text=True, timeout=120, cwd=tmp_path,
+                              env={k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+                              | {"PYTHONPATH": str(copy.parent)} | environment)
+        assert done.returncode == 0, done.stderr
+        return done.stderr
+
+    return copy / "geometry", run
+
+
+def _nothing_writable(folder: Path) -> dict[str, str]:
+    """A file where numba would make its directory: not even root can write there."""
+    (folder / "__pycache__").write_text("a file")
+    return {"HOME": os.devnull, "XDG_CACHE_HOME": os.path.join(os.devnull, "cache")}
+
+
+def test_kernels_go_to_a_directory_of_this_user_where_no_other_can_be_written(package, tmp_path):
+    folder, run = package
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    said = run(**_nothing_writable(folder), TMPDIR=str(temporary))
+    (place,) = temporary.iterdir()
+    assert f"compiled kernels are kept in {place}" in said and said.count("\n") == 1
+    assert list(place.rglob("*.nbc")) and not place.stat().st_mode & 0o077
+    # one that others could write to is not trusted
+    place.chmod(0o777)
+    run(TMPDIR=str(temporary), **_nothing_writable(folder))
+    assert len(list(temporary.iterdir())) == 2
+
+
+def test_kernels_run_where_nothing_can_be_written_at_all(package):
+    folder, run = package
+    said = run("import tempfile; tempfile.tempdir = '/dev/null'\n", **_nothing_writable(folder))
+    assert "compiled kernels are not kept" in said and said.count("\n") == 1
+
+
+def test_the_same_with_numba_loaded_before(package):
+    folder, run = package
+    said = run("import numba; import tempfile; tempfile.tempdir = '/dev/null'\n", **_nothing_writable(folder))
+    assert "compiled kernels are not kept" in said
+
+
+def test_a_damaged_cache_is_made_anew(package):
+    folder, run = package
+    cache = folder / "__pycache__"
+    run()
+    files = sorted(cache.glob("morton.*.nb[ic]"))
+    whole = {file: file.read_bytes() for file in files}
+    assert {file.suffix for file in files} == {".nbi", ".nbc"}
+    damages = (lambda b: b"", lambda b: b[:len(b) // 2], lambda b: b"\0junk" * 100)
+    for suffix in (".nbi", ".nbc"):
+        damaged = [file for file in files if file.suffix == suffix]
+        for k, file in enumerate(files):
+            file.write_bytes(damages[k % 3](whole[file]) if file in damaged else whole[file])
+        assert run().count("compiled anew") >= len(damaged) / 2  # what is inlined is not asked for by itself
+    assert run() == "", "what was made anew is kept"
+
+
+def test_a_cache_that_cannot_be_written_is_left_out(package):
+    _, run = package
+    full = ("from adaptmg.runtime import kernel_cache\nimport numba.core.caching as c\n"
+            "def full(*a): raise OSError(28, 'No space left on device')\n"
+            "c.IndexDataCacheFile._save_data = full\n")
+    said = run(full)
+    assert "No space left on device" in said and "compiled again in the next process" in said
+    assert run() == ""
+
+
+def test_kernels_of_others_are_left_as_they_are():
+    code = ("import adaptmg, numba.core.caching as c\n"
+            "class Other:\n    _py_func = len\n    cache_path = '/dev/null/adaptmg-kernels'\n"
+            "def fails(*a): raise OSError('as before')\n"
+            "from adaptmg.runtime.kernel_cache import _tolerant\n"
+            "try:\n    _tolerant(fails, '', '')(Other())\nexcept OSError as error:\n    print(error)\n"
+            "print(c.CacheImpl._locator_classes[-1].from_function(len, '/elsewhere/mine.py'))\n")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "as before\nNone\n", done.stderr

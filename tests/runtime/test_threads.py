@@ -1,0 +1,208 @@
+"""Results do not depend on BLAS threads, on random numbers, on the run, nor on what another thread solves."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import threadpoolctl
+from bodies import bar_on_block
+
+import adaptmg as am
+from adaptmg.runtime.threads import one_blas_thread, seeded
+
+AMG_STEPS = am.ActiveSet(linear=am.AMG(max_coarse=300, strength=0.05), rtol=1e-8)
+
+
+def digest(*arrays):
+    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[:16]
+
+
+def outcome(grids, solver):
+    result = am.solve(grids, solver, throw=False)
+    return digest(grids.finest.discrete.matrix.data, result.displacement, result.contact.force, result.reaction,
+                  np.array([result.residual, result.error_estimate, result.certificate().energy_error]))
+
+
+def uniform():
+    return am.Hierarchy.uniform(am.cases.greco_bar(), (8, 16, 32))
+
+
+def graded():
+    return am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), contact_ratio=4)
+
+
+def transferred():
+    return am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), contact_ratio=2, transfer=am.L2())
+
+
+def two_bodies():
+    return am.Hierarchy.uniform(bar_on_block(am.Coulomb(0.3)), [{"upper": k, "lower": (5 * k // 4, k)} for k in (4, 8)])
+
+
+def block():
+    return am.Hierarchy.uniform(am.cases.greco_block(), (2, 4, 8))
+
+
+CASES = {"nested start": (uniform, am.FullMultigrid()), "graded": (graded, am.FullMultigrid()),
+         "graded, monotone": (graded, am.FullMultigrid(correction=am.Monotone(), rtol=1e-4)),
+         "L2": (transferred, am.Multigrid()), "active set": (graded, am.ActiveSet()),
+         "active set, pyamg": (uniform, AMG_STEPS), "two bodies": (two_bodies, am.FullMultigrid()),
+         "two bodies, active set": (two_bodies, am.ActiveSet()), "3D": (block, am.FullMultigrid()),
+         "3D, active set": (block, am.ActiveSet()),
+         "aggregation": (lambda: am.Hierarchy.algebraic(uniform().finest.discrete), am.Multigrid(rtol=1e-5))}
+
+
+def digests():
+    return {name: outcome(make(), solver) for name, (make, solver) in CASES.items()}
+
+
+def in_a_child(threads):
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads),
+                                "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.Popen([sys.executable, __file__], env=environment, stdout=subprocess.PIPE, text=True)
+
+
+def test_bitwise_the_same_run_to_run_and_for_one_and_two_blas_threads():
+    children = [in_a_child(1), in_a_child(2), in_a_child(2)]
+    found = [json.loads(child.communicate()[0]) for child in children]
+    assert [child.returncode for child in children] == [0, 0, 0]
+    one, two, again = found
+    assert set(one) == set(CASES)
+    assert two == one
+    assert again == one
+
+
+def test_two_threads_that_solve_at_once_find_what_one_after_the_other_finds():
+    names = ["active set, pyamg", "two bodies", "aggregation", "3D", "active set, pyamg", "graded"]
+    grids = [CASES[name][0]() for name in names]
+    alone = [outcome(grid, CASES[name][1]) for grid, name in zip(grids, names, strict=True)]
+    found, start = [None] * len(names), threading.Barrier(2)
+
+    def work(first):
+        start.wait()
+        for k in range(first, len(names), 2):
+            found[k] = outcome(grids[k], CASES[names[k]][1])
+
+    def both():
+        workers = [threading.Thread(target=work, args=(first,)) for first in (0, 1)]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join(timeout=120)
+    both()
+    assert found == alone
+
+
+@pytest.mark.parametrize("make", [lambda: am.solve(uniform(), AMG_STEPS),
+                                  lambda: am.Hierarchy.algebraic(uniform().finest.discrete)],
+                         ids=["active set", "aggregation"])
+def test_the_global_random_numbers_are_left_alone(make):
+    np.random.seed(11)  # noqa: NPY002
+    expected = np.random.rand(3)  # noqa: NPY002
+    np.random.seed(11)  # noqa: NPY002
+    make()
+    assert np.array_equal(np.random.rand(3), expected)  # noqa: NPY002
+
+
+def test_random_numbers_come_back_after_an_error():
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    with pytest.raises(KeyError), seeded():
+        np.random.rand(1000)  # noqa: NPY002
+        raise KeyError
+    assert np.array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+def blas_threads():
+    return [info["num_threads"] for info in threadpoolctl.threadpool_info() if info["user_api"] == "blas"]
+
+
+@pytest.fixture
+def two_threads():
+    with threadpoolctl.threadpool_limits(2, user_api="blas"):
+        if set(blas_threads()) != {2}:
+            pytest.skip("BLAS without threads")
+        yield
+
+
+@pytest.mark.usefixtures("two_threads")
+class TestOneBlasThread:
+    def test_inside_and_after(self):
+        with one_blas_thread():
+            assert set(blas_threads()) == {1}
+            with one_blas_thread():
+                pass
+            assert set(blas_threads()) == {1}
+        assert set(blas_threads()) == {2}
+
+    def test_after_an_error(self):
+        with pytest.raises(ValueError, match="lost"), one_blas_thread():
+            raise ValueError("lost")
+        assert set(blas_threads()) == {2}
+
+    def test_the_last_thread_to_leave_gives_it_back(self):
+        inside, leave = threading.Event(), threading.Event()
+
+        def other():
+            with one_blas_thread():
+                inside.set()
+                leave.wait(10)
+        worker = threading.Thread(target=other)
+        with one_blas_thread():
+            worker.start()
+            assert inside.wait(10)
+        assert set(blas_threads()) == {1}
+        leave.set()
+        worker.join()
+        assert set(blas_threads()) == {2}
+
+    def test_as_a_decorator(self):
+        @one_blas_thread()
+        def threads(k):
+            """Says how many."""
+            return blas_threads() if k == 0 else threads(k - 1)
+        assert set(threads(2)) == {1} and threads.__doc__ == "Says how many."
+        assert set(blas_threads()) == {2}
+
+    def test_in_what_is_done_here(self):
+        seen = []
+
+        class Asks:
+            def run(self, hierarchy, run, start):
+                seen.extend(blas_threads())
+                return am.ActiveSet().run(hierarchy, run, start)
+        am.solve(uniform(), Asks())
+        am.solve_path(uniform(), am.LoadPath(default=[1.0]), Asks())
+
+        class AsksToo(am.Interpolation):
+            def build(self, coarse, fine):
+                seen.extend(blas_threads())
+                return super().build(coarse, fine)
+        am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), transfer=AsksToo())
+
+        def limit(points):
+            seen.extend(blas_threads())
+            return np.full(len(points), 1e7)
+        problem = replace(am.cases.greco_bar(), law=am.Tresca(limit), reference={})
+        am.discretise(problem, am.mesh.structured(problem.domain, 4))
+        assert len(seen) >= 4 * len(blas_threads()) and set(seen) == {1}
+
+
+def test_a_fork_inside_is_free_again():
+    code = ("import os, threadpoolctl\nfrom adaptmg.runtime.threads import one_blas_thread\nimport scipy.linalg\n"
+            "with one_blas_thread():\n    child = os.fork()\n    if child == 0:\n"
+            "        with one_blas_thread():\n            pass\n        os._exit(0)\n"
+            "assert os.waitpid(child, 0)[1] == 0\n")
+    done = subprocess.run([sys.executable, "-c", code], timeout=60, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(digests()))

@@ -1,0 +1,336 @@
+"""The active set method: its solutions meet the contact conditions and are those of other methods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import sparse
+from smoother_problems import dual_solution, network
+
+import adaptmg as am
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.mesh.structured import structured
+from adaptmg.smoother.residuals import residual
+from adaptmg.smoother.system import LocalProblem
+from adaptmg.solver.linear import LinearSolution
+from adaptmg.solver.newton_state import linearise
+from adaptmg.solver.newton_steps import CondensedSteps, SparseSteps, local_near_nullspace
+from adaptmg.solver.run import Run
+
+CASES = {
+    "bar, friction .2": lambda: am.cases.greco_bar(law=am.Coulomb(0.2)),
+    "bar, friction 1": lambda: am.cases.greco_bar(law=am.Coulomb(1.0)),
+    "bar, friction 2": lambda: am.cases.greco_bar(law=am.Coulomb(2.0)),
+    "bar, Tresca": lambda: am.cases.greco_bar(law=am.Tresca(4e7)),
+    "curved, frictionless": lambda: am.cases.curved_obstacle(),
+    "curved, friction .5": lambda: am.cases.curved_obstacle(law=am.Coulomb(0.5)),
+    "block, friction 1": lambda: am.cases.greco_block(law=am.Coulomb(1.0), plane_strain=False),
+    "block, Tresca": lambda: am.cases.greco_block(law=am.Tresca(4e7), plane_strain=False),
+}
+
+
+def divisions(name: str) -> tuple[int, ...]:
+    return (2, 4) if name.startswith("block") else (4, 8, 16)
+
+
+@cache
+def grids(name: str) -> am.Hierarchy:
+    return am.Hierarchy.uniform(CASES[name](), divisions(name))
+
+
+@cache
+def solved(name: str) -> am.Result:
+    return am.solve(grids(name), am.ActiveSet())
+
+
+def closeness(result: am.Result, other: np.ndarray) -> float:
+    return float(np.abs(result.displacement - other).max() / np.abs(other).max())
+
+
+def floating(law: am.Coulomb | am.Tresca = am.Coulomb(0.5)) -> DiscreteProblem:  # noqa: B008
+    """A square that only contact holds, pressed down and pushed aside."""
+    domain = am.Rectangle(width=0.04, height=0.04)
+    problem = am.ContactProblem(material=am.PlaneStrain(young=1.3e11, poisson=0.2), domain=domain, law=law,
+                                contact=am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0))),
+                                loads=(am.Pressure("top", 5e7), am.Traction("top", (1e7, 0.0))))
+    return am.discretise(problem, structured(domain, 8))
+
+
+# -- the contact conditions ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_solution_meets_the_contact_conditions(name):
+    result, discrete = solved(name), grids(name).finest.discrete
+    c = result.contact
+    length, force = np.abs(result.displacement).max(), c.force_n.max()
+    assert result.residual < 1e-12
+    assert (c.gap >= -1e-12 * length).all()
+    assert (c.force_n >= 0).all()
+    assert np.abs(c.gap * c.force_n).max() < 1e-10 * length * force
+    # the bound of the law, and force against slip
+    size, slip = np.linalg.norm(c.force_t, axis=1), np.linalg.norm(c.slip, axis=1)
+    limit, friction = discrete.law.bounds(len(c))
+    bound = limit + friction * c.force_n
+    assert (size <= bound + 1e-10 * force).all()
+    moving = slip > 1e-10 * length
+    assert np.abs(size - bound)[moving].max(initial=0) < 1e-10 * force
+    assert np.abs(np.sum(c.force_t * c.slip, axis=1) + bound * slip)[moving].max(initial=0) < 1e-10 * force * length
+    # equilibrium elsewhere
+    free = ~discrete.fixed.reshape(result.displacement.shape)
+    free[c.node] = False
+    assert np.abs(result.reaction[free]).max() < 1e-11 * force
+
+
+def test_the_cases_have_all_states():
+    for name in CASES:
+        wanted = {am.OPEN, am.SLIP} if "frictionless" in name else {am.SLIP, am.STICK}
+        assert wanted <= set(solved(name).contact.state), name
+    assert am.OPEN in solved("bar, friction 1").contact.state
+
+
+def test_frictionless_bar_is_the_patch_test():
+    problem = am.cases.greco_bar(law=am.Frictionless())
+    result = am.solve(am.Hierarchy.uniform(problem, (4,)), am.ActiveSet())
+    exact = problem.reference["values"]["exact"]["A"]
+    assert result.probe([problem.reference["points"]["A"]])[0, 0] == pytest.approx(exact, rel=1e-12)
+    assert result.contact.pressure == pytest.approx(5e7, rel=1e-10)
+
+
+# -- the solutions of other methods --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_solution_is_that_of_the_dual_problem(dim, law):
+    local = network(dim, law, fixed_tangent=True)
+    result = am.solve(local.discrete, am.ActiveSet())
+    assert closeness(result, local.to_cartesian(dual_solution(local))) < 1e-9
+    assert result.residual < 1e-13
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_solution_is_that_of_gauss_seidel(name):
+    coarse = grids(name)[1].discrete
+    swept = am.solve(coarse, am.SingleGrid(rtol=1e-11))
+    assert closeness(am.solve(coarse, am.ActiveSet()), swept.displacement) < 1e-9
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("solver", [am.ActiveSet(condensed=False), am.ActiveSet(linear=am.AMG()),
+                                    am.ActiveSet(linear=am.AMG(lag=-1), linear_rtol=1e-6),
+                                    am.ActiveSet(nested_start=True)], ids=["sparse", "amg", "amg, exact", "nested"])
+def test_linear_solvers_agree(name, solver):
+    result = am.solve(grids(name), solver)
+    assert closeness(result, solved(name).displacement) < 1e-9
+    assert np.array_equal(result.contact.state, solved(name).contact.state)
+
+
+@pytest.mark.parametrize("name", ["bar, friction 1", "block, friction 1", "bar, Tresca"])
+def test_solution_does_not_depend_on_the_start(name):
+    shape = solved(name).displacement.shape
+    for seed in range(3):
+        start = 1e-5 * np.random.default_rng(seed).normal(size=shape)
+        assert closeness(am.solve(grids(name), am.ActiveSet(), start=start), solved(name).displacement) < 1e-10
+
+
+def test_prescribed_displacements_are_kept():
+    problem = am.cases.greco_bar()
+    problem = replace(problem, supports=(am.Support("right", x=1e-5),), reference={})
+    for solver in (am.ActiveSet(), am.ActiveSet(linear=am.AMG())):
+        result = am.solve(am.Hierarchy.uniform(problem, (8,)), solver)
+        assert (result.displacement[result.mesh.boundary_nodes("right"), 0] == 1e-5).all()
+        assert result.residual < 1e-9
+
+
+# -- how it gets there ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("friction", "most"), [(0.2, 6), (1.0, 10), (2.0, 10)])
+def test_steps_are_few_and_fewer_from_coarser_grids(friction, most):
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), (4, 8, 16, 32))
+    cold, nested = am.solve(hierarchy, am.ActiveSet()), am.solve(hierarchy, am.ActiveSet(nested_start=True))
+    assert cold.cycles <= most
+    assert nested.cycles <= 4
+    assert nested.start_work_units > 0 == cold.start_work_units
+    assert {level for level, _, _ in nested.path} == {0, 1, 2, 3}
+    assert {level for level, _, _ in cold.path} == {3}
+
+
+def test_work_of_direct_steps_is_a_residual_each():
+    name = "bar, friction 1"
+    result = solved(name)
+    assert result.work_units == pytest.approx(result.cycles + 1)
+    assert result.timings["factorise"] > 0
+    assert list(result.history["cycle"]) == list(range(result.cycles + 1))
+    assert result.history["active"][-1] == np.count_nonzero(result.contact.state != am.OPEN)
+    assert result.history["slip"][-1] == np.count_nonzero(result.contact.state == am.SLIP)
+
+
+def test_a_solution_as_start_is_confirmed_in_one_step():
+    name = "block, friction 1"
+    for start in (solved(name), solved(name).displacement):
+        again = am.solve(grids(name), am.ActiveSet(), start=start)
+        assert again.cycles == 1
+        assert closeness(again, solved(name).displacement) < 1e-13
+
+
+@pytest.mark.parametrize("solver", [am.ActiveSet(rtol=1e-4), am.ActiveSet(linear=am.AMG(), rtol=1e-5)],
+                         ids=["direct", "amg"])
+def test_error_estimate_bounds_the_error(solver):
+    name = "block, friction 1"
+    result, matrix = am.solve(grids(name), solver), grids(name).finest.discrete.matrix
+    exact = solved(name).displacement.reshape(-1)
+    error = result.displacement.reshape(-1) - exact
+    assert np.sqrt((error @ (matrix @ error)) / (exact @ (matrix @ exact))) <= result.error_estimate <= solver.rtol
+
+
+@pytest.mark.parametrize("start", [None, 0.0, 1e-3], ids=["none", "zero", "far"])
+@pytest.mark.parametrize("solver", [am.ActiveSet(), am.ActiveSet(condensed=False), am.ActiveSet(linear=am.AMG())],
+                         ids=["condensed", "sparse", "amg"])
+def test_a_body_held_by_contact_only(solver, start):
+    discrete = floating()
+    start = None if start is None else np.full((discrete.n_nodes, 2), start)
+    result = am.solve(discrete, solver, start=start)
+    assert result.residual < 1e-9
+    # what the load brings, contact carries away
+    assert result.resultant("contact").force == pytest.approx([-1e7 * 0.04, 5e7 * 0.04], rel=1e-9)
+
+
+# -- the equations of a step ---------------------------------------------------------------------------------------
+
+
+def alart_curnier(local: LocalProblem, unknowns: np.ndarray, stiffness: np.ndarray, factor: float) -> np.ndarray:
+    """The contact conditions as equations, all zero at the solution, beside the residual away from contact."""
+    contact, nodes = local.contact, local.system.nodes
+    defect = residual(local.system, local.load, unknowns).reshape(-1, local.system.dim)
+    w, q = unknowns.reshape(defect.shape)[nodes], defect[nodes]
+    z_n = q[:, 0] + factor * stiffness[:, 0] * (w[:, 0] - contact.gap)
+    z_t = q[:, 1:] + factor * stiffness[:, 1:].max(axis=1, keepdims=True) * (w[:, 1:] - contact.slip_reference)
+    bound, size = contact.limit + contact.friction * np.maximum(z_n, 0), np.linalg.norm(z_t, axis=1)
+    result = defect.copy()
+    result[nodes, 0] = q[:, 0] - np.maximum(z_n, 0)
+    result[nodes, 1:] = q[:, 1:] - np.minimum(1, bound / size)[:, None] * z_t
+    return result.reshape(-1)
+
+
+@pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_step_is_newtons(dim, law):
+    states = set()
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        local = network(dim, law, seed)
+        unknowns = 0.3 * rng.normal(size=local.system.n_dofs)
+        unknowns[local.system.fixed] = 0.0
+        defect = residual(local.system, local.load, unknowns)
+        for steps in (SparseSteps(local, am.Direct(), Run(unit=1)), CondensedSteps(local, Run(unit=1))):
+            steps.contact_residual(defect)
+            at = local.system.nodes
+            equations = linearise(local.contact, unknowns.reshape(-1, dim)[at], defect.reshape(-1, dim)[at],
+                                  steps.stiffness, 0.1)
+            if isinstance(steps, CondensedSteps):
+                # its right-hand side is that of an interior in equilibrium: take such a point
+                unknowns = unknowns + steps.solve(equations, 1e-12, 0.0)
+                defect = residual(local.system, local.load, unknowns)
+                steps.contact_residual(defect)
+                equations = linearise(local.contact, unknowns.reshape(-1, dim)[at], defect.reshape(-1, dim)[at],
+                                      steps.stiffness, 0.1)
+            states |= set(zip(equations.active.tolist(), equations.slip.tolist(), strict=True))
+            step = steps.solve(equations, 1e-12, 0.0)
+            before = alart_curnier(local, unknowns, steps.stiffness, 0.1)
+            errors = []
+            for length in (1e-3, 1e-4):
+                after = alart_curnier(local, unknowns + length * step, steps.stiffness, 0.1)
+                errors.append(np.abs(after - (1 - length) * before).max())
+            # F(w + s d) = (1 - s) F(w) + O(s^2)
+            assert errors[1] < 0.02 * errors[0] + 1e-13
+    assert {(True, True), (False, True)} <= states
+    assert law == "frictionless" or (True, False) in states
+
+
+@dataclass
+class Watching:
+    """A linear solver that keeps what it is given."""
+
+    seen: list[tuple[sparse.bsr_array, np.ndarray, bool]] = field(default_factory=list)
+
+    def setup(self, matrix, near_nullspace=None, *, symmetric=True, preconditioner=None, previous=None):
+        self.seen.append((matrix, near_nullspace, symmetric))
+        if preconditioner is not None:
+            assert abs(preconditioner - preconditioner.T).max() < 1e-12 * abs(matrix).max()
+        self.inside = am.Direct().setup(matrix, symmetric=symmetric)
+        return self
+
+    def solve(self, rhs, start=None, rtol=1e-10) -> LinearSolution:
+        return self.inside.solve(rhs, start, rtol)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_only_rows_of_contact_nodes_change(name):
+    local = am.smoother.system.local_system(grids(name).finest.discrete)
+    linear = Watching()
+    am.solve(grids(name), am.ActiveSet(linear=linear))
+    plain, dim = local.system.matrix.toarray(), local.system.dim
+    at_contact = np.zeros(local.system.n_dofs, dtype=bool)
+    at_contact[(dim * local.system.nodes[:, None] + np.arange(dim)).ravel()] = True
+    for matrix, modes, symmetric in linear.seen:
+        dense = matrix.toarray()
+        assert np.array_equal(dense[~at_contact][:, ~at_contact], plain[~at_contact][:, ~at_contact])
+        is_symmetric = np.abs(dense - dense.T).max() < 1e-12 * np.abs(dense).max()
+        assert is_symmetric == symmetric
+        alone = (dense != 0).sum(axis=1) == 1
+        assert not modes[alone].any()
+    symmetric = [s for _, _, s in linear.seen]
+    assert all(symmetric) is ("friction " not in name)
+
+
+def test_near_nullspace_without_coordinates_are_translations():
+    local = network(3, "coulomb")
+    modes = local_near_nullspace(local)
+    assert modes.shape == (48, 3)
+    assert not modes[local.system.fixed].any()
+    free = ~local.system.fixed.reshape(-1, 3).any(axis=1)
+    gram = np.einsum("nik,nil->nkl", modes.reshape(-1, 3, 3)[free], modes.reshape(-1, 3, 3)[free])
+    assert gram == pytest.approx(np.broadcast_to(np.eye(3), gram.shape))
+
+
+# -- failures ------------------------------------------------------------------------------------------------------
+
+
+def test_too_few_steps_are_said():
+    with pytest.raises(am.NotConverged, match="LIMIT after 1 cycles") as caught:
+        am.solve(grids("bar, friction 1"), am.ActiveSet(max_steps=1))
+    result = caught.value.result
+    assert result.status is am.Status.LIMIT
+    assert result.residual > 1e-3
+    assert am.solve(grids("bar, friction 1"), am.ActiveSet(max_steps=1), throw=False).cycles == 1
+
+
+def test_a_linear_solver_that_does_not_converge_spoils_no_result(caplog):
+    hopeless = am.ActiveSet(linear=am.AMG(max_iterations=1), linear_rtol=1e-8, max_steps=5)
+    result = am.solve(grids("bar, Tresca"), hopeless, throw=False)
+    assert not result.status.ok
+    assert "raise max_iterations" in caplog.text
+
+
+def test_friction_beyond_uniqueness_ends_with_a_word():
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(10.0)), (16,))
+    with pytest.warns(RuntimeWarning, match="not be unique"):
+        result = am.solve(hierarchy, am.ActiveSet(), throw=False)
+    assert result.status.ok == (result.residual < 1e-9)
+
+
+@pytest.mark.parametrize(("wrong", "error", "words"), [
+    ({"rtol": 0.0}, ValueError, "rtol must be > 0"), ({"rtol": np.nan}, ValueError, "rtol"),
+    ({"max_steps": 0}, ValueError, "max_steps must be >= 1"),
+    ({"linear_rtol": 1.0}, ValueError, "linear_rtol must be > 0 and < 1"),
+    ({"linear": "direct"}, TypeError, "linear must be"),
+    ({"nested_start": 1}, TypeError, "nested_start must be True or False"),
+    ({"linear": am.AMG(), "condensed": True}, ValueError, "condensed=True factorises")])
+def test_wrong_options_are_refused(wrong, error, words):
+    with pytest.raises(error, match=words):
+        am.ActiveSet(**wrong)

@@ -1,0 +1,215 @@
+"""Linear solvers: elimination order, direct solver, algebraic multigrid, and the glued problem."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+import adaptmg as am
+from adaptmg.discrete import ContactNodes, DiscreteProblem
+from adaptmg.mesh.structured import structured
+from adaptmg.solver.dissection import graph_coordinates, nested_dissection, node_graph
+from adaptmg.solver.glued import glued_system
+
+
+def bar(divisions: int) -> DiscreteProblem:
+    problem = am.cases.greco_bar()
+    return am.discretise(problem, structured(problem.domain, divisions))
+
+
+def skewed(matrix: sparse.bsr_array) -> sparse.bsr_array:
+    """Rows of two nodes changed as Coulomb's law changes them."""
+    result = matrix.tocsr().tolil()
+    for node in (3, 7):
+        result[2 * node + 1] = result[2 * node + 1] - 0.5 * result[2 * node]
+    return sparse.bsr_array(result.tocsr(), blocksize=(2, 2))
+
+
+# -- elimination order ---------------------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(0, 0.2))
+@settings(max_examples=25, deadline=None)
+def test_every_node_comes_once_and_the_last_come_last(seed, n, density):
+    rng = np.random.default_rng(seed)
+    half = sparse.random_array((n, n), density=density, rng=rng, format="csr")
+    graph = sparse.csr_array(half + half.T + sparse.eye_array(n))
+    last = rng.choice(n, size=rng.integers(0, n + 1), replace=False)
+    # coordinates with many equal values, and none (the graph may fall apart)
+    for coordinates in (rng.integers(0, 3, size=(n, 2)).astype(float), None):
+        order = nested_dissection(graph, coordinates, last=last)
+        assert np.array_equal(np.sort(order), np.arange(n))
+        assert set(order[n - len(last):]) == set(last)
+
+
+def test_separators_come_after_what_they_separate():
+    n = 31
+    path = sparse.csr_array(sparse.diags_array([np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1]))
+    order = nested_dissection(path, np.arange(n, dtype=float)[:, None])
+    assert order[-1] == n // 2
+    before = order[:-1]
+    position = {node: k for k, node in enumerate(before)}
+    # all of one side comes before all of the other
+    left = [position[k] for k in range(n // 2)]
+    right = [position[k] for k in range(n // 2 + 1, n)]
+    assert max(left) < min(right)
+
+
+@pytest.mark.parametrize("with_coordinates", [True, False])
+def test_fill_is_that_of_a_good_order(with_coordinates):
+    discrete = bar(40)
+    matrix = discrete.matrix + sparse.eye_array(discrete.n_dofs) * discrete.matrix.diagonal().max()
+    nodes = nested_dissection(node_graph(discrete.matrix), discrete.coordinates if with_coordinates else None)
+    order = (2 * nodes[:, None] + np.arange(2)).ravel()
+    options = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    ours = splu(sparse.csr_array(matrix)[order][:, order].tocsc(), permc_spec="NATURAL", **options)
+    natural, minimum_degree = (splu(sparse.csc_array(matrix), permc_spec=name, **options).nnz
+                               for name in ("NATURAL", "MMD_AT_PLUS_A"))
+    assert ours.nnz < 0.6 * natural
+    assert ours.nnz < 1.1 * minimum_degree
+
+
+def test_distances_keep_connected_parts_apart():
+    part = sparse.csr_array(np.eye(4, k=1) + np.eye(4, k=-1))
+    distances = graph_coordinates(sparse.csr_array(sparse.block_diag([part, part])))
+    assert distances[:4].max() < distances[4:].min()
+    assert np.ptp(distances[:4, 0]) == 3
+
+
+# -- solvers -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("linear", [am.Direct(), am.AMG(), am.AMG(smoother="gauss_seidel", strength=0.05)],
+                         ids=["direct", "amg", "amg, points"])
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_solutions_are_those_of_dense_algebra(linear, symmetric):
+    matrix, load, modes = glued_system(bar(10))
+    load = np.random.default_rng(0).normal(size=len(load)) * modes.any(axis=1)
+    wanted = matrix if symmetric else skewed(matrix)
+    prepared = linear.setup(wanted, modes, symmetric=symmetric, preconditioner=None if symmetric else matrix)
+    solution = prepared.solve(load, rtol=1e-11)
+    exact = np.linalg.solve(wanted.toarray(), load)
+    assert solution.converged
+    assert solution.residual <= 1.1e-11
+    assert np.linalg.norm(wanted @ solution.unknowns - load) <= 1.1e-11 * np.linalg.norm(load)
+    assert np.linalg.norm(solution.unknowns - exact) < 1e-9 * np.linalg.norm(exact)
+    if not symmetric:
+        other = np.linalg.solve(matrix.toarray(), load)
+        assert np.linalg.norm(exact - other) > 1e-3 * np.linalg.norm(exact)
+
+
+def test_direct_counts_no_work():
+    matrix, load, _ = glued_system(bar(5))
+    solution = am.Direct().setup(matrix).solve(load)
+    assert (solution.iterations, solution.passes) == (0, 0.0)
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_direct_says_that_a_matrix_is_singular(symmetric):
+    floating = bar(6).matrix
+    with pytest.raises(np.linalg.LinAlgError, match="singular"):
+        am.Direct().setup(floating, symmetric=symmetric)
+
+
+def test_direct_uses_the_order_of_a_matrix_like_it():
+    matrix, load, _ = glued_system(bar(6))
+    first = am.Direct().setup(matrix)
+    second = am.Direct().setup(sparse.bsr_array(2 * matrix, blocksize=(2, 2)), previous=first)
+    assert second.order is first.order
+    assert second.solve(load).unknowns == pytest.approx(0.5 * first.solve(load).unknowns, rel=1e-10)
+
+
+def test_work_is_that_of_products_and_cycles():
+    matrix, load, modes = glued_system(bar(16))
+    prepared = am.AMG().setup(matrix, modes)
+    *levels, coarsest = prepared.hierarchy.levels
+    cycle = (sum(5 * level.A.nnz + 2 * level.P.nnz for level in levels) + coarsest.A.shape[0]**2) / matrix.nnz
+    assert prepared.cycle_passes == pytest.approx(cycle)
+    assert prepared.operator_complexity == pytest.approx(sum(level.A.nnz for level in prepared.hierarchy.levels)
+                                                         / matrix.nnz)
+    few, more = prepared.solve(load, rtol=1e-2), prepared.solve(load, rtol=1e-4)
+    # products: a residual before, after, and in the first and every eighth iteration
+    assert 1 <= few.iterations < more.iterations <= 7
+    assert few.passes == pytest.approx(few.iterations + 3 + (few.iterations + 1) * cycle)
+    # the cost of an iteration: a product and a cycle
+    assert more.passes - few.passes == pytest.approx((more.iterations - few.iterations) * (1 + cycle))
+
+
+def test_rigid_body_modes_pay():
+    matrix, load, modes = glued_system(bar(32))
+    constants = np.tile(np.eye(2), (len(load) // 2, 1)) * modes.any(axis=1)[:, None]
+    counts = [am.AMG().setup(matrix, b).solve(load, rtol=1e-8).iterations for b in (modes, constants)]
+    assert counts[0] <= 18
+    assert counts[1] >= 1.3 * counts[0]
+
+
+def test_too_few_iterations_show():
+    matrix, load, modes = glued_system(bar(16))
+    for symmetric in (True, False):
+        solution = am.AMG(max_iterations=2).setup(matrix, modes, symmetric=symmetric).solve(load, rtol=1e-10)
+        assert not solution.converged
+        assert solution.residual > 1e-10
+        assert solution.iterations <= 3
+
+
+def test_a_hierarchy_is_kept_while_few_dofs_are_released():
+    matrix, _, modes = glued_system(bar(8))
+    linear = am.AMG(lag=2)
+    first = linear.setup(matrix, modes)
+    for changed, kept in ((2, True), (3, False)):
+        other = modes.copy()
+        other[np.flatnonzero(modes.any(axis=1))[:changed]] = 0.0
+        assert (linear.setup(matrix, other, previous=first).hierarchy is first.hierarchy) is kept
+    assert am.AMG(lag=-1).setup(matrix, modes, previous=first).hierarchy is not first.hierarchy
+
+
+@pytest.mark.parametrize(("wrong", "error", "words"), [
+    ({"strength": 1.0}, ValueError, "strength must be < 1"), ({"strength": np.nan}, ValueError, "strength"),
+    ({"smoother": "sor"}, ValueError, "smoother must be one of"), ({"lag": -2}, ValueError, "lag must be >= -1"),
+    ({"max_coarse": 2.5}, TypeError, "max_coarse"), ({"max_iterations": 0}, ValueError, "max_iterations must be >= 1")])
+def test_wrong_options_of_amg_are_refused(wrong, error, words):
+    with pytest.raises(error, match=words):
+        am.AMG(**wrong)
+
+
+# -- glued ---------------------------------------------------------------------------------------------------------
+
+
+def test_glued_system_is_the_stiffness_at_free_dofs():
+    discrete = bar(6)
+    matrix, load, modes = glued_system(discrete)
+    away = np.setdiff1d(np.arange(discrete.n_nodes), discrete.contact.nodes)
+    dofs = (2 * away[:, None] + np.arange(2)).ravel()
+    fixed = discrete.fixed[dofs]
+    whole = discrete.matrix.toarray()[np.ix_(dofs, dofs)]
+    assert np.array_equal(matrix.toarray()[np.ix_(~fixed, ~fixed)], whole[np.ix_(~fixed, ~fixed)])
+    assert not matrix.toarray()[np.ix_(fixed, ~fixed)].any()
+    assert np.array_equal(load[~fixed], discrete.load[dofs][~fixed])
+    assert not load[fixed].any()
+    assert not modes[fixed].any()
+    assert np.array_equal(modes[~fixed], discrete.near_nullspace[dofs][~fixed])
+
+
+@pytest.mark.parametrize("divisions", [16, 32])
+def test_glued_solutions_agree(divisions):
+    matrix, load, modes = glued_system(bar(divisions))
+    exact = am.Direct().setup(matrix, modes).solve(load)
+    result = am.AMG().setup(matrix, modes).solve(load, rtol=1e-8)
+    assert exact.residual < 1e-12 and result.converged and 0 < result.iterations <= 20
+    error = result.unknowns - exact.unknowns
+    assert error @ (matrix @ error) < 1e-14 * (exact.unknowns @ (matrix @ exact.unknowns))
+
+
+def test_where_every_node_touches_nothing_is_glued():
+    discrete = bar(3)
+    discrete = replace(discrete, law=am.Frictionless(), fixed=np.zeros(discrete.n_dofs, dtype=bool))
+    everywhere = ContactNodes(nodes=np.arange(discrete.n_nodes), normals=np.tile([0.0, -1.0], (discrete.n_nodes, 1)),
+                              gaps=np.zeros(discrete.n_nodes))
+    with pytest.raises(ValueError, match="every node is a contact node"):
+        glued_system(replace(discrete, contact=everywhere))

@@ -1,0 +1,123 @@
+"""Errors and residuals with prescribed displacements: of deformation and forces, not of a nodal jump."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.solver.sizes import Sizes, displacement_norm
+
+DOWN, GAP = 10e-3, 9.99e-3
+STEEL = am.PlaneStrain(young=1.3e11, poisson=0.2)
+
+
+def lowered(down=DOWN, gap=GAP):
+    """A block lowered through a gap until it is pressed by 10 micrometres."""
+    return am.ContactProblem(
+        name="lowered", domain=am.Rectangle(width=40e-3, height=40e-3), material=STEEL, law=am.Coulomb(0.3),
+        contact=am.Contact("bottom", am.GapFunction(lambda points: np.full(len(points), gap))),
+        supports=(am.Support("top", x=0.0, y=-down),))
+
+
+def lowered_on_a_block():
+    parts = {"upper": am.Rectangle(width=40e-3, height=40e-3),
+             "lower": am.Rectangle(width=60e-3, height=30e-3, origin=(-10e-3, -30e-3 - GAP))}
+    return am.ContactProblem(
+        name="lowered on a block", domain=am.Assembly(parts=parts), material={name: STEEL for name in parts},
+        law=am.Coulomb(0.3), contact=am.ContactPair("upper.bottom", "lower.top", reach=2 * GAP),
+        supports=(am.Support("upper.top", x=0.0, y=-DOWN), am.Support("lower.bottom", x=0.0, y=0.0)))
+
+
+METHODS = {"truncated, nested": lambda rtol: am.FullMultigrid(rtol=rtol),
+           "truncated, from zero": lambda rtol: am.Multigrid(rtol=rtol),
+           "monotone, nested": lambda rtol: am.FullMultigrid(correction=am.Monotone(), rtol=rtol),
+           "monotone, from zero": lambda rtol: am.Multigrid(correction=am.Monotone(), rtol=rtol),
+           "single grid": lambda rtol: am.SingleGrid(omega=1.9, rtol=rtol),
+           "single grid, condensed": lambda rtol: am.SingleGrid(condensed=True, rtol=rtol),
+           "active set": lambda rtol: am.ActiveSet(rtol=rtol),
+           "active set, AMG": lambda rtol: am.ActiveSet(linear=am.AMG(), rtol=rtol)}
+
+
+@pytest.fixture(scope="module")
+def grids():
+    return am.Hierarchy.uniform(lowered(), divisions=(4, 8, 16))
+
+
+@pytest.fixture(scope="module")
+def exact(grids):
+    # rounding of 10 mm is 1e-11 of the 10 micrometres that deform the block
+    return am.solve(grids, am.ActiveSet(rtol=3e-11))
+
+
+def error(grids, result, exact):
+    """Over the A-norm of the displacement, by hand."""
+    matrix, u = grids.finest.discrete.matrix, exact.displacement.reshape(-1)
+    difference = result.displacement.reshape(-1) - u
+    return np.sqrt(difference @ (matrix @ difference) / (u @ (matrix @ u)))
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-8])
+@pytest.mark.parametrize("method", list(METHODS))
+def test_the_error_is_what_was_asked_for(grids, exact, method, rtol):
+    result = am.solve(grids, METHODS[method](rtol), reference=exact)
+    true = error(grids, result, exact)
+    assert true <= 3 * rtol
+    if method != "single grid, condensed":  # its interior is recovered after the last check
+        assert result.history["true_error"][-1] == pytest.approx(true, rel=1e-2, abs=1e-11)
+
+
+def test_the_size_is_that_of_the_deformation(grids, exact):
+    """Hardly: a block pressed by 10 micrometres has the energy E' / 2 * (1e-5 / 0.04)^2 * 0.04^2, about, times two."""
+    discrete = grids.finest.discrete
+    size = displacement_norm(discrete, exact.displacement)
+    modulus = 1.3e11 * 0.8 / (1.2 * 0.6)
+    assert np.sqrt(modulus) * 1e-5 * 0.8 < size < np.sqrt(modulus) * 1e-5 * 1.2
+    jump = displacement_norm(discrete, discrete.fixed_values)
+    assert jump > 500 * size
+
+
+@pytest.mark.parametrize("frames", [False, True])
+def test_sizes_against_the_matrix(grids, frames):
+    """Norm and forces from unknowns that count from the prescribed values, in Cartesian and local components."""
+    from adaptmg.smoother.system import local_system
+
+    discrete = grids.finest.discrete
+    local = local_system(discrete)
+    rng = np.random.default_rng(0)
+    u = np.where(discrete.fixed, discrete.fixed_values, 1e-3 * rng.standard_normal(discrete.n_dofs))
+    w = local.to_local(u) if frames else u - discrete.fixed_values
+    eliminated = u - discrete.fixed_values
+    sizes = Sizes(discrete, local.frames if frames else None)
+    energy = eliminated @ (discrete.matrix @ eliminated)
+    assert sizes.norm(w, energy) == pytest.approx(np.sqrt(u @ (discrete.matrix @ u)), rel=1e-9)
+    reactions = (discrete.matrix @ u - discrete.load)[discrete.fixed]
+    assert sizes.forces(w, 0.0) == pytest.approx(np.linalg.norm(reactions), rel=1e-12)
+    assert sizes.forces(w, 1e20) == 1e20
+
+
+def test_between_bodies():
+    grids = am.Hierarchy.uniform(lowered_on_a_block(), [{"upper": k, "lower": (3 * k // 2, 3 * k // 4)}
+                                                        for k in (4, 8, 16)])
+    exact = am.solve(grids, am.ActiveSet(rtol=3e-11))
+    for method in ("truncated, nested", "truncated, from zero", "monotone, nested", "active set"):
+        for rtol in (1e-3, 1e-8):
+            result = am.solve(grids, METHODS[method](rtol), reference=exact)
+            assert result.history["true_error"][-1] <= 3 * rtol, (method, rtol)
+
+
+def test_load_steps(grids):
+    """Half way down nothing touches; then the block is pressed."""
+    path = am.LoadPath({"top": [0.5, 1.0]})
+    apart, pressed = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-8))
+    assert (apart.contact.state == am.OPEN).all()
+    exact = am.solve(grids, am.ActiveSet(rtol=3e-11))
+    assert error(grids, pressed, exact) <= 3e-8
+
+
+@pytest.mark.parametrize("method", ["truncated, nested", "monotone, nested", "single grid", "active set"])
+def test_a_body_that_nothing_strains(method):
+    """Lowered half way, all its forces are rounding, to which nothing can be related."""
+    apart = am.Hierarchy.uniform(lowered(down=5e-3), divisions=(4, 8, 16))
+    result = am.solve(apart, METHODS[method](1e-8))
+    assert np.abs(result.displacement - [0.0, -5e-3]).max() <= 1e-14

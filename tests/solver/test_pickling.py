@@ -1,0 +1,110 @@
+"""Results, meshes and exceptions go to other processes and come back: a pool must not hang on what a worker raises."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+from made import cube, result_on, same, square
+
+import adaptmg as am
+from adaptmg.solver.load_path import StepNotConverged
+from adaptmg.solver.not_converged import NotConverged
+from adaptmg.solver.status import Status
+
+cloudpickle = pytest.importorskip("cloudpickle")
+
+
+def unfinished() -> am.Result:
+    return result_on(square(3), status=Status.LIMIT)
+
+
+def some_path() -> am.PathResult:
+    return am.PathResult((result_on(square(3)), unfinished()), {"left": np.array([0.5, 1.0, 0.0])}, {"problem": "x"}, 3)
+
+
+def raises(kind: str) -> None:
+    """What a worker does."""
+    if kind == "NotConverged":
+        raise NotConverged(unfinished())
+    raise StepNotConverged(unfinished(), 1, "left 1", some_path())
+
+
+def returns(n: int) -> am.Result:
+    mesh = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), n)
+    assert mesh.source is not None
+    return result_on(mesh)
+
+
+WAYS = {"pickle": lambda x: pickle.loads(pickle.dumps(x)), "oldest": lambda x: pickle.loads(pickle.dumps(x, 2)),
+        "cloudpickle": lambda x: cloudpickle.loads(cloudpickle.dumps(x)), "copy": copy.copy, "deepcopy": copy.deepcopy}
+THINGS = {"result": unfinished, "contact": lambda: unfinished().contact, "path": some_path, "mesh": lambda: cube(2),
+          "meshed": lambda: am.mesh.structured(am.Rectangle(width=1.0, height=1.0), 2),
+          "bare": lambda: result_on(None), "load path": lambda: am.LoadPath({"left": [1, 0.5]})}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("thing", THINGS)
+def test_data_come_back_as_they_were(thing, way):
+    given = THINGS[thing]()
+    found = WAYS[way](given)
+    assert same(given, found)
+    if isinstance(given, am.MeshArrays):
+        assert not any(getattr(found, name).flags.writeable for name in ("points", "elements", "facets"))
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("error", [NotConverged(unfinished()),
+                                   StepNotConverged(unfinished(), 1, "left 1", some_path())])
+def test_exceptions_keep_what_they_carry(error, way):
+    error.add_note("seen in a worker")
+    found = WAYS[way](error)
+    assert type(found) is type(error) and str(found) == str(error) and same(found.result, error.result)
+    if isinstance(error, StepNotConverged):
+        assert found.step == 1 and same(found.partial, error.partial)
+
+
+def test_a_copy_keeps_the_ngsolve_mesh_and_a_pickle_needs_none():
+    mesh = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), 2)
+    assert copy.copy(mesh).source is mesh.source is copy.deepcopy(mesh).source
+    assert pickle.loads(pickle.dumps(mesh)).source is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pool", ["multiprocessing", "concurrent.futures"])
+def test_a_pool_hands_back_results_and_exceptions(pool):
+    context = multiprocessing.get_context("spawn")
+    if pool == "multiprocessing":
+        with context.Pool(1) as workers:
+            # with a limit: the pool waits for ever for what it cannot unpickle
+            assert same(workers.apply_async(returns, (2,)).get(100), returns(2))
+            for kind in (NotConverged, StepNotConverged):
+                with pytest.raises(kind, match="LIMIT") as caught:
+                    workers.apply_async(raises, (kind.__name__,)).get(100)
+                assert same(caught.value.result, unfinished())
+        return
+    with ProcessPoolExecutor(1, mp_context=context) as workers:
+        assert same(workers.submit(returns, 2).result(100), returns(2))
+        for kind in (NotConverged, StepNotConverged):
+            with pytest.raises(kind, match="LIMIT") as caught:
+                workers.submit(raises, kind.__name__).result(100)
+            assert same(caught.value.result, unfinished())
+
+
+def test_dask_hands_back_results_and_exceptions():
+    protocol = pytest.importorskip("distributed.protocol")
+    from distributed.core import clean_exception, error_message
+
+    # as a worker sends it, and as the client raises it
+    try:
+        raises("NotConverged")
+    except NotConverged as error:
+        sent = error_message(error)
+    found = clean_exception(sent["exception"].data, sent["traceback"].data)[1]
+    assert type(found) is NotConverged and same(found.result, unfinished())
+    given = returns(2)
+    assert same(protocol.deserialize(*protocol.serialize(given)), given)

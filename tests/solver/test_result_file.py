@@ -1,0 +1,100 @@
+"""Files of results: what is saved comes back, whoever made it; what is damaged is in tests/hostile."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import fields, replace
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from made import cube, result_on, same, square
+
+import adaptmg as am
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.solver import path_files
+from adaptmg.solver.result_file import read_result, write_result
+from adaptmg.solver.status import Status
+
+
+def moved(result: am.Result, folder) -> am.Result:
+    result.save(folder / "r.npz")
+    return am.Result.load(folder / "r.npz")
+
+
+@pytest.mark.parametrize("result", [result_on(square(3)), result_on(cube(2)), result_on(None),
+                                    result_on(square(2), history={}, path=[], levels=[], timings={})],
+                         ids=["2D", "3D", "bare", "without a history"])
+def test_every_field_comes_back(tmp_path, result):
+    found = moved(result, tmp_path)
+    assert same(found, result)
+    assert {f.name for f in fields(found)} == {f.name for f in fields(result)}
+
+
+def test_numbers_of_numpy_become_plain_ones(tmp_path):
+    plain = result_on(square(2))
+    given = replace(plain, cycles=np.int32(11), work_units=np.float32(47), residual=np.array(1e-9),
+                    timings=MappingProxyType({"setup": np.float64(0.01), np.str_("cycles"): np.float64(0.2)}),
+                    path=[(np.int64(level), np.str_(action), np.int8(times)) for level, action, times in plain.path],
+                    levels=[{name: np.float64(v) for name, v in row.items()} for row in plain.levels],
+                    history={name: list(v) for name, v in plain.history.items()} | {"cycle": np.arange(12)})
+    found = moved(given, tmp_path)
+    assert type(found.cycles) is int and found.levels == plain.levels
+    assert same(found.history, plain.history | {"cycle": np.arange(12)}) and found.path == plain.path
+
+
+def test_what_did_not_converge_may_hold_what_is_not_finite(tmp_path):
+    bad = result_on(square(2), status=Status.DIVERGED, displacement=np.full((9, 2), np.nan), residual=float("inf"))
+    found = moved(bad, tmp_path)
+    assert np.isnan(found.displacement).all() and found.residual == float("inf")
+
+
+def test_a_foreign_byte_order_is_read(tmp_path):
+    result = result_on(square(2))
+    foreign, columns = result.displacement.astype(">f8"), np.asfortranarray(result.reaction)
+    assert same(moved(replace(result, displacement=foreign, reaction=columns), tmp_path), result)
+
+
+def test_paths_are_expanded_and_long_names_fit(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    result, name = result_on(square(2)), "n" * 250
+    for path in ("~/r.npz", f"~/{name}.npz"):
+        result.save(path)
+        assert same(am.Result.load(path), result)
+    am.PathResult((result,), {"left": np.array([1.0])}, {}, 1).save("~/steps")
+    assert same(am.PathResult.load("~/steps")[0], result)
+    am.export.vtk(result, "~/r.vtu")
+    am.export.vtk_series([result], "~/series")
+    am.export.Report("t").write("~/t.html")
+    am.Study(count, {"n": [1]}, "~/s.sqlite").run(progress=False)
+    wanted = {"r.npz", f"{name}.npz", "steps", "r.vtu", "series", "t.html", "s.sqlite"}
+    assert {file for file in os.listdir(tmp_path) if file[0] != "."} == wanted
+
+
+def count(n):
+    return {"m": n}
+
+
+def test_a_part_of_a_path_is_a_result_too(tmp_path):
+    result = result_on(square(2))
+    write_result(tmp_path / "s.npz", result, {"step": 3, "key": "k"})
+    assert same(am.Result.load(tmp_path / "s.npz"), result)
+    assert read_result(tmp_path / "s.npz")[1] == {"step": 3, "key": "k"}
+
+
+def test_the_key_of_a_path_depends_on_all_that_steps_share():
+    head = path_files.PathHead({"left": np.array([0.5, 1.0])}, 2, {"a": 1})
+    others = (replace(head, factors={"left": np.array([0.5, 1.0 + 1e-16, 2])}), replace(head, steps=3),
+              replace(head, fingerprint={"a": 2}), replace(head, norms=(1.0,)),
+              replace(head, factors={"top": np.array([0.5, 1.0])}))
+    assert len({head.key, *(other.key for other in others)}) == 6
+
+
+def test_the_largest_of_files_is_not_taken_for_a_bomb(tmp_path):
+    """Displacements that do not shrink, and all else that shrinks well."""
+    n = 60_000
+    points = np.random.default_rng(1).random((n, 2))
+    elements = np.zeros((4, 3), dtype=int)
+    big = replace(result_on(square(2)), displacement=points, reaction=np.zeros((n, 2)),
+                  mesh=MeshArrays(points, elements, elements[:, :2], np.zeros(4), ("bottom",)))
+    assert same(moved(big, tmp_path), big)

@@ -1,0 +1,192 @@
+"""Point location: every point is found, exactly, on any mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
+
+from adaptmg.geometry.box_tree import BoxTree
+from adaptmg.geometry.morton import morton_order
+from adaptmg.mesh import MeshArrays
+from adaptmg.transfer import PointLocator
+
+MESHES = {"random 2D": random_box(80, 2, 1), "random 3D": random_box(60, 3, 1), "graded 2D": log_graded(1000, 2),
+          "graded 3D": structured(8, 3, 4.0), "one triangle": mesh_of([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]]),
+          "disk": disk(5)}
+
+
+def position(mesh, found):
+    return np.einsum("nk,nkd->nd", found.weights, mesh.points[mesh.elements[found.element]])
+
+
+def nodal(mesh, found):
+    """Dense interpolation rows, which do not depend on the element chosen on a common face."""
+    rows = np.zeros((len(found.element), mesh.n_nodes))
+    np.add.at(rows, (np.arange(len(rows))[:, None], mesh.elements[found.element]), found.weights)
+    return rows
+
+
+def brute_force_weights(mesh, point):
+    """Barycentric weights of one point in every element, by linear solves."""
+    corners = mesh.points[mesh.elements]
+    system = np.concatenate([np.ones((len(corners), 1, mesh.dim + 1)), np.swapaxes(corners, 1, 2)], axis=1)
+    return np.linalg.solve(system, np.append(1.0, point)[None, :, None])[:, :, 0]
+
+
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+def test_points_of_elements_are_found_where_they_are(mesh):
+    rng = np.random.default_rng(0)
+    element = rng.integers(0, len(mesh.elements), 500)
+    weights = rng.dirichlet(np.ones(mesh.dim + 1), 500)
+    points = np.einsum("nk,nkd->nd", weights, mesh.points[mesh.elements[element]])
+    found = PointLocator(mesh).locate(points)
+    np.testing.assert_array_equal(found.distance, 0)
+    size = mesh.element_sizes[element]
+    assert (np.abs(position(mesh, found) - points).max(axis=1) <= 1e-11 * size + 1e-15).all()
+    assert found.element.dtype == np.int32
+    # points well inside an element can lie in no other
+    inner = weights.min(axis=1) > 1e-6
+    np.testing.assert_array_equal(found.element[inner], element[inner])
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), n=st.integers(1, 25))
+def test_agrees_with_brute_force(seed, dim, n):
+    mesh = random_box(n, dim, seed)
+    points = np.random.default_rng(seed).random((20, dim)) * 1.4 - 0.2
+    found = PointLocator(mesh).locate(points)
+    for point, element, weights, distance in zip(points, found.element, found.weights, found.distance, strict=True):
+        every = brute_force_weights(mesh, point)
+        if every.min(axis=1).max() > 1e-9:
+            assert distance == 0 and every[element].min() > -1e-9
+            np.testing.assert_allclose(weights, every[element], atol=1e-9)
+        else:
+            nearest = np.clip(point, 0, 1)
+            assert distance == pytest.approx(np.linalg.norm(point - nearest), abs=1e-9)
+            np.testing.assert_allclose(weights @ mesh.points[mesh.elements[element]], nearest, atol=1e-9)
+
+
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+def test_nodes_edges_and_faces(mesh):
+    locator = PointLocator(mesh)
+    found = locator.locate(mesh.points)
+    np.testing.assert_allclose(nodal(mesh, found), np.eye(mesh.n_nodes), atol=1e-9)
+    np.testing.assert_array_equal(found.distance, 0)
+    for part in range(2, mesh.dim + 1):
+        centres = mesh.points[mesh.elements[:, :part]].mean(axis=1)
+        found = locator.locate(centres)
+        np.testing.assert_array_equal(found.distance, 0)
+        np.testing.assert_allclose(position(mesh, found), centres, atol=1e-14)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]))
+def test_outside_a_shape_that_is_not_convex(seed, dim):
+    # a box of 4^dim cells without the cells of one corner: the union of boxes, whose nearest points are known
+    whole = structured(4, dim)
+    centres = whole.points[whole.elements].mean(axis=1)
+    mesh = mesh_of(whole.points, whole.elements[~(centres > 0.5).all(axis=1)])
+    points = np.random.default_rng(seed).random((30, dim)) * 3 - 1
+    found = PointLocator(mesh).locate(points)
+    high = [np.where(np.arange(dim) == axis, 0.5, 1.0) for axis in range(dim)]
+    expected = np.min([np.linalg.norm(points - np.clip(points, 0, h), axis=1) for h in high], axis=0)
+    np.testing.assert_allclose(found.distance, expected, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(points - position(mesh, found), axis=1), expected, atol=1e-12)
+    assert (found.weights >= 0).all()
+    np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=1e-14)
+
+
+def test_points_off_a_curved_boundary_take_the_nearest_chord():
+    mesh = disk(4)
+    angle = np.linspace(0, 2 * np.pi, 101)
+    points = np.column_stack([np.cos(angle), np.sin(angle)])
+    found = PointLocator(mesh).locate(points)
+    sagitta = 1 - np.cos(np.pi / 24)
+    assert found.distance.max() == pytest.approx(sagitta, rel=0.02)
+    assert (found.distance <= sagitta * (1 + 1e-12)).all()
+    np.testing.assert_allclose(np.linalg.norm(points - position(mesh, found), axis=1), found.distance, atol=1e-13)
+
+
+def test_result_does_not_depend_on_the_other_points():
+    mesh = MESHES["graded 2D"]
+    rng = np.random.default_rng(3)
+    points = np.concatenate([rng.random((200, 2)) ** 4, rng.random((50, 2)) * 3 - 1])
+    locator = PointLocator(mesh)
+    together = locator.locate(points)
+    shuffle = rng.permutation(len(points))
+    again = locator.locate(points[shuffle])
+    np.testing.assert_allclose(nodal(mesh, again), nodal(mesh, together)[shuffle], atol=1e-10)
+    single = [locator.locate(p[None]).distance[0] for p in points[-20:]]
+    np.testing.assert_allclose(single, together.distance[-20:], atol=1e-15)
+
+
+def test_far_away_and_none():
+    mesh = MESHES["random 2D"]
+    found = PointLocator(mesh).locate(np.array([[1e9, 0.5], [-1e12, -1e12]]))
+    np.testing.assert_allclose(found.distance, [1e9 - 1, np.sqrt(2) * 1e12], rtol=1e-12)
+    empty = PointLocator(mesh).locate(np.zeros((0, 2)))
+    assert empty.element.shape == (0,) and empty.weights.shape == (0, 3) and empty.distance.shape == (0,)
+
+
+def test_bodies_are_searched_apart():
+    mesh = two_boxes(3, 2)
+    points = np.column_stack([np.linspace(0, 1, 20), np.zeros(20)])
+    for body in (0, 1):
+        found = PointLocator(mesh, body=body).locate(points)
+        assert (mesh.element_body[found.element] == body).all()
+        np.testing.assert_array_equal(found.distance, 0)
+    with pytest.raises(ValueError, match="body 2 of the mesh has no elements"):
+        PointLocator(mesh, body=2)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_nearest_facet_agrees_with_brute_force(dim):
+    mesh = random_box(60, dim, 5)
+    tree = BoxTree(mesh.points, mesh.facets)
+    queries = np.random.default_rng(6).random((40, dim)) * 2 - 0.5
+    facet, weights, distance = tree.nearest(queries)
+    # the nearest point of the boundary of the box
+    inside = np.clip(queries, 0, 1)
+    depth = np.where((inside == queries).all(axis=1), np.minimum(queries, 1 - queries).min(axis=1), 0)
+    np.testing.assert_allclose(distance, depth + np.linalg.norm(queries - inside, axis=1), atol=1e-12)
+    reached = np.einsum("nk,nkd->nd", weights, mesh.points[mesh.facets[facet]])
+    np.testing.assert_allclose(np.linalg.norm(queries - reached, axis=1), distance, atol=1e-12)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_morton_order_visits_quadrants_one_after_the_other(dim):
+    points = np.random.default_rng(7).random((500, dim))
+    points[0], points[1] = 0, 1                             # the bounding box is the unit box
+    quadrant = (points[morton_order(points)] * (1 - 1e-9) >= 0.5) @ 2 ** np.arange(dim)
+    assert np.count_nonzero(np.diff(quadrant)) == 2**dim - 1
+
+
+def test_failures_name_the_argument():
+    mesh = MESHES["random 2D"]
+    with pytest.raises(TypeError, match="mesh must be MeshArrays"):
+        PointLocator(mesh.points)
+    with pytest.raises(ValueError, match=r"points must have shape \(n, 2\)"):
+        PointLocator(mesh).locate(np.zeros((4, 3)))
+    with pytest.raises(ValueError, match="points must be finite; point 1"):
+        PointLocator(mesh).locate(np.array([[0.5, 0.5], [np.nan, 0]]))
+    flat = MeshArrays(points=[[0, 0], [1, 0], [0, 1], [2, 0]], elements=[[0, 1, 2], [0, 1, 3]], facets=np.zeros((0, 2)),
+                      facet_labels=[], boundaries=())
+    with pytest.raises(ValueError, match="element 1 has no volume"):
+        PointLocator(flat)
+    none = MeshArrays(points=[[0, 0]], elements=np.zeros((0, 3)), facets=np.zeros((0, 2)), facet_labels=[],
+                      boundaries=())
+    with pytest.raises(ValueError, match="no elements"):
+        PointLocator(none)
+
+
+def test_coincident_centroids_do_not_confuse_the_tree():
+    # rings of nested triangles about one point: all Morton codes nearly equal
+    angle = np.pi / 2 + np.arange(3) * 2 * np.pi / 3
+    rings = [s * np.column_stack([np.cos(angle), np.sin(angle)]) for s in 2.0 ** -np.arange(30)]
+    mesh = delaunay(np.concatenate(rings))
+    points = mesh.points[mesh.elements].mean(axis=1)
+    found = PointLocator(mesh).locate(points)
+    np.testing.assert_array_equal(found.element, np.arange(len(points)))

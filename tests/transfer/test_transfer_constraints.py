@@ -1,0 +1,152 @@
+"""Transport of contact data: the monotone guarantee on random data, hand-made cases, failures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+
+from adaptmg.transfer import (
+    Supports,
+    injected_gap,
+    injected_limit,
+    injected_slip,
+    largest_gap,
+    minmod_slip,
+    smallest_gap,
+    summed_limit,
+    supports,
+)
+
+# fine nodes 0, 2, 4 lie on the coarse nodes 0, 1, 2; 1 and 3 halfway; the coarse node 3 has no fine node
+P_LINE = sparse.csr_array([[1, 0, 0, 0], [0.5, 0.5, 0, 0], [0, 1, 0, 0], [0, 0.5, 0.5, 0], [0, 0, 1, 0]])
+
+
+def random_rows(rng, n_fine, n_coarse):
+    """Rows >= 0 of up to three entries with sums 1; a few sums are less, as where coarse dofs are fixed."""
+    P = np.zeros((n_fine, n_coarse))
+    for i in range(n_fine):
+        k = rng.integers(1, min(3, n_coarse) + 1)
+        P[i, rng.choice(n_coarse, k, replace=False)] = rng.dirichlet(np.ones(k))
+    P[rng.random(n_fine) < 0.1] *= rng.random()
+    return sparse.csr_array(P)
+
+
+def friction_change(limit, slip, change):
+    return limit @ (np.linalg.norm(slip + change, axis=1) - np.linalg.norm(slip, axis=1))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**8), dim=st.sampled_from([2, 3]), one_way=st.booleans())
+def test_monotone_guarantee(seed, dim, one_way):
+    rng = np.random.default_rng(seed)
+    n_fine, n_coarse = rng.integers(1, 30), rng.integers(1, 10)
+    P = random_rows(rng, n_fine, n_coarse)
+    opening = rng.random(n_fine) * (rng.random(n_fine) < 0.7)
+    limit = rng.random(n_fine) * (rng.random(n_fine) < 0.8)
+    slip = rng.standard_normal((n_fine, dim - 1)) * 10.0 ** rng.integers(-3, 3, (n_fine, 1))
+    if one_way:
+        direction = rng.standard_normal(dim - 1)
+        slip = np.linalg.norm(slip, axis=1)[:, None] * direction / np.linalg.norm(direction)
+    stick = rng.random(n_fine) < 0.15
+    slip[stick] = 0
+    bound, reference, force = smallest_gap(P, opening), minmod_slip(P, slip, stick), summed_limit(P, limit)
+    for scale in (1e-3, 1.0, 1e3):
+        normal = np.minimum(np.where(np.isfinite(bound), bound, 0), scale * rng.standard_normal(n_coarse))
+        assert (opening - P @ normal).min() >= -1e-13 * scale
+        tangential = scale * rng.standard_normal((n_coarse, dim - 1))
+        fine = friction_change(limit, slip, P @ tangential)
+        coarse = friction_change(force, reference, tangential)
+        assert fine <= coarse + 1e-12 * (1 + scale) * (1 + np.abs(slip).max())
+    # the bound is attained: no larger gap is safe everywhere
+    at_bound = np.where(np.isfinite(bound), bound, 0)
+    assert (opening - P @ at_bound).min() >= -1e-14
+
+
+def test_the_other_choices_guarantee_nothing():
+    """The inequalities fail for the paper's choices: the test above can fail."""
+    opening = np.array([0.0, 0, 1, 1, 1])
+    for choice in (largest_gap, injected_gap):
+        assert (opening - P_LINE[:, :3] @ choice(P_LINE, opening)[:3]).min() < 0
+    slip = np.array([[1.0], [-1], [1], [1], [1]])
+    limit, correction = np.array([0.0, 1, 0, 0, 0]), np.array([[-0.5], [-0.5], [0], [0]])
+    coarse = friction_change(summed_limit(P_LINE, limit), injected_slip(P_LINE, slip), correction)
+    assert friction_change(limit, slip, P_LINE @ correction) > coarse
+    safe = friction_change(summed_limit(P_LINE, limit), minmod_slip(P_LINE, slip), correction)
+    assert friction_change(limit, slip, P_LINE @ correction) <= safe
+
+
+def test_gaps_by_hand():
+    opening = np.array([3.0, 1, 5, 2, 7])
+    np.testing.assert_array_equal(smallest_gap(P_LINE, opening), [1, 1, 2, np.inf])
+    np.testing.assert_array_equal(largest_gap(P_LINE, opening), [3, 5, 7, np.inf])
+    np.testing.assert_array_equal(injected_gap(P_LINE, opening), [3, 5, 7, np.inf])
+
+
+def test_slips_by_hand():
+    slip = np.array([[3.0], [1], [2], [-4], [-1]])
+    np.testing.assert_array_equal(minmod_slip(P_LINE, slip)[:, 0], [1, 0, -1, 0])
+    np.testing.assert_array_equal(injected_slip(P_LINE, slip)[:, 0], [3, 2, -1, 0])
+    stick = np.array([True, False, False, False, False])
+    np.testing.assert_array_equal(minmod_slip(P_LINE, slip, stick)[:, 0], [0, 0, -1, 0])
+    tiny = np.full((5, 1), 1e-200)                          # the product of two of them is 0
+    tiny[1] = -1e-200
+    np.testing.assert_array_equal(minmod_slip(P_LINE, tiny)[:, 0], [0, 0, 1e-200, 0])
+    zero = np.array([[3.0], [0], [2], [4], [1]])
+    np.testing.assert_array_equal(minmod_slip(P_LINE, zero)[:, 0], [0, 0, 1, 0])
+
+
+def test_slips_in_the_plane_by_hand():
+    slip = np.array([[3.0, 0], [1, 1e-8], [2, 0], [0, 2], [0, 1]])
+    expected = [[1, 1e-8], [0, 0], [0, 1], [0, 0]]
+    np.testing.assert_array_equal(minmod_slip(P_LINE, slip), expected)
+    np.testing.assert_array_equal(minmod_slip(P_LINE, slip, angle=1e-9)[0], [0, 0])
+    np.testing.assert_array_equal(minmod_slip(P_LINE, slip * [[1], [-1], [1], [1], [1]])[0], [0, 0])
+    np.testing.assert_array_equal(minmod_slip(P_LINE, slip, np.arange(5) == 4)[2], [0, 0])
+    np.testing.assert_array_equal(injected_slip(P_LINE, slip), [[3, 0], [2, 0], [0, 1], [0, 0]])
+
+
+def test_limits_are_summed():
+    limit = np.array([1.0, 2, 4, 8, 16])
+    np.testing.assert_array_equal(summed_limit(P_LINE, limit), [2, 9, 20, 0])
+    assert summed_limit(P_LINE, limit).sum() == limit.sum()
+    np.testing.assert_array_equal(injected_limit(P_LINE, limit), [1, 4, 16, 0])
+
+
+def test_supports_are_made_once_and_accepted():
+    P = P_LINE.copy()
+    P.data[1] = 0.0                                         # a stored zero is in no support
+    sets = supports(P)
+    assert isinstance(sets, Supports) and supports(sets) is sets
+    np.testing.assert_array_equal(sets.nodes[:sets.indptr[1]], [0])
+    np.testing.assert_array_equal(sets.main, [0, 2, 4, -1])
+    opening = np.array([3.0, 1, 5, 2, 7])
+    np.testing.assert_array_equal(smallest_gap(sets, opening), smallest_gap(P, opening))
+    assert P.nnz == 7                                       # the matrix given is left as it was
+    equal = supports(sparse.csr_array([[0.5, 0.5], [0.5, 0.5]]))
+    np.testing.assert_array_equal(equal.main, [0, 0])       # the first of equal weights
+
+
+@pytest.mark.parametrize("call", [smallest_gap, largest_gap, injected_gap])
+def test_wrong_openings(call):
+    with pytest.raises(ValueError, match=r"opening must have shape \(5,\)"):
+        call(P_LINE, np.zeros(4))
+
+
+def test_failures_name_the_argument():
+    with pytest.raises(ValueError, match="P_cc must be >= 0"):
+        supports(sparse.csr_array([[1.5, -0.5]]))
+    with pytest.raises(ValueError, match="P_cc must be >= 0"):
+        supports(sparse.csr_array([[np.nan, 0.5]]))
+    with pytest.raises(TypeError, match="P_cc must be a scipy sparse matrix"):
+        smallest_gap(P_LINE.toarray(), np.zeros(5))
+    with pytest.raises(ValueError, match=r"slip must have shape \(5, 1\)"):
+        minmod_slip(P_LINE, np.zeros(5))
+    with pytest.raises(ValueError, match="stick must be a boolean mask"):
+        minmod_slip(P_LINE, np.zeros((5, 1)), np.zeros(5))
+    with pytest.raises(ValueError, match="angle must be"):
+        minmod_slip(P_LINE, np.zeros((5, 2)), angle=2)
+    with pytest.raises(ValueError, match="limit must have shape"):
+        summed_limit(P_LINE, np.zeros(3))

@@ -1,0 +1,114 @@
+"""Interpolation along the contact boundary."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import sparse
+from simplex_meshes import disk, log_graded, mesh_of, random_box, structured
+
+from adaptmg.transfer import Interpolation, surface_interpolation, with_contact_rows
+
+
+def bottom(mesh):
+    facets = mesh.facets[(mesh.points[mesh.facets][:, :, -1] == 0).all(axis=1)]
+    return facets, np.unique(facets)
+
+
+def bulged(n):
+    """A cube whose bottom face is bent to a cap."""
+    cube = structured(n, 3)
+    points = np.array(cube.points)
+    points[:, 2] -= (1 - points[:, 2]) * 0.3 * (1 - (2 * points[:, 0] - 1) ** 2) * (1 - (2 * points[:, 1] - 1) ** 2)
+    mesh = mesh_of(points, cube.elements)
+    return mesh, cube.facets[(cube.points[cube.facets][:, :, 2] == 0).all(axis=1)]
+
+
+@pytest.mark.parametrize(("coarse", "fine"), [(random_box(20, 2, 1), random_box(80, 2, 2)),
+                                              (log_graded(300, 1), log_graded(900, 2)),
+                                              (random_box(30, 3, 1), random_box(90, 3, 2))], ids=["2D", "graded", "3D"])
+def test_on_a_flat_boundary_it_is_the_interpolation(coarse, fine):
+    facets, allowed = bottom(coarse)
+    _, nodes = bottom(fine)
+    rows = surface_interpolation(coarse, fine, facets, nodes)
+    assert rows.shape == (len(nodes), coarse.n_nodes) and np.isin(rows.indices, allowed).all()
+    np.testing.assert_allclose(rows @ coarse.points, fine.points[nodes], atol=1e-14)
+    np.testing.assert_allclose((rows - Interpolation().build(coarse, fine)[nodes]).toarray(), 0, atol=1e-7)
+
+
+def test_on_a_circle():
+    coarse, fine = disk(4), disk(9, turn=0.2)
+    nodes = np.unique(fine.facets)
+    rows = surface_interpolation(coarse, fine, coarse.facets, nodes)
+    assert rows.data.min() >= 0 and np.isin(rows.indices, np.unique(coarse.facets)).all()
+    np.testing.assert_allclose(rows.sum(axis=1), 1, atol=1e-15)
+    sagitta = 1 - np.cos(np.pi / 24)
+    assert np.linalg.norm(rows @ coarse.points - fine.points[nodes], axis=1).max() <= sagitta * (1 + 1e-12)
+
+def quarter_ring(n):
+    """A quarter ring with radii 1 and 2; facets and nodes of its inner arc."""
+    square = structured(n, 2)
+    angle, radius = square.points[:, 0] * np.pi / 2, 1 + square.points[:, 1]
+    facets = square.facets[(square.points[square.facets][:, :, 1] == 0).all(axis=1)]
+    mesh = mesh_of(np.column_stack([-radius * np.cos(angle), radius * np.sin(angle)]), square.elements)
+    return mesh, facets, np.unique(facets)
+
+
+def test_in_a_hole_inner_nodes_drop_out():
+    coarse, facets, allowed = quarter_ring(4)
+    fine, _, nodes = quarter_ring(9)
+    volume = Interpolation().build(coarse, fine)
+    assert not np.isin(volume[nodes].indices, allowed).all()          # the arc lies inside the coarse mesh
+    rows = surface_interpolation(coarse, fine, facets, nodes)
+    assert np.isin(rows.indices, allowed).all()
+    changed = with_contact_rows(volume, nodes, rows)
+    assert np.isin(changed[nodes].indices, allowed).all() and changed.data.min() >= 0
+
+
+def test_on_a_curved_face_no_facet_is_nearer():
+    coarse, facets = bulged(4)
+    fine, fine_facets = bulged(9)
+    nodes = np.unique(fine_facets)
+    rows = surface_interpolation(coarse, fine, facets, nodes)
+    assert rows.data.min() >= 0 and np.diff(rows.indptr).max() <= 3
+    np.testing.assert_allclose(rows.sum(axis=1), 1, atol=1e-15)
+    distance = np.linalg.norm(rows @ coarse.points - fine.points[nodes], axis=1)
+    weights = np.array([(a, b, 12 - a - b) for a in range(13) for b in range(13 - a)]) / 12
+    samples = np.einsum("wk,fkd->fwd", weights, coarse.points[facets]).reshape(-1, 3)
+    sampled = np.linalg.norm(samples[None] - fine.points[nodes][:, None], axis=2).min(axis=1)
+    assert (distance <= sampled + 1e-12).all()
+    finer, finer_facets = bulged(8)
+    closer = surface_interpolation(finer, fine, finer_facets, nodes)
+    assert np.linalg.norm(closer @ finer.points - fine.points[nodes], axis=1).max() < 0.35 * distance.max()
+
+
+def test_rows_are_replaced_and_others_kept():
+    coarse, fine = disk(3), disk(7)
+    nodes = np.unique(fine.facets)[::-1]
+    P = Interpolation().build(coarse, fine)
+    rows = surface_interpolation(coarse, fine, coarse.facets, nodes)
+    changed = with_contact_rows(P, nodes, rows)
+    assert changed.format == "csr"
+    np.testing.assert_array_equal(changed[nodes].toarray(), rows.toarray())
+    others = np.setdiff1d(np.arange(fine.n_nodes), nodes)
+    np.testing.assert_array_equal(changed[others].toarray(), P[others].toarray())
+
+
+def test_failures_name_the_argument():
+    coarse, fine = disk(2), disk(3)
+    nodes = np.unique(fine.facets)
+    with pytest.raises(TypeError, match="coarse_boundary_facets must be integers"):
+        surface_interpolation(coarse, fine, coarse.facets.astype(float), nodes)
+    with pytest.raises(ValueError, match=r"coarse_boundary_facets must have shape \(n, 2\)"):
+        surface_interpolation(coarse, fine, coarse.elements, nodes)
+    with pytest.raises(ValueError, match="n > 0"):
+        surface_interpolation(coarse, fine, coarse.facets[:0], nodes)
+    with pytest.raises(ValueError, match="fine_nodes must lie in 0"):
+        surface_interpolation(coarse, fine, coarse.facets, np.array([fine.n_nodes]))
+    with pytest.raises(ValueError, match="same dimension"):
+        surface_interpolation(coarse, structured(1, 3), coarse.facets, np.array([0]))
+    P = Interpolation().build(coarse, fine)
+    with pytest.raises(ValueError, match="rows must have shape"):
+        with_contact_rows(P, nodes, sparse.csr_array((len(nodes), 3)))
+    with pytest.raises(ValueError, match="fine_nodes must be distinct"):
+        with_contact_rows(P, np.array([0, 0]), P[[0, 1]])
