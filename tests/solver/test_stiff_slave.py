@@ -1,3 +1,11 @@
+"""A stiff slave on a soft master: slow for cycles, quick for the active set method, which takes over in time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import adaptmg as am
 
 
 @pytest.mark.parametrize("pull", [-8e7, -2e7, 5e7])
