@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.multigrid.truncated.projected_sweeps import solve_at
+from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.smoother.blocks import (
     add,
     minus_times,

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.multigrid.linear.split_kernels import invert_block
+from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.smoother.state import CLOSED, HELD, TANGENTIAL
 
 __all__ = ["add_contributions", "changed_blocks", "collect", "count_blocks", "count_contributions",
