@@ -130,7 +130,7 @@ class TruncatedContact:
     def linearise_friction(self) -> None:
         """Take the slip directions (3D: and the Hessian) from the present unknowns."""
         contact_kernels.directions(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference,
-                                 self.values, self.direction, self.hessian)
+                                   self.values, self.direction, self.hessian)
         if len(self.driven):
             self.direction.reshape(-1, 2)[self.driven, 0] = 0.0
             hessian = self.hessian.reshape(-1, 2, 2)
@@ -140,7 +140,7 @@ class TruncatedContact:
     def truncate(self, defect: np.ndarray) -> float:
         """Make f - A u the truncated residual, in place; returns its sum of squares at the contact nodes."""
         squares = contact_kernels.truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction,
-                                         self.reference, self.values, defect)
+                                           self.reference, self.values, defect)
         # the support takes the friction along what it holds
         return squares - self._clear(defect)
 
@@ -156,7 +156,7 @@ class TruncatedContact:
     def project(self, unknowns: np.ndarray) -> int:
         """Make a corrected iterate admissible, in place; returns the number of nodes that had to be cut."""
         cut = contact_kernels.project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
-                                    self.values, unknowns)
+                                      self.values, unknowns)
         self._clear(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
         return cut
@@ -168,10 +168,10 @@ class TruncatedContact:
         to change its status would cost more cycles than to cut it.
         """
         cut = contact_kernels.count_cut(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
-                                      self.values, first, second, alpha[0], alpha[1], unknowns)
+                                        self.values, first, second, alpha[0], alpha[1], unknowns)
         return cut <= 1 + self.FEW * len(self.nodes)
 
     def friction_slope(self, before: np.ndarray, alpha: float) -> float:
         """How much the slope of sum g |slip| at alpha exceeds that at 0 on the way from local unknowns ``before``."""
         return contact_kernels.friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure,
-                                            self.reference, before, self.values, alpha)
+                                              self.reference, before, self.values, alpha)

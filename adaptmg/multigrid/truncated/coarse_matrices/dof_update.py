@@ -1,4 +1,4 @@
-"""The same for coarse spaces that are given dof by dof (algebraic ones, say), by small sparse triple products."""
+"""Updates of Galerkin matrices on coarse spaces that are given dof by dof (algebraic ones, say), by sparse products."""
 
 from __future__ import annotations
 
