@@ -21,9 +21,9 @@ from numba import njit
 import adaptmg as am
 from adaptmg.discretisation.elasticity import stiffness
 from adaptmg.mesh import MeshArrays, structured
-from adaptmg.multigrid import projected_sweeps as sweeps
-from adaptmg.multigrid.halves import split
-from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.multigrid.linear.split_matrix import split
+from adaptmg.multigrid.truncated import projected_sweeps as sweeps
+from adaptmg.multigrid.truncated.contact import TruncatedContact
 from adaptmg.smoother import kernels
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import LocalSystem
@@ -93,19 +93,19 @@ def half_sweep_calls(dim: int, divisions: int) -> dict[str, tuple[Callable[[], o
     problem = am.cases.greco_bar() if dim == 2 else am.cases.greco_block()
     discrete = am.discretise(problem, structured(problem.domain, divisions))
     level = split(discrete.matrix, discrete.fixed, symmetric=True)
-    obstacle = Obstacle.of(discrete, level)
+    contact = TruncatedContact.of(discrete, level)
     zero = ZERO[dim]
     load, unknowns, kept = np.array(discrete.load), np.zeros(discrete.n_dofs), np.zeros(discrete.n_dofs)
     lower = sum(array.nbytes for array in level.lower_arrays)
-    nodal = level.inverse.nbytes + obstacle.contact_of.nbytes
+    nodal = level.inverse.nbytes + contact.contact_of.nbytes
 
     def backward() -> None:
-        sweeps.backward(zero, *level.lower_arrays, level.inverse, load, obstacle.contact_of, *obstacle.node_data,
+        sweeps.backward(zero, *level.lower_arrays, level.inverse, load, contact.contact_of, *contact.node_data,
                         unknowns, kept)
 
     def forward() -> None:
-        sweeps.forward(zero, *level.lower_arrays, level.inverse, obstacle.diagonal, obstacle.contact_of,
-                       *obstacle.node_data, unknowns, kept)
+        sweeps.forward(zero, *level.lower_arrays, level.inverse, contact.diagonal, contact.contact_of,
+                       *contact.node_data, unknowns, kept)
 
     return {"backward, L twice used": (backward, lower + nodal + load.nbytes + 3 * unknowns.nbytes),
             "forward, L with residual": (forward, lower + nodal + 4 * unknowns.nbytes)}

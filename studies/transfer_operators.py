@@ -25,7 +25,7 @@ from matplotlib import pyplot as plt
 
 import adaptmg as am
 from adaptmg.mesh import MeshArrays, graded, structured
-from adaptmg.multigrid.stack import build_stack, contact_weights
+from adaptmg.multigrid.correction_levels import contact_weights, correction_levels
 from adaptmg.plot.style import CYCLE, styled
 from adaptmg.smoother.system import local_system
 from adaptmg.transfer import mesh_ratio
@@ -111,14 +111,14 @@ def properties(dim: int, sizes: tuple[float, ...], contact_ratio: float, transfe
     base, own = build_seconds(meshes, (am.Interpolation(), TRANSFERS[transfer]))
     hierarchy = am.Hierarchy.from_meshes(problem, meshes, TRANSFERS[transfer], contact_rows=contact_rows)
     problems = [local_system(level.discrete) for level in hierarchy.levels]
-    stack = build_stack(hierarchy, problems, len(hierarchy) - 1)
+    levels = correction_levels(hierarchy, problems, len(hierarchy) - 1)
     finest = hierarchy.finest
     return {"nodes": finest.discrete.n_nodes, "contact_nodes": len(finest.discrete.contact), "levels": len(hierarchy),
             "mesh_ratio": max(level.mesh_ratio for level in hierarchy.levels[1:]), "build_s": own,
             "build_ratio": own / base, "row_entries": finest.prolongation.nnz / finest.prolongation.shape[0],
-            "complexity": stack.operator_complexity, "discretised_complexity": hierarchy.operator_complexity,
+            "complexity": levels.operator_complexity, "discretised_complexity": hierarchy.operator_complexity,
             "min_weight": min(float(level.prolongation.data.min()) for level in hierarchy.levels[1:]),
-            "affine_error": affine_error(hierarchy), "proven": all(level.proven for level in stack.levels)}
+            "affine_error": affine_error(hierarchy), "proven": all(level.proven for level in levels.levels)}
 
 
 def negative_contact_weights(hierarchy: am.Hierarchy) -> bool:

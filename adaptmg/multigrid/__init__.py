@@ -1,6 +1,6 @@
 """The multigrid ingredients: coarse spaces, corrections, cycles, coarse solves, nested start."""
 
-from adaptmg.multigrid.coarse import CoarseSolve
+from adaptmg.multigrid.coarse_solve import CoarseSolve
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.monotone import Monotone
 from adaptmg.multigrid.nested import NestedStart

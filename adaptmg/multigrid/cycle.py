@@ -1,4 +1,4 @@
-"""The multigrid cycle: smoothing, coarse correction, recursion. Fig. 1 of the paper shows its shapes."""
+"""The multigrid cycle of the monotone and the paper's correction. Fig. 1 of the paper shows its shapes."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Protocol
 
 import numpy as np
 
-from adaptmg.multigrid.coarse import CoarseSolve
+from adaptmg.multigrid.coarse_solve import CoarseSolve
 from adaptmg.multigrid.correction import Correction, InitialContact, Recorder, correction_contact
-from adaptmg.multigrid.stack import Stack
+from adaptmg.multigrid.correction_levels import CorrectionLevels
 from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import Smoother
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, NodalContact
 
-__all__ = ["Condensation", "Cycle", "CycleRunner"]
+__all__ = ["Condensation", "Cycle", "MultigridCycle"]
 
 
 class Condensation(Protocol):
@@ -61,13 +61,13 @@ class Cycle:
 
 
 @dataclass(eq=False)
-class CycleRunner:
-    """Runs cycles on a stack.
+class MultigridCycle:
+    """Cycles on the levels of a coarse correction; all they change they change in place.
 
     Parameters
     ----------
-    stack : Stack
-    cycle : Cycle
+    levels : CorrectionLevels
+    options : Cycle
     smoother : Smoother
     correction : Correction
     coarse : CoarseSolve
@@ -78,8 +78,8 @@ class CycleRunner:
         The coarsest matrix condensed to its contact dofs, where the coarse solve wants that.
     """
 
-    stack: Stack
-    cycle: Cycle
+    levels: CorrectionLevels
+    options: Cycle
     smoother: Smoother
     correction: Correction
     coarse: CoarseSolve
@@ -90,44 +90,54 @@ class CycleRunner:
     #: cycles of a 'complete' coarse solution at most
     COMPLETE_LIMIT = 60
 
-    def smooth(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, sweeps: int) -> None:
-        """Sweep on a level, in place."""
-        if sweeps:
-            system = self.stack.levels[level].system
-            passes = self.smoother.smooth(system, contact, load, unknowns, sweeps)
-            self.recorder.count(passes, system.nonzeros)
-            self.recorder.visit(level, "smooth", sweeps)
+    def cycle(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str) -> None:
+        """One cycle on a level >= 1: smooth, correct from the next coarser level, smooth."""
+        self.smooth(level, contact, load, unknowns, self.options.pre)
+        self.correct(level, contact, unknowns, self.residual(level, load, unknowns), shape)
+        self.smooth(level, contact, load, unknowns, self.options.post)
 
-    def residual(self, level: int, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
-        """b - A w on a level (n_dofs,), one pass."""
-        system = self.stack.levels[level].system
-        self.recorder.count(1, system.nonzeros)
-        return residual(system, load, unknowns)
+    def solve(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str) -> None:
+        """Solve the problem of a level as well as the shape of the cycle wants it."""
+        if level == 0:
+            self.solve_coarsest(contact, load, unknowns)
+        elif shape == "complete":
+            self._complete(level, contact, load, unknowns)
+        else:
+            for each in {"V": "V", "W": "WW", "F": "FV"}[shape]:
+                self.cycle(level, contact, load, unknowns, each)
 
     def correct(self, level: int, contact: NodalContact, unknowns: np.ndarray, defect: np.ndarray,
                 shape: str | None = None) -> None:
-        """Add the correction from the next coarser level, in place; ``defect`` is the residual at ``unknowns``."""
-        fine, coarse = self.stack.levels[level], self.stack.levels[level - 1]
+        """Add the correction from the next coarser level; ``defect`` is the residual at ``unknowns``."""
+        fine, coarse = self.levels[level], self.levels[level - 1]
         initial = self.initial[level - 1] if self.correction.needs_initial else None
         data = correction_contact(self.correction, fine.supports, fine.system, coarse.system, contact,
                                   unknowns, defect, initial)
         self.recorder.visit(level, "restrict")
         load = fine.restriction @ defect
         error = np.zeros(coarse.system.n_dofs)
-        self._solve_coarse(level - 1, data, load, error, self.cycle.shape if shape is None else shape)
+        self.solve(level - 1, data, load, error, self.options.shape if shape is None else shape)
         unknowns += fine.prolongation @ error
         self.recorder.visit(level, "prolong")
 
-    def once(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str) -> None:
-        """One cycle on a level, in place."""
-        self.smooth(level, contact, load, unknowns, self.cycle.pre)
-        self.correct(level, contact, unknowns, self.residual(level, load, unknowns), shape)
-        self.smooth(level, contact, load, unknowns, self.cycle.post)
+    def smooth(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, sweeps: int) -> None:
+        """Sweep on a level."""
+        if sweeps:
+            system = self.levels[level].system
+            passes = self.smoother.smooth(system, contact, load, unknowns, sweeps)
+            self.recorder.count(passes, system.nonzeros)
+            self.recorder.visit(level, "smooth", sweeps)
+
+    def residual(self, level: int, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+        """b - A w on a level (n_dofs,), one pass."""
+        system = self.levels[level].system
+        self.recorder.count(1, system.nonzeros)
+        return residual(system, load, unknowns)
 
     def solve_coarsest(self, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:
-        """Solve on the coarsest level, in place."""
+        """Solve on the coarsest level."""
         if self.condensed is None:
-            sweeps = self.coarse.solve(self.stack.levels[0].system, contact, load, unknowns, self.recorder)
+            sweeps = self.coarse.solve(self.levels[0].system, contact, load, unknowns, self.recorder)
         else:
             particular, reduced = self.condensed.reduce(load)
             part = self.condensed.restrict(unknowns)
@@ -135,28 +145,14 @@ class CycleRunner:
             unknowns[:] = self.condensed.complete(particular, part)
         self.recorder.visit(0, "solve", sweeps)
 
-    def _solve_coarse(self, level: int, contact: NodalContact, load: np.ndarray, error: np.ndarray, shape: str) -> None:
-        if level == 0:
-            self.solve_coarsest(contact, load, error)
-        elif shape == "V":
-            self.once(level, contact, load, error, "V")
-        elif shape == "W":
-            self.once(level, contact, load, error, "W")
-            self.once(level, contact, load, error, "W")
-        elif shape == "F":
-            self.once(level, contact, load, error, "F")
-            self.once(level, contact, load, error, "V")
-        else:
-            self._complete(level, contact, load, error)
-
-    def _complete(self, level: int, contact: NodalContact, load: np.ndarray, error: np.ndarray) -> None:
+    def _complete(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:
         """Cycles until the estimated error meets the tolerance of the coarse solve."""
         change = np.inf
         for _ in range(self.COMPLETE_LIMIT):
-            before = error.copy()
-            self.once(level, contact, load, error, "complete")
-            previous, change = change, float(np.linalg.norm(error - before))
+            before = unknowns.copy()
+            self.cycle(level, contact, load, unknowns, "complete")
+            previous, change = change, float(np.linalg.norm(unknowns - before))
             rate = change / previous if np.isfinite(previous) else np.inf
             remaining = change if self.coarse.test == "change" else change * rate / (1 - rate) if rate < 1 else np.inf
-            if change == 0.0 or remaining <= self.coarse.rtol * float(np.linalg.norm(error)) + self.coarse.atol:
+            if change == 0.0 or remaining <= self.coarse.rtol * float(np.linalg.norm(unknowns)) + self.coarse.atol:
                 break

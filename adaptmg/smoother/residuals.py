@@ -21,7 +21,7 @@ from adaptmg.smoother import kernels
 from adaptmg.smoother.arguments import check_contact, check_vector
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.compiling import notice
-from adaptmg.smoother.state import ContactState
+from adaptmg.smoother.state import contact_codes, contact_states
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
 __all__ = ["contact_share", "contact_state", "energy", "natural_at_nodes", "natural_residual", "normal_force",
@@ -137,10 +137,8 @@ def contact_state(system: LocalSystem, contact: NodalContact, load: np.ndarray, 
 def states(contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, small: float) -> np.ndarray:
     """:func:`contact_state` from the unknowns (n_contact, dim) and p (n_contact,); ``small`` (m) counts as zero."""
     slip = np.linalg.norm(values[:, 1:] - contact.slip_reference, axis=1)
-    state = np.full(len(values), ContactState.SLIP, dtype=np.int8)
-    state[(slip <= small) & (contact.limit + contact.friction * normal_force > 0)] = ContactState.STICK
-    state[(contact.gap - values[:, 0] > small) | (normal_force == 0)] = ContactState.OPEN
-    return state
+    held = (slip <= small) & (contact.limit + contact.friction * normal_force > 0)
+    return contact_states(contact_codes(~(contact.gap - values[:, 0] > small), held), normal_force)
 
 
 def natural_at_nodes(contact: NodalContact, blocks: np.ndarray, values: np.ndarray, defect: np.ndarray) -> np.ndarray:

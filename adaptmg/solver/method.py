@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.coarse import CoarseSolve
+from adaptmg.multigrid.coarse_solve import CoarseSolve
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.nested import NestedStart
 from adaptmg.smoother.gauss_seidel import Smoother

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.coarse import CoarseSolve
+from adaptmg.multigrid.coarse_solve import CoarseSolve
 from adaptmg.multigrid.correction import Correction
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.monotone import Monotone
@@ -37,7 +37,7 @@ class Multigrid:
         cycles of its own, ``method(options, hierarchy, run)`` (:mod:`adaptmg.solver.method`).
         :class:`~adaptmg.Truncated` brings its own cycle, smoother and coarse solve and takes ``cycle``,
         ``smoother``, ``coarse``, ``coarse_matrices`` and ``stop`` at their defaults only. Default: Truncated() if these
-        are at their defaults, else Monotone().
+        are at their defaults, else Monotone(). Its linear coarse solve and coarse smoother are options of its own.
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
         iteration first, and starts from zero all the same; the work is counted.
     coarse : CoarseSolve

@@ -9,9 +9,9 @@ from scipy import sparse
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.correction import InitialContact
-from adaptmg.multigrid.cycle import Cycle, CycleRunner
+from adaptmg.multigrid.correction_levels import correction_levels
+from adaptmg.multigrid.cycle import Cycle, MultigridCycle
 from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prolonged_start
-from adaptmg.multigrid.stack import build_stack
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
 from adaptmg.solver.iterate import iterate
 from adaptmg.solver.linear.condensation import Condensed, condense
@@ -58,16 +58,16 @@ class ProjectedMultigrid:
         """See :class:`~adaptmg.solver.method.Method`."""
         return self.finish(self.nested_start(start))
 
-    def runner(self, finest: int) -> CycleRunner:
+    def runner(self, finest: int) -> MultigridCycle:
         """What runs cycles on level ``finest`` and those below."""
         o = self.options
         with self.run.phase("setup"):
-            stack = build_stack(self.hierarchy, self.problems, finest, o.coarse_matrices)
+            levels = correction_levels(self.hierarchy, self.problems, finest, o.coarse_matrices)
         condensed = None
         if o.coarse.condensed:
             with self.run.phase("factorise"):
-                condensed = self._condensed(stack.levels[0].system)
-        return CycleRunner(stack, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial, condensed)
+                condensed = self._condensed(levels[0].system)
+        return MultigridCycle(levels, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial, condensed)
 
     def _condensed(self, coarsest: LocalSystem) -> Condensed:
         """The coarsest problem on its contact nodes."""
@@ -99,7 +99,7 @@ class ProjectedMultigrid:
                             IterateTest(local, start.rtol, self.options.max_cycles))
                 else:
                     for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
-                        runner.once(level, local.contact, local.load, unknowns, self.options.cycle.shape)
+                        runner.cycle(level, local.contact, local.load, unknowns, self.options.cycle.shape)
                 if self.options.correction.needs_initial:
                     defect = runner.residual(level, local.load, unknowns)
                     self.initial.append(initial_contact(local, unknowns, defect))
@@ -109,7 +109,7 @@ class ProjectedMultigrid:
         self.run.start_work_units = self.run.work_units
         return unknowns
 
-    def _solve_coarsest(self, runner: CycleRunner, start: NestedStart) -> np.ndarray:
+    def _solve_coarsest(self, runner: MultigridCycle, start: NestedStart) -> np.ndarray:
         local = self.problems[0]
         unknowns = np.zeros(local.system.n_dofs)
         project(local, unknowns)
@@ -135,9 +135,9 @@ class ProjectedMultigrid:
 class _Cycles:
     """Cycles from ``unknowns``, in place, measured after the first smoothing, where the cycle has its residual."""
 
-    def __init__(self, runner: CycleRunner, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray) -> None:
+    def __init__(self, runner: MultigridCycle, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray) -> None:
         self.runner, self.local, self.unknowns = runner, local, unknowns
-        self.level, self.pre, self.post = len(runner.stack.levels) - 1, cycle.pre, cycle.post
+        self.level, self.pre, self.post = len(runner.levels) - 1, cycle.pre, cycle.post
         self.cycles = 0
         self._defect = np.empty(0)
 

@@ -192,6 +192,39 @@ def _linear_solvers():
     yield Hostile("linear as text", lambda: am.ActiveSet(linear="direct"), "linear")
 
 
+class _CoarsePart:
+    """A linear coarse solve and smoother that answers what it is told; ``passes`` is what it counts."""
+
+    def __init__(self, answer, passes=0.0):
+        self.answer, self.passes = answer, passes
+
+    def setup(self, matrix):
+        return self
+
+    def solve(self, rhs):
+        return self.answer(rhs)
+
+    def smooth(self, rhs, x):
+        return self.answer(rhs)
+
+
+def _coarse_parts():
+    def truncated(**parts):
+        return _by(correction=am.Truncated(**parts))
+
+    for label, answer in {"None": lambda b: None, "short": lambda b: b[1:], "complex": lambda b: b * 1j,
+                          "text": lambda b: "x", "NaN": lambda b: b * np.nan}.items():
+        yield Hostile(f"coarse solve {label}", lambda a=answer: truncated(coarse_solve=_CoarsePart(a)), "coarse_solve")
+    for label, passes in {"negative": -1.0, "None": None, "NaN": np.nan}.items():
+        yield Hostile(f"coarse solve passes {label}",
+                      lambda p=passes: truncated(coarse_solve=_CoarsePart(np.copy, p)), "coarse_solve")
+        yield Hostile(f"coarse smoother passes {label}",
+                      lambda p=passes: truncated(coarse_smoother=_CoarsePart(lambda b: p)), "coarse_smoother")
+    for name in ("coarse_solve", "coarse_smoother"):
+        yield Hostile(f"{name} class", lambda n=name: truncated(**{n: _CoarsePart}), name)
+        yield Hostile(f"{name} text", lambda n=name: truncated(**{n: "direct"}), name)
+
+
 class _Law:
     """A law whose nodal form and bounds are what it is told."""
 
@@ -242,4 +275,5 @@ def _obstacles():
         "bottom", type("Data", (), {"contact": 5})()), "obstacle")
 
 
-INPUTS = (*_transfers(), *_smoothers(), *_corrections(), *_solvers(), *_linear_solvers(), *_laws(), *_obstacles())
+INPUTS = (*_transfers(), *_smoothers(), *_corrections(), *_solvers(), *_linear_solvers(), *_coarse_parts(),
+          *_laws(), *_obstacles())

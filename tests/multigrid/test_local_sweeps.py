@@ -12,10 +12,10 @@ from uncompiled import uncompile
 import adaptmg as am
 from adaptmg.discretisation.discretise import discretise
 from adaptmg.mesh import graded, structured
-from adaptmg.multigrid import local_sweeps
-from adaptmg.multigrid.halves import split
-from adaptmg.multigrid.interface import Interface
-from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.multigrid.linear.split_matrix import split
+from adaptmg.multigrid.truncated import local_sweeps
+from adaptmg.multigrid.truncated.contact import TruncatedContact
+from adaptmg.multigrid.truncated.interface import Interface
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import local_system
 from adaptmg.transfer import without_fixed
@@ -56,31 +56,31 @@ class Swept:
         discrete = self.discrete
         level = split(discrete.matrix, discrete.fixed)
         self.matrix = without_fixed(discrete.matrix, discrete.fixed)
-        self.obstacle = Obstacle.of(discrete, level)
+        self.contact = TruncatedContact.of(discrete, level)
         self.interface = Interface(level, discrete.coupling)
         self.inverse = level.inverse
         self.load = np.where(discrete.fixed, 0.0, discrete.load - discrete.matrix @ discrete.fixed_values)
         rng = np.random.default_rng(seed)
         self.u = np.where(discrete.fixed, 0.0, amplitude * rng.normal(size=discrete.n_dofs))
-        self.obstacle.place(self.u)
+        self.contact.start(self.u)
         self.defect = self.load - self.matrix @ self.u
         self.dim = dim
 
     def sweep(self, order=None, kernel=None):
         order = self.interface.forward if order is None else order
         (local_sweeps.local if kernel is None else kernel)(
-            ZERO[self.dim], order, *self.interface.arrays, self.inverse, self.obstacle.contact_of,
-            *self.obstacle.node_data, self.u, self.defect)
+            ZERO[self.dim], order, *self.interface.arrays, self.inverse, self.contact.contact_of,
+            *self.contact.node_data, self.u, self.defect)
 
     def energy(self):
-        slip = (self.obstacle.values.reshape(-1, self.dim)[:, 1:]
-                - self.obstacle.reference.reshape(-1, self.dim - 1))
+        slip = (self.contact.values.reshape(-1, self.dim)[:, 1:]
+                - self.contact.reference.reshape(-1, self.dim - 1))
         return (0.5 * self.u @ self.matrix @ self.u - self.load @ self.u
-                + self.obstacle.limit @ np.linalg.norm(slip, axis=1))
+                + self.contact.limit @ np.linalg.norm(slip, axis=1))
 
     def local(self):
-        frames = self.obstacle.frames.reshape(-1, self.dim, self.dim)
-        return np.einsum("nij,nj->ni", frames, self.u.reshape(-1, self.dim)[self.obstacle.nodes])
+        frames = self.contact.frames.reshape(-1, self.dim, self.dim)
+        return np.einsum("nij,nj->ni", frames, self.u.reshape(-1, self.dim)[self.contact.nodes])
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 0.3 * GAP, 30 * GAP], ids=["open", "near", "mixed"])
@@ -95,9 +95,9 @@ def test_sweeps(dim, law, amplitude):
         energy.append(at.energy())
         size = max(size, np.abs(at.defect).max())
         np.testing.assert_allclose(at.defect, at.load - at.matrix @ at.u, atol=1e-12 * size * len(energy))
-        np.testing.assert_allclose(at.obstacle.values.reshape(-1, dim), at.local(),
+        np.testing.assert_allclose(at.contact.values.reshape(-1, dim), at.local(),
                                    atol=1e-14 * max(GAP, np.abs(at.u).max()) * len(energy))
-        assert (at.obstacle.values[::dim] <= at.obstacle.gap).all()
+        assert (at.contact.values[::dim] <= at.contact.gap).all()
         assert not at.u[at.discrete.fixed].any()
     assert np.abs(at.u - moved).max() > 0
     outside = np.setdiff1d(np.arange(at.discrete.n_nodes), at.interface.nodes)
@@ -114,7 +114,7 @@ def test_the_solution_stays(dim, law):
     states = exact.contact.state
     assert law == "frictionless" or len(np.unique(states)) > 1
     at.u[:] = (at.discrete.relative(exact.displacement).ravel() - at.discrete.fixed_values)
-    at.obstacle.place(at.u)
+    at.contact.start(at.u)
     at.defect[:] = at.load - at.matrix @ at.u
     before = at.u.copy()
     at.sweep()
@@ -126,19 +126,19 @@ def test_the_solution_stays(dim, law):
 def test_many_sweeps_solve_the_problem_of_the_listed_nodes(dim):
     at = Swept(dim, am.Frictionless(), amplitude=0.0)
     # pressed down on one side, pulled up on the other
-    sides = np.where(at.mesh.points[at.obstacle.nodes, 0] < 0.5, 1e6, -1e6)
-    at.load.reshape(-1, dim)[at.obstacle.nodes, -1] = -sides
+    sides = np.where(at.mesh.points[at.contact.nodes, 0] < 0.5, 1e6, -1e6)
+    at.load.reshape(-1, dim)[at.contact.nodes, -1] = -sides
     at.defect[:] = at.load - at.matrix @ at.u
     for _ in range(4000):
         at.sweep()
     local = local_system(at.discrete)
     inside = np.zeros(at.discrete.n_nodes, dtype=bool)
     inside[at.interface.nodes] = True
-    touching = at.obstacle.values[::dim] == at.obstacle.gap
+    touching = at.contact.values[::dim] == at.contact.gap
     assert touching.any() and not touching.all()
     # no forces but at closed nodes, there along the normal
-    left = at.defect.reshape(-1, dim)[inside & (at.obstacle.contact_of < 0)]
-    force = np.einsum("nij,nj->ni", local.frames, at.defect.reshape(-1, dim)[at.obstacle.nodes])
+    left = at.defect.reshape(-1, dim)[inside & (at.contact.contact_of < 0)]
+    force = np.einsum("nij,nj->ni", local.frames, at.defect.reshape(-1, dim)[at.contact.nodes])
     size = np.abs(at.load).max()
     assert np.abs(left).max() <= 1e-8 * size and np.abs(force[:, 1:]).max() <= 1e-8 * size
     assert np.abs(force[~touching]).max() <= 1e-8 * size and force[touching, 0].min() >= -1e-8 * size
@@ -203,8 +203,8 @@ def test_bodies_in_a_row(law, amplitude):
         at.sweep(at.interface.backward if k % 2 else at.interface.forward)
         energy.append(at.energy())
         np.testing.assert_allclose(at.defect, at.load - at.matrix @ at.u, atol=1e-11 * np.abs(at.defect).max())
-        np.testing.assert_allclose(at.obstacle.values.reshape(-1, 2), at.local(), atol=1e-12 * np.abs(at.u).max())
-        assert (at.obstacle.values[::2] <= at.obstacle.gap).all()
+        np.testing.assert_allclose(at.contact.values.reshape(-1, 2), at.local(), atol=1e-12 * np.abs(at.u).max())
+        assert (at.contact.values[::2] <= at.contact.gap).all()
     np.testing.assert_array_equal(at.u[at.discrete.fixed], fixed)
     assert (np.diff(energy) <= 1e-13 * np.abs(energy[0])).all() and energy[-1] < energy[0]
 

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 import adaptmg as am
 from adaptmg.multigrid.correction import correction_contact
-from adaptmg.multigrid.cycle import CycleRunner
+from adaptmg.multigrid.correction_levels import correction_levels
+from adaptmg.multigrid.cycle import MultigridCycle
 from adaptmg.multigrid.nested import project
-from adaptmg.multigrid.stack import build_stack
 from adaptmg.smoother.residuals import energy, residual
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.run import Run
@@ -35,8 +35,8 @@ def runner_of(grids, **options):
     solver = am.Multigrid(**{"correction": am.Monotone()} | options)
     problems = [local_system(level.discrete) for level in grids.levels]
     run = Run(unit=grids.finest.discrete.matrix.nnz)
-    stack = build_stack(grids, problems, len(grids) - 1, solver.coarse_matrices)
-    return CycleRunner(stack, solver.cycle, solver.smoother, solver.correction, solver.coarse, run), run
+    levels = correction_levels(grids, problems, len(grids) - 1, solver.coarse_matrices)
+    return MultigridCycle(levels, solver.cycle, solver.smoother, solver.correction, solver.coarse, run), run
 
 
 @pytest.mark.parametrize("name", ["nested", "graded", "L2", "block"])
@@ -46,7 +46,7 @@ def test_tresca_energy_never_rises(hierarchies, name, seed, shape, sweeps):
     grids = hierarchies[name]
     pre, post = sweeps
     runner, _ = runner_of(grids, cycle=am.Cycle(shape=shape, pre=pre, post=post), coarse=am.CoarseSolve(rtol=0.3))
-    local, level = runner.stack.fine, len(grids) - 1
+    local, level = runner.levels.fine, len(grids) - 1
     random = np.random.default_rng(seed)
     w = random.normal(scale=1e-4, size=local.system.n_dofs) * ~local.system.fixed
     project(local, w)
@@ -67,7 +67,7 @@ def test_no_correction_at_the_solution(correction):
     grids = am.Hierarchy.uniform(problem_2d(), divisions=(4, 8))
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     runner, _ = runner_of(grids, correction=correction, coarse=am.CoarseSolve(rtol=1e-12))
-    local = runner.stack.fine
+    local = runner.levels.fine
     w = local.to_local(exact.displacement)
     moved = w.copy()
     runner.correct(1, local.contact, moved, residual(local.system, local.load, w))
@@ -92,8 +92,8 @@ def test_hand_counted_work():
     coarse = am.CoarseSolve(rtol=1e-30, max_sweeps=8)
     for shape, visits in (("V", 1), ("W", 2)):
         runner, run = runner_of(grids, cycle=am.Cycle(shape=shape, pre=2, post=1), coarse=coarse)
-        local = runner.stack.fine
-        runner.once(2, local.contact, local.load, np.zeros(local.system.n_dofs), shape)
+        local = runner.levels.fine
+        runner.cycle(2, local.contact, local.load, np.zeros(local.system.n_dofs), shape)
         # three sweeps and one residual a level, eight sweeps on the coarsest, which is solved once a visit of level 1
         expected = 4 + 4 * visits * ratio[1] + 8 * visits * ratio[0]
         assert run.work_units == pytest.approx(expected, rel=1e-12)
@@ -103,8 +103,8 @@ def test_hand_counted_work():
 def test_path_of_a_v_cycle_goes_down_and_up():
     grids = am.Hierarchy.uniform(problem_2d(), divisions=(2, 4, 8))
     runner, run = runner_of(grids, cycle=am.Cycle(pre=1, post=1))
-    local = runner.stack.fine
-    runner.once(2, local.contact, local.load, np.zeros(local.system.n_dofs), "V")
+    local = runner.levels.fine
+    runner.cycle(2, local.contact, local.load, np.zeros(local.system.n_dofs), "V")
     assert [(level, action) for level, action, _ in run.path] == [
         (2, "smooth"), (2, "restrict"), (1, "smooth"), (1, "restrict"), (0, "solve"), (1, "prolong"), (1, "smooth"),
         (2, "prolong"), (2, "smooth")]
@@ -145,7 +145,7 @@ def test_paper_correction_refuses(name):
 def test_fixed_tangents_of_the_coarse_grid_have_no_slip_offset(hierarchies):
     grids = hierarchies["nested"]
     runner, _ = runner_of(grids)
-    fine, coarse, local = runner.stack.levels[2], runner.stack.levels[1], runner.stack.fine
+    fine, coarse, local = runner.levels[2], runner.levels[1], runner.levels.fine
     w = np.ones(local.system.n_dofs) * 1e-5
     data = correction_contact(am.Monotone(), fine.supports, fine.system, coarse.system, local.contact, -w,
                               residual(local.system, local.load, -w), None)

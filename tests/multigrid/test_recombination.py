@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.multigrid import contact_loops
-from adaptmg.multigrid.contact_loops import BACKWARDS, CLOSED, SLIPS
-from adaptmg.multigrid.halves import split
-from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.multigrid.linear.split_matrix import split
+from adaptmg.multigrid.truncated import contact_kernels
+from adaptmg.multigrid.truncated.contact import TruncatedContact
+from adaptmg.smoother.state import BACKWARDS, CLOSED, SLIPS
 
 
-@pytest.mark.parametrize("count", [contact_loops.count_cut, contact_loops.count_cut.py_func], ids=["jit", "python"])
+@pytest.mark.parametrize("count", [contact_kernels.count_cut, contact_kernels.count_cut.py_func], ids=["jit", "python"])
 @pytest.mark.parametrize("alpha, cut", [(0.0, 0), (0.4, 0), (0.6, 1), (1.1, 2), (-1.0, 1)])
 def test_nodes_that_a_recombination_would_cut(count, alpha, cut):
     # node 0 is open, 2 from the gap, and closes above alpha = 0.9; node 1 slips by 0.5 and turns above 0.5; the closed
@@ -32,13 +32,13 @@ def test_one_node_is_cut_and_many_are_not():
     grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Frictionless()), (4, 8))
     problem = grids.finest.discrete
     problem = replace(problem, contact=replace(problem.contact, gaps=np.ones(len(problem.contact))))
-    obstacle = Obstacle.of(problem, split(problem.matrix, problem.fixed))
-    obstacle.codes[:] = 0
+    contact = TruncatedContact.of(problem, split(problem.matrix, problem.fixed))
+    contact.codes[:] = 0
     u = np.zeros(problem.n_dofs)
     for moved, admitted in ((0, True), (1, True), (2, False), (9, False)):
         other = u.copy()
         other[2 * problem.contact.nodes[:moved] + 1] = -2.0
-        assert obstacle.admits(u, other, u, (1.0, 0.0)) is admitted
+        assert contact.admits(u, other, u, (1.0, 0.0)) is admitted
 
 
 def test_cycles_of_a_nested_start():

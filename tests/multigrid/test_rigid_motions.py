@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.multigrid.halves import split
-from adaptmg.multigrid.obstacle import Obstacle
-from adaptmg.multigrid.rigid_contact import null_combinations
-from adaptmg.multigrid.rigid_motions import RigidMotions
+from adaptmg.multigrid.linear.split_matrix import split
+from adaptmg.multigrid.truncated.contact import TruncatedContact
+from adaptmg.multigrid.truncated.rigid_contact import null_combinations
+from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
 
 LOADS = (am.Pressure("top", 5e7), am.Pressure("left", 1.6e8), am.Pressure("right", 1.5e8))
 
@@ -26,15 +26,15 @@ class Body:
 
     def __init__(self, problem, seed=0, opening=0.0):
         rng = np.random.default_rng(seed)
-        self.problem, self.obstacle = problem, Obstacle.of(problem, split(problem.matrix, problem.fixed))
+        self.problem, self.contact = problem, TruncatedContact.of(problem, split(problem.matrix, problem.fixed))
         self.unknowns = 1e-6 * rng.standard_normal(problem.n_dofs)
         self.unknowns[problem.dim * problem.contact.nodes + problem.dim - 1] = opening * rng.random(
             len(problem.contact.nodes))
         self.unknowns[problem.fixed] = 0.0
-        self.obstacle.place(self.unknowns)
+        self.contact.start(self.unknowns)
         self.before, self.past = self.unknowns.copy(), [rng.standard_normal(problem.n_dofs)]
         self.first = self.past[0].copy()
-        self.motions = RigidMotions.of(problem, self.obstacle, problem.load)
+        self.motions = RigidMotions.of(problem, self.contact, problem.load)
 
     def settle(self):
         defect = self.problem.load - self.problem.matrix @ self.unknowns
@@ -43,11 +43,11 @@ class Body:
     def energy(self, unknowns):
         """Tresca energy without u'Au; infinite where a node penetrates."""
         problem, dim = self.problem, self.problem.dim
-        local = np.einsum("nij,nj->ni", self.obstacle.frames.reshape(-1, dim, dim),
+        local = np.einsum("nij,nj->ni", self.contact.frames.reshape(-1, dim, dim),
                           unknowns.reshape(-1, dim)[problem.contact.nodes])
-        if (local[:, 0] > self.obstacle.gap + 1e-18).any():
+        if (local[:, 0] > self.contact.gap + 1e-18).any():
             return np.inf
-        return float(self.obstacle.limit @ np.linalg.norm(local[:, 1:], axis=1) - problem.load @ unknowns)
+        return float(self.contact.limit @ np.linalg.norm(local[:, 1:], axis=1) - problem.load @ unknowns)
 
 
 @pytest.mark.parametrize(("dim", "opening"), [(2, 0.0), (2, 1e-6), (3, 0.0), (3, 1e-6)])
@@ -74,12 +74,12 @@ def test_no_rigid_motion_lowers_the_energy_further(dim, opening, seed):
 
 def test_in_2d_the_weighted_median_of_the_slips_sticks():
     body = Body(discrete(2))
-    slip, bound = body.obstacle.values[1::2].copy(), body.obstacle.limit
+    slip, bound = body.contact.values[1::2].copy(), body.contact.limit
     push = float(body.problem.load[0::2].sum())
-    tangent = body.obstacle.frames.reshape(-1, 2, 2)[0, 1, 0]
+    tangent = body.contact.frames.reshape(-1, 2, 2)[0, 1, 0]
     assert abs(push) < bound.sum()
     body.settle()
-    stuck = np.flatnonzero(body.obstacle.values[1::2] == 0.0)
+    stuck = np.flatnonzero(body.contact.values[1::2] == 0.0)
     energies = [bound @ np.abs(slip - s) + push * tangent * s for s in slip]
     assert stuck.tolist() == [int(np.argmin(energies))]
     # nothing is left to do
@@ -89,11 +89,11 @@ def test_in_2d_the_weighted_median_of_the_slips_sticks():
 def test_a_body_above_its_obstacle_is_put_down():
     problem = discrete(2, loads=(am.Pressure("top", 5e7),))
     body = Body(problem, opening=1e-6)
-    body.obstacle.values[0::2] -= 1e-6
+    body.contact.values[0::2] -= 1e-6
     body.unknowns[1::2] += 1e-6
     body.settle()
-    closed = body.obstacle.values[0::2] == body.obstacle.gap
-    assert 1 <= closed.sum() <= 2 and (body.obstacle.values[0::2] <= body.obstacle.gap).all()
+    closed = body.contact.values[0::2] == body.contact.gap
+    assert 1 <= closed.sum() <= 2 and (body.contact.values[0::2] <= body.contact.gap).all()
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -101,7 +101,7 @@ def test_friction_that_cannot_hold_yet_moves_nothing_far(dim):
     body = Body(discrete(dim, am.Coulomb(1e-3)))
     assert body.settle() > 0
     # in 2D a node holds the body all the same
-    assert dim == 3 or (body.obstacle.values[1::2] == 0.0).any()
+    assert dim == 3 or (body.contact.values[1::2] == 0.0).any()
     assert np.abs(body.unknowns).max() < 1e2 * np.abs(body.before).max()
 
 
@@ -113,7 +113,7 @@ def test_motions_that_strain_the_body_are_given_up():
 
 def test_supports_leave_none():
     problem = discrete(2, supports=(am.Support("top", x=0.0, y=0.0),), loads=LOADS[1:])
-    obstacle = Obstacle.of(problem, split(problem.matrix, problem.fixed))
+    obstacle = TruncatedContact.of(problem, split(problem.matrix, problem.fixed))
     assert RigidMotions.of(problem, obstacle, problem.load) is None
     assert RigidMotions.of(replace(problem, near_nullspace=None, coordinates=None), obstacle, problem.load) is None
 

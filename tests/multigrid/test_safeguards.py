@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.multigrid.halves import split
-from adaptmg.multigrid.linear_cycle import CoarseFactors
-from adaptmg.multigrid.rigid_motions import RigidMotions
+from adaptmg.multigrid.linear.coarse_factors import CoarseFactors
+from adaptmg.multigrid.linear.split_matrix import split
+from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
 from adaptmg.solver.run import Outcome
 from adaptmg.solver.truncated import fallback
 from adaptmg.solver.truncated.energy_test import EnergyTest

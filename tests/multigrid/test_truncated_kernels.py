@@ -12,13 +12,13 @@ import pytest
 from scipy import sparse
 from smoother_problems import expand, network
 
-from adaptmg.multigrid import half_sweeps as kernels
-from adaptmg.multigrid import projected_sweeps
-from adaptmg.multigrid.coarse_transfer import add_prolonged, combine, restrict
-from adaptmg.multigrid.halves import split
-from adaptmg.multigrid.linear_cycle import CoarseFactors
-from adaptmg.multigrid.obstacle import Obstacle
-from adaptmg.multigrid.truncation import Truncation
+from adaptmg.multigrid.linear import half_sweeps as kernels
+from adaptmg.multigrid.linear.coarse_factors import CoarseFactors
+from adaptmg.multigrid.linear.split_matrix import split
+from adaptmg.multigrid.linear.transfer_kernels import add_prolonged, combine, restrict
+from adaptmg.multigrid.truncated import projected_sweeps
+from adaptmg.multigrid.truncated.coarse_matrices.truncation import Truncation
+from adaptmg.multigrid.truncated.contact import TruncatedContact
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.transfer import galerkin_product, is_galerkin, without_fixed
@@ -90,32 +90,32 @@ def test_inverse_blocks_leave_out_vanishing_entries():
 
 
 def parts(dim: int, law: str):
-    """A small contact problem as halves and obstacle."""
+    """A small contact problem as a split matrix and contact."""
     problem = network(dim, law, 3)
     discrete = problem.discrete
     level = split(discrete.matrix, discrete.fixed, symmetric=True)
     load = np.where(discrete.fixed, 0.0, discrete.load - discrete.matrix @ discrete.fixed_values)
-    return problem, level, Obstacle.of(discrete, level), load
+    return problem, level, TruncatedContact.of(discrete, level), load
 
 
-def smooth(level, obstacle, load, u):
+def smooth(level, contact, load, u):
     zero, defect = ZERO[level.dim], np.zeros_like(u)
-    projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, load, obstacle.contact_of,
-                              *obstacle.node_data, u, defect)
-    projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, obstacle.diagonal, obstacle.contact_of,
-                             *obstacle.node_data, u, defect)
+    projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, load, contact.contact_of,
+                              *contact.node_data, u, defect)
+    projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, contact.diagonal, contact.contact_of,
+                             *contact.node_data, u, defect)
     return defect
 
 
 @pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_projected_half_passes_are_the_smoother(dim, law):
-    problem, level, obstacle, load = parts(dim, law)
+    problem, level, contact, load = parts(dim, law)
     u = np.zeros(problem.system.n_dofs)
-    obstacle.place(u)
+    contact.start(u)
     w = problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim))
     for _ in range(3):
-        defect = smooth(level, obstacle, load, u)
+        defect = smooth(level, contact, load, u)
         ProjectedGaussSeidel(order="backward").smooth(problem.system, problem.contact, problem.load, w)
         ProjectedGaussSeidel(order="forward").smooth(problem.system, problem.contact, problem.load, w)
         np.testing.assert_allclose(problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim)), w,
@@ -126,24 +126,24 @@ def test_projected_half_passes_are_the_smoother(dim, law):
     assert product == pytest.approx((other - u) @ (level.matrix() @ (other - u)), rel=1e-10)
 
 
-def newton_matrix(problem, obstacle, newton: bool) -> np.ndarray:
+def newton_matrix(problem, contact, newton: bool) -> np.ndarray:
     """T (S A + H) T in Cartesian components, dense, written down afresh."""
     dim, n = problem.system.dim, problem.system.n_nodes
-    frames = obstacle.frames.reshape(-1, dim, dim)
+    frames = contact.frames.reshape(-1, dim, dim)
     F = np.eye(n * dim)
-    for k, node in enumerate(obstacle.nodes):
+    for k, node in enumerate(contact.nodes):
         F[dim * node:dim * node + dim, dim * node:dim * node + dim] = frames[k]
     A = F @ without_fixed(problem.discrete.matrix, problem.discrete.fixed).toarray() @ F.T
     J, T = A.copy(), np.ones(n * dim)
-    for k, node in enumerate(obstacle.nodes):
-        at, tau = dim * node, obstacle.values.reshape(-1, dim)[k, 1:] - obstacle.reference.reshape(-1, dim - 1)[k]
-        closed, tangential = obstacle.codes[k] & 1, obstacle.codes[k] & 6
+    for k, node in enumerate(contact.nodes):
+        at, tau = dim * node, contact.values.reshape(-1, dim)[k, 1:] - contact.reference.reshape(-1, dim - 1)[k]
+        closed, tangential = contact.codes[k] & 1, contact.codes[k] & 6
         if tangential >= 4:
             e = tau / np.linalg.norm(tau)
             if newton and closed:
-                J[at + 1:at + dim] -= obstacle.friction[k] * np.outer(e, A[at])
+                J[at + 1:at + dim] -= contact.friction[k] * np.outer(e, A[at])
             if dim == 3:
-                g = obstacle.limit[k] + closed * obstacle.friction[k] * obstacle.pressure[k]
+                g = contact.limit[k] + closed * contact.friction[k] * contact.pressure[k]
                 J[at + 1:at + 3, at + 1:at + 3] += g / np.linalg.norm(tau) * (np.eye(2) - np.outer(e, e))
         if closed:
             T[at] = 0
@@ -158,14 +158,14 @@ def newton_matrix(problem, obstacle, newton: bool) -> np.ndarray:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     rng = np.random.default_rng(1)
-    problem, level, obstacle, load = parts(dim, law)
+    problem, level, contact, load = parts(dim, law)
     n = problem.system.n_nodes
     u = np.zeros(n * dim)
-    obstacle.place(u)
+    contact.start(u)
     for _ in range(3):
-        defect = smooth(level, obstacle, load, u)
-    obstacle.look(defect)
-    assert len(np.unique(obstacle.codes)) > 1
+        defect = smooth(level, contact, load, u)
+    contact.update_status(defect)
+    assert len(np.unique(contact.codes)) > 1
     P1 = sparse.csr_array(rng.random((n, 8)) * (rng.random((n, 8)) < 0.5) + np.eye(n, 8))
     P2 = sparse.csr_array(rng.random((8, 3)) + 0.1)
     matrix = without_fixed(problem.discrete.matrix, problem.discrete.fixed)
@@ -174,10 +174,10 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     middle = galerkin_product(finest, given[0])
     coarsest = galerkin_product(middle, given[1])
     levels = [split(m, np.zeros(m.shape[0], dtype=bool)) for m in (coarsest, middle)] + [level]
-    truncation = Truncation(levels, given[::-1], obstacle)
-    obstacle.renew_directions()
+    truncation = Truncation(levels, given[::-1], contact)
+    contact.linearise_friction()
     truncation.apply(newton=newton)
-    J = newton_matrix(problem, obstacle, newton)
+    J = newton_matrix(problem, contact, newton)
     Q1, Q2 = expand(P1, dim).toarray(), expand(P2, dim).toarray()
     expected = Q1.T @ J @ Q1
     np.testing.assert_allclose(levels[1].matrix().toarray(), expected, atol=1e-10)
@@ -194,39 +194,39 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
 @pytest.mark.parametrize("law", ["tresca", "coulomb"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_truncated_residual_has_the_newton_matrix_as_derivative(dim, law):
-    problem, level, obstacle, load = parts(dim, law)
+    problem, level, contact, load = parts(dim, law)
     u = np.zeros(problem.system.n_dofs)
-    obstacle.place(u)
+    contact.start(u)
     for _ in range(30):
-        defect = smooth(level, obstacle, load, u)
-    obstacle.look(defect)
-    obstacle.renew_directions()
-    J = newton_matrix(problem, obstacle, True)
+        defect = smooth(level, contact, load, u)
+    contact.update_status(defect)
+    contact.linearise_friction()
+    J = newton_matrix(problem, contact, True)
     rng = np.random.default_rng(2)
     step = rng.normal(size=u.shape)
     # a step the truncation lets pass
     step = np.linalg.pinv(J) @ (J @ step)
     free = J.any(axis=0)
     step[~free] = 0.0
-    values, size = obstacle.values.copy(), 1e-7
+    values, size = contact.values.copy(), 1e-7
 
     def truncated(vector: np.ndarray) -> np.ndarray:
         r = load - level.matrix() @ vector
-        local = np.einsum("nij,nj->ni", obstacle.frames.reshape(-1, dim, dim), vector.reshape(-1, dim)[obstacle.nodes])
-        obstacle.values[:] = local.reshape(-1)
-        obstacle.truncate(r)
+        local = np.einsum("nij,nj->ni", contact.frames.reshape(-1, dim, dim), vector.reshape(-1, dim)[contact.nodes])
+        contact.values[:] = local.reshape(-1)
+        contact.truncate(r)
         return r
 
-    frames = obstacle.frames.reshape(-1, dim, dim)
-    for k, node in enumerate(obstacle.nodes):
+    frames = contact.frames.reshape(-1, dim, dim)
+    for k, node in enumerate(contact.nodes):
         local = frames[k] @ step.reshape(-1, dim)[node]
-        if obstacle.codes[k] & 1:
+        if contact.codes[k] & 1:
             local[0] = 0.0
-        if obstacle.codes[k] & 6 == 2:
+        if contact.codes[k] & 6 == 2:
             local[1:] = 0.0
         step.reshape(-1, dim)[node] = frames[k].T @ local
     difference = (truncated(u + size * step) - truncated(u - size * step)) / (2 * size)
-    obstacle.values[:] = values
+    contact.values[:] = values
     np.testing.assert_allclose(difference, -J @ step, rtol=2e-5, atol=2e-5 * np.abs(J @ step).max())
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.nested import NestedStart
-from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
+from adaptmg.multigrid.truncated.step import TruncatedStep
 from adaptmg.smoother.system import local_contact
 from adaptmg.solver.history.past import Past, better_start
 from adaptmg.solver.method import MultigridOptions, need_levels
@@ -51,7 +51,7 @@ class KeptMultigrid(TruncatedMultigrid):
 
     def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
         super().__init__(options, hierarchy, run)
-        self._runners: dict[int, TruncatedCycle] = {}
+        self._runners: dict[int, TruncatedStep] = {}
         self.spent = False
 
     def take(self, hierarchy: Hierarchy, run: Run) -> None:
@@ -103,18 +103,18 @@ class KeptMultigrid(TruncatedMultigrid):
         self.spent = bool(self.run.fallback)
         return outcome
 
-    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
+    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         if number not in self._runners:
             self._runners[number] = super()._runner(number, unknowns)
             return self._runners[number]
         runner, problem = self._runners[number], self.problems[number]
         with self.run.phase("setup"):
-            contact, _ = local_contact(problem)
-            obstacle, load = runner.obstacle, lifted_load(problem)
-            obstacle.take(contact)
-            obstacle.place(unknowns)
+            data, _ = local_contact(problem)
+            contact, load = runner.contact, lifted_load(problem)
+            contact.renew(data)
+            contact.start(unknowns)
             runner.load, runner.unknowns = load, unknowns
-            runner.motions = RigidMotions.of(problem, obstacle, load)
+            runner.motions = RigidMotions.of(problem, contact, load)
         return runner
 
 

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptmg.smoother.state import contact_codes
 from adaptmg.smoother.system import NodalContact
 
 __all__ = ["Linearised", "hold_all", "linearise"]
@@ -70,11 +71,9 @@ class Linearised:
 
     @property
     def key(self) -> bytes:
-        """The contact status: active and slip flags and, in 2D, the sign of the slip."""
-        parts = [self.active, self.slip]
-        if self.direction.shape[1] == 1:
-            parts.append(self.direction[:, 0] > 0)
-        return np.packbits(parts).tobytes()
+        """The contact status: the codes of :mod:`adaptmg.smoother.state`."""
+        backwards = ~(self.direction[:, 0] > 0) if self.direction.shape[1] == 1 else False
+        return contact_codes(self.active, ~self.slip, backwards).tobytes()
 
     @property
     def same_matrix(self) -> bool:

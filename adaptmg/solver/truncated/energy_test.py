@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.multigrid.truncated.step import TruncatedStep
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.sizes import Sizes
 from adaptmg.solver.stop_test import StopTest
@@ -59,7 +59,7 @@ class EnergyTest(StopTest):
         self._first = np.nan
         self._certificate, self._doubts, self._caution, self._since = certificate, 0, 1.0, 0
 
-    def measure_size(self, runner: TruncatedCycle, cycle: int) -> None:
+    def measure_size(self, runner: TruncatedStep, cycle: int) -> None:
         """Measure the displacement after a smoothing; each cycle only where it has to grow into prescribed values."""
         if cycle % 4 == 0 or self.sizes.prescribed:
             self.size = self.sizes.norm(runner.unknowns, runner.energy())

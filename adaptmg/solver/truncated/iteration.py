@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.multigrid.truncated.step import TruncatedStep
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Run
 from adaptmg.solver.stop_test import true_error
@@ -23,7 +23,7 @@ class TruncatedIteration:
 
     Parameters
     ----------
-    runner : TruncatedCycle
+    runner : TruncatedStep
     safe_cycles : int
         At most, the first time.
     cold : bool
@@ -41,7 +41,7 @@ class TruncatedIteration:
     #: times that safe cycles are tried when the residual stops falling
     TROUBLES = 1
 
-    def __init__(self, runner: TruncatedCycle, safe_cycles: int, cold: bool, run: Run | None = None,
+    def __init__(self, runner: TruncatedStep, safe_cycles: int, cold: bool, run: Run | None = None,
                  problem: DiscreteProblem | None = None, start: np.ndarray | None = None,
                  hands_over: bool = False) -> None:
         self.runner, self.run, self.problem, self.from_nested = runner, run, problem, start
@@ -56,15 +56,15 @@ class TruncatedIteration:
     def measure(self, stop: EnergyTest) -> None:
         """What the smoothing leaves behind."""
         stop.measure_size(self.runner, self.cycles)
-        look = self.runner.look(safe=self.safe > 0)
-        self.changed = look.changed
-        self.safe = self.safe - 1 if self.safe > 0 and look.changed else 0
+        state = self.runner.truncate(safe=self.safe > 0)
+        self.changed = state.changed
+        self.safe = self.safe - 1 if self.safe > 0 and state.changed else 0
         unknowns, early = self.runner.unknowns, self.cycles < 2
         # an exact start has no rate to measure, and needs none
         floor = self.runner.rounding() if early or stop.sizes.prescribed else 0.0
-        forces = stop.sizes.forces(unknowns, look.reactions)
+        forces = stop.sizes.forces(unknowns, state.reactions)
         idle = stop.idle(forces, floor, unknowns)
-        stop.take_residual(look.residual, forces, floor if early or idle else 0.0, idle)
+        stop.take_residual(state.residual, forces, floor if early or idle else 0.0, idle)
 
     def row(self, stop: EnergyTest) -> dict[str, float]:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
@@ -98,8 +98,8 @@ class StartIteration(TruncatedIteration):
     def measure(self, stop: StartTest) -> None:
         """See :class:`TruncatedIteration`; sizes of displacements do not matter."""
         unknowns, sizes = self.runner.unknowns, stop.sizes
-        look = self.runner.look(safe=False, trusted=stop.TRUSTED * sizes.forces(unknowns, 0.0))
-        stop.take_residual(look.residual, sizes.forces(unknowns, look.reactions), 0.0)
+        state = self.runner.truncate(safe=False, trusted=stop.TRUSTED * sizes.forces(unknowns, 0.0))
+        stop.take_residual(state.residual, sizes.forces(unknowns, state.reactions), 0.0)
 
     def step(self, stop: StartTest) -> Status | None:
         """Correct, and smooth if there are further cycles."""

@@ -14,13 +14,13 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.coarse_levels import coarse_levels, nodal_prolongations
-from adaptmg.multigrid.interface import Interface
-from adaptmg.multigrid.linear_cycle import LinearCycle
+from adaptmg.multigrid.linear.galerkin_levels import galerkin_levels, nodal_prolongations
+from adaptmg.multigrid.linear.linear_cycle import LinearCycle
 from adaptmg.multigrid.nested import NestedStart
-from adaptmg.multigrid.obstacle import Obstacle
-from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.truncated_cycle import TruncatedCycle
+from adaptmg.multigrid.truncated.contact import TruncatedContact
+from adaptmg.multigrid.truncated.interface import Interface
+from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
+from adaptmg.multigrid.truncated.step import TruncatedStep
 from adaptmg.solver.iterate import iterate
 from adaptmg.solver.method import MultigridOptions
 from adaptmg.solver.newton.active_set import ActiveSet
@@ -63,8 +63,9 @@ class TruncatedMultigrid:
         self.nbytes = 0
         with run.phase("setup"):
             prolongations = nodal_prolongations(hierarchy)
-            levels = coarse_levels(hierarchy, prolongations)
-            self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels))
+            levels = galerkin_levels(hierarchy, prolongations)
+            self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels),
+                                     options.correction.coarse_solve, options.correction.coarse_smoother)
         self.problems: list[DiscreteProblem | None] = [level.discrete for level in hierarchy.levels]
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
@@ -127,11 +128,11 @@ class TruncatedMultigrid:
             return Fallback(o, self.hierarchy, self.run, stop.rtol).finish(outcome, stop.better)
         return outcome
 
-    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedCycle:
+    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         with self.run.phase("setup"):
             problem, levels = self.problems[number], self.cycle.levels
             runner = self._cycle_on(problem, self.cycle, number, unknowns)
-            if number == len(levels) - 1:
+            if number == len(levels) - 1 and self.cycle.coarse_smoother is None:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:]:
                     level.drop_diagonal()
@@ -139,17 +140,17 @@ class TruncatedMultigrid:
             return runner
 
     def _cycle_on(self, problem: DiscreteProblem, cycle: LinearCycle, number: int,
-                  unknowns: np.ndarray) -> TruncatedCycle:
+                  unknowns: np.ndarray) -> TruncatedStep:
         """Cycles for a problem on level ``number`` of a linear cycle, from ``unknowns`` (n_dofs,)."""
-        obstacle, load = Obstacle.of(problem, cycle.levels[number]), lifted_load(problem)
-        obstacle.place(unknowns)
+        contact, load = TruncatedContact.of(problem, cycle.levels[number]), lifted_load(problem)
+        contact.start(unknowns)
         options, interface = self.options.correction, None
         if problem.coupling is not None and options.interface_sweeps:
             interface = Interface(cycle.levels[number], problem.coupling)
-        return TruncatedCycle(cycle, number, obstacle, load, unknowns, options.recombine,
-                              RigidMotions.of(problem, obstacle, load), interface, options.interface_sweeps)
+        return TruncatedStep(cycle, number, contact, load, unknowns, options.recombine,
+                              RigidMotions.of(problem, contact, load), interface, options.interface_sweeps)
 
-    def _start_cycles(self, runner: TruncatedCycle, number: int, start: NestedStart) -> None:
+    def _start_cycles(self, runner: TruncatedStep, number: int, start: NestedStart) -> None:
         """The cycles of a nested start on one level."""
         problem, options = self.problems[number], self.options.correction
         if start.cycles == "complete":
@@ -176,7 +177,8 @@ class TruncatedMultigrid:
         problem, level = self.problems[0], self.cycle.levels[0]
         n = level.n_nodes
         identity = sparse.csr_array((np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)))
-        cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1))
+        cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1),
+                            self.options.correction.coarse_solve)
         runner = self._cycle_on(problem, cycle, 1, np.zeros(problem.n_dofs))
         status = iterate(TruncatedIteration(runner, self.options.correction.safe_cycles, cold=True),
                          EnergyTest(problem, start.rtol, self.COMPLETE_LIMIT))

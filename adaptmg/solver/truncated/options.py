@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.coarse import CoarseSolve
+from adaptmg.multigrid.coarse_solve import CoarseSolve
 from adaptmg.multigrid.cycle import Cycle
-from adaptmg.multigrid.halves import Halves
+from adaptmg.multigrid.linear.own_parts import LinearSmoother, LinearSolve
+from adaptmg.multigrid.linear.split_matrix import SplitMatrix
 from adaptmg.problem import checks
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.solver.history.truncated_steps import TruncatedSteps
@@ -39,6 +40,13 @@ class Truncated:
         Where bodies touch each other: sweeps over the nodes within two elements of the interface after each smoothing
         of the finest level, backward and forward in turn. On large meshes they cost a few per cent of a cycle, on small
         graded ones a tenth; where a joint is soft they bring the rate from .6 or .7 to .4 (``studies/dovetail.py``).
+    coarse_solve : LinearSolve, optional
+        One's own solver of the coarsest linear problems, anything with ``setup(matrix) -> object with solve(rhs)``; see
+        :class:`~adaptmg.multigrid.linear.own_parts.LinearSolve`. Default: LU factors.
+    coarse_smoother : LinearSmoother, optional
+        One's own smoother of the linear problems between the coarsest level and the finest, anything with
+        ``setup(matrix) -> object with smooth(rhs, x) -> passes``. Default: Gauss-Seidel sweeps. The smoother of the
+        finest level, projected sweeps that leave the residual behind, is part of the method.
     """
 
     #: how much denser than the finest matrix a coarse one is that is smoothed once only
@@ -50,6 +58,8 @@ class Truncated:
     coarse_sweeps: int | None = None
     safe_cycles: int = 20
     interface_sweeps: int = 2
+    coarse_solve: LinearSolve | None = None
+    coarse_smoother: LinearSmoother | None = None
 
     def __post_init__(self) -> None:
         if checks.integer("recombine", self.recombine) > 2:
@@ -58,8 +68,14 @@ class Truncated:
             raise ValueError(f"coarse_sweeps must be 1 or 2, got {self.coarse_sweeps!r}")
         checks.integer("safe_cycles", self.safe_cycles)
         checks.integer("interface_sweeps", self.interface_sweeps)
+        if self.coarse_solve is not None:
+            checks.offers("coarse_solve", self.coarse_solve, "setup",
+                          "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution")
+        if self.coarse_smoother is not None:
+            checks.offers("coarse_smoother", self.coarse_smoother, "setup",
+                          "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes")
 
-    def sweeps(self, levels: Sequence[Halves]) -> list[int]:
+    def sweeps(self, levels: Sequence[SplitMatrix]) -> list[int]:
         """Sweeps on each of the levels, coarsest first."""
         if self.coarse_sweeps is not None:
             return [self.coarse_sweeps] * len(levels)

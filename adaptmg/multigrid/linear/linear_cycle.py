@@ -2,80 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import linalg, sparse
-from scipy.sparse.linalg import splu
+from scipy import sparse
 
-from adaptmg.multigrid import half_sweeps
-from adaptmg.multigrid.coarse_transfer import add_prolonged, restrict, zero_at
 from adaptmg.multigrid.correction import Recorder
-from adaptmg.multigrid.halves import Halves
+from adaptmg.multigrid.linear import half_sweeps
+from adaptmg.multigrid.linear.coarse_factors import CoarseFactors
+from adaptmg.multigrid.linear.own_parts import LinearSmoother, LinearSolve, OwnSmoother
+from adaptmg.multigrid.linear.split_matrix import SplitMatrix
+from adaptmg.multigrid.linear.transfer_kernels import add_prolonged, restrict, zero_at
 from adaptmg.smoother.blocks import ZERO
 
-__all__ = ["CoarseFactors", "LinearCycle", "Vectors"]
-
-
-class CoarseFactors:
-    """LU factors of the coarsest matrix, dense or sparse by its size; a singular one is shifted by a small part of its
-    diagonal.
-
-    Parameters
-    ----------
-    level : Halves
-    """
-
-    #: a pivot below this times the largest means singular, and the shift that mends it, over the diagonal
-    SINGULAR, SHIFT = 1e-13, 1e-6
-    #: dofs up to which dense factors are quicker
-    DENSE = 1500
-
-    def __init__(self, level: Halves) -> None:
-        self.level = level
-        scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
-        self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
-        self._solve: Callable[[np.ndarray], np.ndarray] | None = None
-
-    def renew(self) -> None:
-        """Factorise the matrix as it is now."""
-        matrix = sparse.csr_array(self.level.matrix())
-        empty = np.asarray(abs(matrix).sum(axis=1)).reshape(-1) == 0
-        matrix = matrix + sparse.diags_array(np.where(empty, self._scale, 0.0))
-        factorise = _dense_factors if matrix.shape[0] <= self.DENSE else _sparse_factors
-        self._solve = factorise(matrix, self.SINGULAR)
-        if self._solve is None:
-            self._solve = factorise(matrix + sparse.diags_array(self.SHIFT * self._scale), 0.0)
-
-    def solve(self, load: np.ndarray, result: np.ndarray) -> None:
-        """Solve into ``result`` (n_dofs,)."""
-        result[:] = self._solve(load)
-
-
-def _dense_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Solves with a matrix, or None if a pivot is below ``singular`` times the largest."""
-    # LAPACK itself: scipy's wrapper warns of what the caller mends
-    factors, pivots, _ = linalg.lapack.dgetrf(matrix.toarray())
-    sizes = np.abs(factors.diagonal())
-    if singular and not sizes.min() > singular * sizes.max():
-        return None
-    return lambda load: linalg.lapack.dgetrs(factors, pivots, load)[0]
-
-
-def _sparse_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
-    """As :func:`_dense_factors`, by SuperLU."""
-    try:
-        factors = splu(sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A")
-    except RuntimeError:
-        # an exactly vanishing pivot
-        return None
-    sizes = np.abs(factors.U.diagonal())
-    return None if singular and not sizes.min() > singular * sizes.max() else factors.solve
+__all__ = ["LevelVectors", "LinearCycle"]
 
 
 @dataclass(eq=False)
-class Vectors:
+class LevelVectors:
     """What the cycle keeps on a level (n_dofs,) each."""
 
     load: np.ndarray
@@ -83,7 +28,7 @@ class Vectors:
     kept: np.ndarray
 
     @classmethod
-    def zeros(cls, n: int) -> Vectors:
+    def zeros(cls, n: int) -> LevelVectors:
         return cls(np.zeros(n), np.zeros(n), np.zeros(n))
 
 
@@ -93,7 +38,7 @@ class LinearCycle:
 
     Parameters
     ----------
-    levels : list of Halves
+    levels : list of SplitMatrix
         Coarsest first.
     prolongations : list of csr_array
         Between neighbours, of nodes (n_nodes, n_nodes coarse) or of dofs (n_dofs, n_dofs coarse).
@@ -102,22 +47,35 @@ class LinearCycle:
     sweeps : sequence of int
         By level, smoothing before and after the coarse correction: 1 (forward, then backward; 2 passes a level) or 2
         (symmetric both times; 3 passes).
+    coarse_solve : LinearSolve, optional
+        In place of LU factors on the coarsest level.
+    coarse_smoother : LinearSmoother, optional
+        In place of the symmetric sweeps.
     """
 
-    levels: list[Halves]
+    levels: list[SplitMatrix]
     prolongations: list[sparse.csr_array]
     recorder: Recorder
     sweeps: Sequence[int]
+    coarse_solve: LinearSolve | None = None
+    coarse_smoother: LinearSmoother | None = None
     factors: CoarseFactors = field(init=False)
 
     def __post_init__(self) -> None:
-        self.factors = CoarseFactors(self.levels[0])
-        self._vectors: dict[int, Vectors] = {}
+        self.factors = CoarseFactors(self.levels[0], self.coarse_solve)
+        self._vectors: dict[int, LevelVectors] = {}
+        self._own: dict[int, OwnSmoother] = {}
 
-    def vectors(self, number: int) -> Vectors:
+    def renew(self, number: int) -> None:
+        """Take the matrices below level ``number`` as they are now."""
+        self.factors.renew()
+        if self.coarse_smoother is not None:
+            self._own = {k: OwnSmoother(self.coarse_smoother, self.levels[k]) for k in range(1, number)}
+
+    def vectors(self, number: int) -> LevelVectors:
         """Load and solution of a level, made when first asked for."""
         if number not in self._vectors:
-            self._vectors[number] = Vectors.zeros(self.levels[number].n_dofs)
+            self._vectors[number] = LevelVectors.zeros(self.levels[number].n_dofs)
         return self._vectors[number]
 
     @property
@@ -131,11 +89,13 @@ class LinearCycle:
         """One cycle from zero for the load of a level; returns its solution."""
         v = self.vectors(number)
         if number == 0:
-            self.factors.solve(v.load, v.solution)
+            passes = self.factors.solve(v.load, v.solution)
+            if passes:
+                self.recorder.count(passes, self.levels[0].nonzeros)
             self.recorder.visit(0, "solve")
             return v.solution
         level, nodal = self.levels[number], self.prolongations[number - 1]
-        self._before(level, v, self.sweeps[number])
+        passes = self._before(number, v)
         self.recorder.visit(number, "smooth", self.sweeps[number])
         below = self.vectors(number - 1)
         components = ZERO[level.n_dofs // nodal.shape[0]]
@@ -146,27 +106,38 @@ class LinearCycle:
         add_prolonged(components, nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
         zero_at(v.solution, level.fixed)
         self.recorder.visit(number, "prolong")
-        self._after(level, v, self.sweeps[number])
+        passes += self._after(number, v)
         self.recorder.visit(number, "smooth", self.sweeps[number])
-        self.recorder.count(1 + self.sweeps[number], level.nonzeros)
+        self.recorder.count(passes, level.nonzeros)
         return v.solution
 
-    def _before(self, level: Halves, v: Vectors, sweeps: int) -> None:
-        """Smooth from zero; the residual is left in ``kept``."""
-        zero = ZERO[level.dim]
+    def _before(self, number: int, v: LevelVectors) -> float:
+        """Smooth from zero; the residual is left in ``kept``. Returns the passes, those of the residual included."""
+        level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
+        if self._own:
+            v.solution[:] = 0.0
+            passes = self._own[number].smooth(v.load, v.solution)
+            v.kept[:] = v.load - self._own[number].matrix @ v.solution
+            return passes + 1
         half_sweeps.forward_from_zero(zero, *level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
         if sweeps == 1:
             half_sweeps.forward_residual(zero, *level.upper_arrays, v.solution, v.kept)
         else:
             half_sweeps.backward_change(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)
             half_sweeps.residual(zero, *level.lower_arrays, v.kept)
+        # forward and residual: L, U; forward, backward, residual: L, U, L
+        return 1 if sweeps == 1 else 1.5
 
-    def _after(self, level: Halves, v: Vectors, sweeps: int) -> None:
-        """Smooth the corrected solution."""
-        zero = ZERO[level.dim]
+    def _after(self, number: int, v: LevelVectors) -> float:
+        """Smooth the corrected solution; returns the passes."""
+        level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
+        if self._own:
+            return self._own[number].smooth(v.load, v.solution)
         if sweeps == 1:
             half_sweeps.backward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
         else:
             half_sweeps.forward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution,
                                      v.kept)
             half_sweeps.backward_kept(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)
+        # backward: L, U; forward, backward: L, U, U
+        return 1 if sweeps == 1 else 1.5

@@ -1,4 +1,4 @@
-"""The matrices of all levels in halves, for the truncated method."""
+"""The Galerkin matrices of all levels, split, for the truncated method."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.halves import Halves, split
+from adaptmg.multigrid.linear.split_matrix import SplitMatrix, split
 from adaptmg.transfer.aggregation import without_fixed
 from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen
 
-__all__ = ["coarse_levels", "nodal_prolongations"]
+__all__ = ["galerkin_levels", "nodal_prolongations"]
 
 
 def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
@@ -24,7 +24,7 @@ def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
     return result
 
 
-def coarse_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[Halves]:
+def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
     """Galerkin matrices of all levels, coarsest first.
 
     Where the discretised matrix is the Galerkin one (nested meshes) it is taken as it is; not with coupled bodies,

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.multigrid.projected_sweeps import solve_at
+from adaptmg.multigrid.truncated.projected_sweeps import solve_at
 from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.smoother.blocks import (
     add,
@@ -82,10 +82,10 @@ def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
 @kernel
 def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, inverse,
           contact_of, frames, own_blocks, gap, reference, limit, friction, values, u, defect):
-    """Projected sweep over positions ``order`` of an :class:`~adaptmg.multigrid.interface.Interface`.
+    """Projected sweep over positions ``order`` of an :class:`~adaptmg.multigrid.truncated.interface.Interface`.
 
     ``defect`` is f - A u before and after; for ``zero`` and the contact data see
-    :mod:`adaptmg.multigrid.projected_sweeps`.
+    :mod:`adaptmg.multigrid.truncated.projected_sweeps`.
     """
     dim = np.uint64(len(zero))
     for entry in range(len(order)):

@@ -20,8 +20,8 @@ from typing import ClassVar
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.multigrid.obstacle import Obstacle
-from adaptmg.multigrid.rigid_contact import RigidContact, null_combinations
+from adaptmg.multigrid.truncated.contact import TruncatedContact
+from adaptmg.multigrid.truncated.rigid_contact import RigidContact, null_combinations
 
 __all__ = ["RigidMotions"]
 
@@ -36,7 +36,7 @@ class RigidMotions:
     Attributes
     ----------
     problem : DiscreteProblem
-    obstacle : Obstacle
+    contact : TruncatedContact
         Its values are kept equal to the unknowns.
     load : (n_dofs,) array
         f.
@@ -47,7 +47,7 @@ class RigidMotions:
     """
 
     problem: DiscreteProblem
-    obstacle: Obstacle
+    contact: TruncatedContact
     load: np.ndarray
     coefficients: np.ndarray
     at_contact: np.ndarray
@@ -57,17 +57,17 @@ class RigidMotions:
     STEPS: ClassVar[int] = 30
 
     @classmethod
-    def of(cls, problem: DiscreteProblem, obstacle: Obstacle, load: np.ndarray) -> RigidMotions | None:
+    def of(cls, problem: DiscreteProblem, contact: TruncatedContact, load: np.ndarray) -> RigidMotions | None:
         """The free motions of a problem, None if it has none or nothing is known of them."""
         modes, dim = problem.near_nullspace, problem.dim
-        if modes is None or not len(obstacle.nodes):
+        if modes is None or not len(contact.nodes):
             return None
         coefficients = null_combinations(modes[problem.fixed])
         if not coefficients.shape[1]:
             return None
-        cartesian = modes.reshape(-1, dim, modes.shape[1])[obstacle.nodes] @ coefficients
-        return cls(problem, obstacle, load, coefficients,
-                   np.einsum("nij,njk->nik", obstacle.frames.reshape(-1, dim, dim), cartesian))
+        cartesian = modes.reshape(-1, dim, modes.shape[1])[contact.nodes] @ coefficients
+        return cls(problem, contact, load, coefficients,
+                   np.einsum("nij,njk->nik", contact.frames.reshape(-1, dim, dim), cartesian))
 
     def settle(self, unknowns: np.ndarray, past: list[np.ndarray], defect: np.ndarray) -> int:
         """Move to the least energy, in place.
@@ -75,7 +75,7 @@ class RigidMotions:
         Parameters
         ----------
         unknowns : (n_dofs,) array
-            Cartesian, admissible, those of the obstacle.
+            Cartesian, admissible, those of the contact.
         past : list of (n_dofs,) arrays
             Iterates that are moved alike.
         defect : (n_dofs,) array
@@ -86,7 +86,7 @@ class RigidMotions:
         int
             Steps taken; 0 if the contact status leaves no motion free.
         """
-        contact = RigidContact.of(self.obstacle, self.at_contact, defect)
+        contact = RigidContact.of(self.contact, self.at_contact, defect)
         total, steps = np.zeros(self.at_contact.shape[2]), 0
         while steps < self.STEPS:
             free = contact.free()
@@ -115,8 +115,8 @@ class RigidMotions:
         return True
 
     def _move(self, change: np.ndarray, unknowns: np.ndarray, past: list[np.ndarray]) -> None:
-        """Carry out a motion (m,), which the values of the obstacle have made already."""
-        o = self.obstacle
+        """Carry out a motion (m,), which the values of the contact have made already."""
+        o = self.contact
         step = self.problem.near_nullspace @ (self.coefficients @ change)
         step[self.problem.fixed] = 0.0
         for vector in (unknowns, *past):

@@ -1,4 +1,4 @@
-r"""Numba kernels over the contact nodes of one level: truncation, projection, admissibility, in 2D and 3D.
+r"""Numba kernels over the contact nodes of one level: status, truncation, projection, admissibility, in 2D and 3D.
 
 In the local frame of a node, with r = f - A u, :math:`p = \max(0, r_n)`, slip :math:`\tau` and
 :math:`g = s + \mu p` (an open node: g = s), the truncated residual is
@@ -6,8 +6,7 @@ In the local frame of a node, with r = f - A u, :math:`p = \max(0, r_n)`, slip :
 .. math:: \rho_n = 0 \text{ where closed, else } r_n;\qquad
           \rho_t = 0 \text{ where it sticks},\; r_t - g\,\tau/|\tau| \text{ where it slips, else } r_t .
 
-Codes: bit 0 closed; bits 1-2 the tangential part: FREE (no friction acts), HELD (sticks), SLIPS (2D: in the direction
-of the tangent), BACKWARDS (2D: against it).
+Codes are those of :mod:`adaptmg.smoother.state`.
 """
 
 from __future__ import annotations
@@ -17,12 +16,49 @@ import math
 import numpy as np
 
 from adaptmg.runtime.compiled import inner_kernel, kernel
+from adaptmg.smoother.blocks import in_loop, inner, read, read_upper, times
+from adaptmg.smoother.node_solve import natural_at, read_reference
+from adaptmg.smoother.state import BACKWARDS, CLOSED, HELD, SLIPS, TANGENTIAL
 
-__all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "SLIPS", "TANGENTIAL", "count_cut", "directions", "friction_slope",
-           "project", "truncate"]
+__all__ = ["classify", "count_cut", "directions", "friction_slope", "project", "truncate"]
 
-CLOSED, FREE, HELD, SLIPS, BACKWARDS = 1, 0, 2, 4, 6
-TANGENTIAL = 6
+
+@kernel
+def classify(zero, nodes, frames, blocks, gap, reference, limit, friction, values, defect, codes, pressure):
+    """Update ``codes`` and ``pressure`` from local unknowns and the residual ``defect`` (n_dofs,).
+
+    ``zero`` are dim zeros, see :mod:`adaptmg.smoother.blocks`. Returns the number of codes that changed, and the sums
+    of squares of the natural residual and of the reactions.
+    """
+    dim = np.uint64(len(zero))
+    changed = 0
+    natural = 0.0
+    reactions = 0.0
+    for node in range(len(nodes)):
+        k = np.uint64(node)
+        r = times(frames, dim * dim * k, read(defect, dim * np.uint64(nodes[k]), zero))
+        w, place = read(values, dim * k, zero), read_reference(reference, k, zero)
+        code = CLOSED if w[0] == gap[k] else 0
+        if limit[k] > 0.0 or (code and friction[k] > 0.0):
+            code += _tangential(w, place)
+        changed += code != codes[k]
+        codes[k] = code
+        p = max(r[0], 0.0)
+        pressure[k] = p
+        g = natural_at(read_upper(blocks, k, zero), r, w, gap[k], place, limit[k] + friction[k] * p)
+        natural += inner(g, g)
+        reactions += inner(r, r)
+    return changed, natural, reactions
+
+
+@in_loop
+def _tangential(w, reference):
+    """The code of the slip; in 3D its direction is no part of it."""
+    if len(w) == 2:
+        if w[1] == reference[0]:
+            return HELD
+        return SLIPS if w[1] > reference[0] else BACKWARDS
+    return HELD if w[1] == reference[0] and w[2] == reference[1] else SLIPS
 
 
 @inner_kernel(inline="always")

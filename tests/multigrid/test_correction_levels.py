@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.multigrid.stack import build_stack
+from adaptmg.multigrid.correction_levels import CorrectionLevel, correction_levels
 from adaptmg.smoother.system import local_system
 
 
-def stack_of(grids, matrices="galerkin"):
+def levels_of(grids, matrices="galerkin"):
     problems = [local_system(level.discrete) for level in grids.levels]
-    return build_stack(grids, problems, len(grids) - 1, matrices)
+    return correction_levels(grids, problems, len(grids) - 1, matrices)
 
 
 @pytest.mark.parametrize("diagonal", ["right", "left"])
 def test_galerkin_matrices_are_the_discretised_ones_on_nested_meshes(diagonal):
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4, 8), diagonal=diagonal)
-    for a, b in zip(stack_of(grids).levels, stack_of(grids, "discretised").levels, strict=True):
+    for a, b in zip(levels_of(grids).levels, levels_of(grids, "discretised").levels, strict=True):
         free = ~a.system.fixed
         difference = (a.system.matrix - b.system.matrix).toarray()[np.ix_(free, free)]
         assert np.abs(difference).max() < 1e-12 * np.abs(b.system.data).max()
@@ -26,11 +26,11 @@ def test_contact_rows_allow_the_proof_nested_and_not():
     problem = am.cases.greco_bar()
     for grids in (am.Hierarchy.uniform(problem, divisions=(4, 8)),
                   am.Hierarchy.graded(problem, sizes=(10e-3, 5e-3), contact_ratio=2)):
-        for level in stack_of(grids).levels:
+        for level in levels_of(grids).levels:
             assert level.proven
-    weights = stack_of(am.Hierarchy.uniform(problem, divisions=(4, 8))).levels[1].contact_prolongation
+    weights = levels_of(am.Hierarchy.uniform(problem, divisions=(4, 8))).levels[1].contact_prolongation
     weights.data[0] *= 0.5
-    assert not am.multigrid.stack.StackLevel(None, contact_prolongation=weights).proven
+    assert not CorrectionLevel(None, contact_prolongation=weights).proven
 
 
 def inclined(angle):
@@ -52,7 +52,7 @@ def test_local_prolongation_is_the_cartesian_one_in_other_components():
     w = np.random.default_rng(0).normal(size=coarse.system.n_dofs)
     u = coarse.to_cartesian(w)
     expected = fine.to_local(grids[1].prolongation @ u)
-    found = stack_of(grids).levels[1].prolongation @ w
+    found = levels_of(grids).levels[1].prolongation @ w
     assert np.abs(found - expected).max() < 1e-12
 
 

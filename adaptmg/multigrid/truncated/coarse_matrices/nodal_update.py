@@ -1,4 +1,4 @@
-"""Truncation: the matrices below one level, changed near contact whenever the contact status changes."""
+"""Updates of Galerkin matrices below a level on which blocks change, by nodal prolongations."""
 
 from __future__ import annotations
 
@@ -7,19 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg.multigrid import truncation_kernels as kernels
-from adaptmg.multigrid.halves import Halves
-from adaptmg.multigrid.obstacle import Obstacle
-from adaptmg.multigrid.truncation_dofs import DofChain
+from adaptmg.multigrid.linear.split_matrix import SplitMatrix
+from adaptmg.multigrid.truncated.coarse_matrices import kernels
 
-__all__ = ["Truncation"]
+__all__ = ["NodalUpdate"]
 
 
 @dataclass(eq=False)
-class _Below:
+class _ChangedBlocks:
     """The blocks of one coarse level that the contact status changes, and the products they are made of."""
 
-    level: Halves
+    level: SplitMatrix
     free: np.ndarray
     source: np.ndarray
     target: np.ndarray
@@ -37,62 +35,12 @@ class _Below:
                       int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse)
 
 
-class Truncation:
-    """Keeps the matrices of the levels below one level as the contact status of that level demands.
-
-    Parameters
-    ----------
-    levels : list of Halves
-        Coarsest first; the last is the level of the contact nodes. The others are changed in place and must come with
-        their base matrices, of which ``P' A P`` is the pattern at least near contact.
-    prolongations : list of csr_array
-        Between neighbours, all of nodes or all of dofs.
-    obstacle : Obstacle
-        The contact nodes of the last level, whose matrix is taken as symmetric.
-    """
-
-    def __init__(self, levels: list[Halves], prolongations: list[sparse.csr_array], obstacle: Obstacle) -> None:
-        self.obstacle, fine = obstacle, levels[-1]
-        dim = fine.dim
-        count = kernels.count_blocks(obstacle.nodes, obstacle.contact_of, fine.lower_indptr, fine.lower_indices)
-        rows, columns, entries = (np.empty(count, dtype=np.int32) for _ in range(3))
-        kernels.collect(obstacle.nodes, obstacle.contact_of, fine.lower_indptr, fine.lower_indices, rows, columns,
-                        entries)
-        # contact node by contact node, so that what is written on the levels below lies close together
-        owner = np.where(obstacle.contact_of[rows] < 0, obstacle.contact_of[columns], obstacle.contact_of[rows])
-        order = np.argsort(owner, kind="stable")
-        self.rows, self.columns = rows[order], columns[order]
-        self.blocks, self.change = np.empty(count * dim * dim), np.zeros(count * dim * dim)
-        kernels.fetch(dim, self.rows, self.columns, entries[order], fine.lower, obstacle.diagonal, self.blocks)
-        if prolongations[-1].shape[0] == fine.n_nodes:
-            self.chain: NodalChain | DofChain = NodalChain(levels[:-1], prolongations, self.rows, self.columns)
-        else:
-            self.chain = DofChain(levels[:-1], prolongations, dim, self.rows, self.columns)
-
-    def apply(self, newton: bool) -> None:
-        """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g frozen."""
-        o = self.obstacle
-        kernels.changed_blocks(o.dim, self.rows, self.columns, self.blocks, o.contact_of, o.codes, o.frames,
-                               o.friction, o.direction, o.hessian, newton, self.change)
-        self.chain.update(self.change)
-
-    def restore(self) -> None:
-        """Put the base matrices back."""
-        self.chain.restore()
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        own = self.rows.nbytes + self.columns.nbytes + self.blocks.nbytes + self.change.nbytes
-        return own + self.chain.nbytes
-
-
-class NodalChain:
+class NodalUpdate:
     """Carries changed blocks down the levels by nodal prolongations, through lists of products made once.
 
     Parameters
     ----------
-    levels : list of Halves
+    levels : list of SplitMatrix
         The coarse levels, coarsest first.
     prolongations : list of csr_array
         From each of them to the next finer level, nodal.
@@ -100,9 +48,9 @@ class NodalChain:
         Of the changed blocks on the finest level.
     """
 
-    def __init__(self, levels: list[Halves], prolongations: list[sparse.csr_array], rows: np.ndarray,
+    def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], rows: np.ndarray,
                  columns: np.ndarray) -> None:
-        self.below: list[_Below] = []
+        self.below: list[_ChangedBlocks] = []
         for level, nodal in zip(reversed(levels), reversed(prolongations), strict=True):
             self.below.append(_products(level, nodal, rows, columns))
             rows, columns = self.below[-1].rows, self.below[-1].columns
@@ -128,7 +76,7 @@ class NodalChain:
                    if isinstance(value, np.ndarray))
 
 
-def _products(level: Halves, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray) -> _Below:
+def _products(level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray) -> _ChangedBlocks:
     """Where the blocks of a finer level go on this one."""
     size = level.dim**2
     room = int(kernels.count_contributions(rows, columns, nodal.indptr))
@@ -146,5 +94,5 @@ def _products(level: Halves, nodal: sparse.csr_array, rows: np.ndarray, columns:
     slots = slots[:met].copy()
     free = np.ones(level.n_dofs, dtype=bool)
     free[level.fixed] = False
-    return _Below(level, free, source[:count].copy(), target[:count].copy(), weight[:count].copy(), slots,
+    return _ChangedBlocks(level, free, source[:count].copy(), target[:count].copy(), weight[:count].copy(), slots,
                   coarse_rows[:met].copy(), coarse_columns[:met].copy(), level.at_slots(slots), np.zeros(met * size))

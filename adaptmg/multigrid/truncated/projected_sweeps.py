@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.multigrid.half_sweeps import LINES
+from adaptmg.multigrid.linear.half_sweeps import LINES
 from adaptmg.runtime.compiled import inner_kernel, kernel
 from adaptmg.smoother.blocks import (
     add,

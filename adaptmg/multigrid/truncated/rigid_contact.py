@@ -1,8 +1,8 @@
 r"""RigidContact: the contact nodes of a body that moves rigidly, and the way to its least energy, step by step.
 
-With gradient s and (3D) Hessian H of the energy :math:`\phi` of :mod:`adaptmg.multigrid.rigid_motions` a step goes
-along :math:`-H^{-1} s`, or -s where H is singular, to the minimum on that line: to the first node that closes, or to
-the root of the slope
+With gradient s and (3D) Hessian H of the energy :math:`\phi` of :mod:`~adaptmg.multigrid.truncated.rigid_motions` a
+step goes along :math:`-H^{-1} s`, or -s where H is singular, to the minimum on that line: to the first node that
+closes, or to the root of the slope
 
 .. math:: -F\cdot d + \sum_i g_i\,\frac{(\tau_i + \alpha T_i d)\cdot T_i d}{|\tau_i + \alpha T_i d|} .
 """
@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from adaptmg.multigrid.obstacle import Obstacle
+from adaptmg.multigrid.truncated.contact import TruncatedContact
 
 __all__ = ["RigidContact", "null_combinations"]
 
@@ -41,7 +41,7 @@ class RigidContact:
     motions : (n, dim, m) array
         N_i, T_i: local values of the rigid motions.
     values : (n, dim) array
-        Local unknowns, those of the obstacle: steps change them.
+        Local unknowns, those of the level: steps change them.
     gap : (n,) array
     reference : (n, dim - 1) array
         Of the slip.
@@ -71,9 +71,9 @@ class RigidContact:
     REGULAR: ClassVar[float] = 1e-8
 
     @classmethod
-    def of(cls, obstacle: Obstacle, motions: np.ndarray, defect: np.ndarray) -> RigidContact:
-        """The contact nodes of an obstacle with the residual f - A u (n_dofs,)."""
-        o, dim = obstacle, obstacle.dim
+    def of(cls, contact: TruncatedContact, motions: np.ndarray, defect: np.ndarray) -> RigidContact:
+        """The contact nodes of a level with the residual f - A u (n_dofs,)."""
+        o, dim = contact, contact.dim
         normals = o.frames.reshape(-1, dim, dim)[:, 0]
         pressure = np.maximum(np.einsum("ni,ni->n", normals, defect.reshape(-1, dim)[o.nodes]), 0.0)
         return cls(motions, o.values.reshape(-1, dim), o.gap, o.reference.reshape(-1, dim - 1), o.limit, o.friction,

@@ -1,4 +1,4 @@
-"""Obstacle: contact nodes of one level as the flat arrays that the kernels of the truncated method read."""
+"""TruncatedContact: the contact nodes of one level, their status, and what truncation makes of vectors there."""
 
 from __future__ import annotations
 
@@ -8,23 +8,22 @@ from typing import ClassVar
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.multigrid import contact_loops
-from adaptmg.multigrid.contact_status import classify
-from adaptmg.multigrid.halves import Halves
+from adaptmg.multigrid.linear.split_matrix import SplitMatrix
+from adaptmg.multigrid.truncated import contact_kernels
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import NodalContact, local_contact, turn_held
 
-__all__ = ["Obstacle", "Status"]
+__all__ = ["StatusChange", "TruncatedContact"]
 
 
 @dataclass(frozen=True)
-class Status:
-    """What a look at the contact nodes finds.
+class StatusChange:
+    """What an update of the contact status finds.
 
     Attributes
     ----------
     changed : int
-        Nodes whose status differs from the last look.
+        Nodes whose status differs from that of the last update.
     natural, reactions : float
         Sums of squares of the natural residual and of the contact forces, N^2.
     """
@@ -35,8 +34,10 @@ class Status:
 
 
 @dataclass(eq=False)
-class Obstacle:
-    """Contact data and contact status of one level; see :mod:`adaptmg.multigrid.contact_loops`.
+class TruncatedContact:
+    """Contact data and contact status of one level, flat as the kernels read them.
+
+    The kernels are those of :mod:`adaptmg.multigrid.truncated.contact_kernels`.
 
     Attributes
     ----------
@@ -54,6 +55,7 @@ class Obstacle:
     values : (n_contact * dim,) array
         Local unknowns.
     codes : (n_contact,) int8 array
+        Of :mod:`adaptmg.smoother.state`; -1 before the first update.
     pressure : (n_contact,) array
         p >= 0, N.
     direction, hessian : (n_contact * (dim - 1),), (n_contact * (dim - 1)^2,) arrays
@@ -83,7 +85,7 @@ class Obstacle:
     driven: np.ndarray
 
     @classmethod
-    def of(cls, problem: DiscreteProblem, level: Halves) -> Obstacle:
+    def of(cls, problem: DiscreteProblem, level: SplitMatrix) -> TruncatedContact:
         """The contact nodes of a level whose matrix is ``level``."""
         dim, (contact, frames) = problem.dim, local_contact(problem)
         nodes = problem.contact.nodes.astype(np.int32)
@@ -100,7 +102,7 @@ class Obstacle:
                    np.full(n, -1, dtype=np.int8), np.zeros(n), np.zeros(n * (dim - 1)), np.zeros(n * (dim - 1) ** 2),
                    contact.driven)
 
-    def take(self, contact: NodalContact) -> None:
+    def renew(self, contact: NodalContact) -> None:
         """Take over gaps and slips of another load step."""
         self.gap, self.reference, self.driven = contact.gap, contact.slip_reference.reshape(-1), contact.driven
 
@@ -114,21 +116,21 @@ class Obstacle:
         """Memory of the arrays, bytes."""
         return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
 
-    def place(self, unknowns: np.ndarray) -> None:
-        """Take over unknowns (n_dofs,) that may penetrate; they are put back onto the obstacle, in place."""
+    def start(self, unknowns: np.ndarray) -> None:
+        """Take over unknowns (n_dofs,) that may penetrate; they are projected onto the admissible ones, in place."""
         self.codes[:] = 0
         self.project(unknowns)
         self.codes[:] = -1
 
-    def look(self, defect: np.ndarray) -> Status:
-        """Update the status after a sweep; ``defect`` is f - A u (n_dofs,)."""
-        found = classify(ZERO[self.dim], self.nodes, *self.node_data, defect, self.codes, self.pressure)
-        return Status(*found)
+    def update_status(self, defect: np.ndarray) -> StatusChange:
+        """Find the status after a sweep; ``defect`` is f - A u (n_dofs,)."""
+        return StatusChange(*contact_kernels.classify(ZERO[self.dim], self.nodes, *self.node_data, defect, self.codes,
+                                                      self.pressure))
 
-    def renew_directions(self) -> None:
+    def linearise_friction(self) -> None:
         """Take the slip directions (3D: and the Hessian) from the present unknowns."""
-        contact_loops.directions(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference,
-                                 self.values, self.direction, self.hessian)
+        contact_kernels.directions(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference,
+                                   self.values, self.direction, self.hessian)
         if len(self.driven):
             self.direction.reshape(-1, 2)[self.driven, 0] = 0.0
             hessian = self.hessian.reshape(-1, 2, 2)
@@ -137,8 +139,8 @@ class Obstacle:
 
     def truncate(self, defect: np.ndarray) -> float:
         """Make f - A u the truncated residual, in place; returns its sum of squares at the contact nodes."""
-        squares = contact_loops.truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction,
-                                         self.reference, self.values, defect)
+        squares = contact_kernels.truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction,
+                                           self.reference, self.values, defect)
         # the support takes the friction along what it holds
         return squares - self._clear(defect)
 
@@ -153,8 +155,8 @@ class Obstacle:
 
     def project(self, unknowns: np.ndarray) -> int:
         """Make a corrected iterate admissible, in place; returns the number of nodes that had to be cut."""
-        cut = contact_loops.project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
-                                    self.values, unknowns)
+        cut = contact_kernels.project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
+                                      self.values, unknowns)
         self._clear(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
         return cut
@@ -165,11 +167,11 @@ class Obstacle:
         Those are cut back with the correction. To do without the recombination for the sake of one node that is about
         to change its status would cost more cycles than to cut it.
         """
-        cut = contact_loops.count_cut(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
-                                      self.values, first, second, alpha[0], alpha[1], unknowns)
+        cut = contact_kernels.count_cut(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
+                                        self.values, first, second, alpha[0], alpha[1], unknowns)
         return cut <= 1 + self.FEW * len(self.nodes)
 
     def friction_slope(self, before: np.ndarray, alpha: float) -> float:
         """How much the slope of sum g |slip| at alpha exceeds that at 0 on the way from local unknowns ``before``."""
-        return contact_loops.friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure,
-                                            self.reference, before, self.values, alpha)
+        return contact_kernels.friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure,
+                                              self.reference, before, self.values, alpha)

@@ -5,7 +5,7 @@ With T dropping closed normals and held tangents, S adding the Newton rows of sl
 
 .. math:: P^T T (S A + H) T P = P^T A P + P^T \Delta P,\qquad \Delta = T (S A + H) T - A,
 
-and :math:`\Delta` lives in the block rows and columns of contact nodes only. A block is addressed in the halves of a
+and :math:`\Delta` lives in the block rows and columns of contact nodes only. A block is addressed in a split
 matrix by one slot number: L first, then the diagonal, then U.
 """
 
@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.multigrid.contact_loops import CLOSED, HELD, TANGENTIAL
-from adaptmg.multigrid.halves import invert_block
+from adaptmg.multigrid.linear.split_kernels import invert_block
 from adaptmg.runtime.compiled import inner_kernel, kernel
+from adaptmg.smoother.state import CLOSED, HELD, TANGENTIAL
 
 __all__ = ["add_contributions", "changed_blocks", "collect", "count_blocks", "count_contributions",
            "fetch", "fill_contributions", "find_slot", "find_slots", "store"]
@@ -213,7 +213,7 @@ def add_contributions(size, source, target, weight, fine, coarse):
 
 @kernel
 def store(dim, slots, rows, columns, base, change, free, below, lower, upper, diagonal, inverse):
-    """Write base + change to the halves; ``change`` is zeroed in rows and columns of fixed dofs first.
+    """Write base + change to a split matrix; ``change`` is zeroed in rows and columns of fixed dofs first.
 
     ``diagonal`` may be empty where nobody needs it.
     """

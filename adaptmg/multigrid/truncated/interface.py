@@ -6,8 +6,8 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.coupling import Coupling
-from adaptmg.multigrid import interface_rows
-from adaptmg.multigrid.halves import Halves
+from adaptmg.multigrid.linear.split_matrix import SplitMatrix
+from adaptmg.multigrid.truncated import interface_rows
 
 __all__ = ["Interface"]
 
@@ -17,7 +17,7 @@ class Interface:
 
     Parameters
     ----------
-    level : Halves
+    level : SplitMatrix
         Only its lower half and its diagonal blocks are read.
     coupling : Coupling
 
@@ -43,7 +43,7 @@ class Interface:
     #: one layer does nearly as well, more than two gain nothing
     LAYERS = 2
 
-    def __init__(self, level: Halves, coupling: Coupling) -> None:
+    def __init__(self, level: SplitMatrix, coupling: Coupling) -> None:
         n, dim = level.n_nodes, level.dim
         ones = np.ones(len(level.lower_indices))
         half = sparse.csr_array((ones, level.lower_indices.astype(np.int32), level.lower_indptr), shape=(n, n))

@@ -1,4 +1,4 @@
-r"""Stack: the coarse spaces below one fine problem, in local components.
+r"""CorrectionLevels: the coarse spaces below one fine problem, in local components.
 
 With the nodal prolongation P (fine values = P coarse values in every Cartesian component) the local one is
 :math:`\hat P = F_f\,(P \otimes I)\,F_c^T`, F the contact frames, rows and columns of fixed dofs zeroed. Between a fine
@@ -20,12 +20,12 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import LocalProblem, LocalSystem
 from adaptmg.transfer.constraints import Supports, supports
 
-__all__ = ["Stack", "StackLevel", "build_stack"]
+__all__ = ["CorrectionLevel", "CorrectionLevels", "contact_weights", "correction_levels", "local_prolongation"]
 
 
 @dataclass(eq=False)
-class StackLevel:
-    """One level of a stack.
+class CorrectionLevel:
+    """One level of the coarse correction.
 
     Attributes
     ----------
@@ -58,18 +58,24 @@ class StackLevel:
 
 
 @dataclass(eq=False)
-class Stack:
+class CorrectionLevels:
     """Levels, coarsest first, below one fine problem.
 
     Attributes
     ----------
-    levels : list of StackLevel
+    levels : list of CorrectionLevel
     fine : LocalProblem
         The problem on the last level.
     """
 
-    levels: list[StackLevel]
+    levels: list[CorrectionLevel]
     fine: LocalProblem
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+    def __getitem__(self, number: int) -> CorrectionLevel:
+        return self.levels[number]
 
     @property
     def operator_complexity(self) -> float:
@@ -77,9 +83,9 @@ class Stack:
         return sum(level.system.nonzeros for level in self.levels) / self.levels[-1].system.nonzeros
 
 
-def build_stack(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
-                coarse_matrices: str = "galerkin") -> Stack:
-    """The stack below level ``finest`` of a hierarchy.
+def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
+                      coarse_matrices: str = "galerkin") -> CorrectionLevels:
+    """Level ``finest`` of a hierarchy and those below it.
 
     Parameters
     ----------
@@ -93,7 +99,7 @@ def build_stack(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
         monotone correction provable.
     """
     fine = problems[finest]
-    levels = [StackLevel(fine.system)]
+    levels = [CorrectionLevel(fine.system)]
     for k in range(finest, 0, -1):
         upper, lower = problems[k], problems[k - 1]
         nodal = hierarchy[k].contact_prolongation
@@ -101,9 +107,9 @@ def build_stack(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
         levels[0].restriction = sparse.bsr_array(levels[0].prolongation.T)
         levels[0].contact_prolongation = contact_weights(nodal, upper.discrete, lower.discrete)
         finer = levels[1] if len(levels) > 1 else None
-        system = galerkin(levels[0], lower.system, finer) if coarse_matrices == "galerkin" else lower.system
-        levels.insert(0, StackLevel(system))
-    return Stack(levels, fine)
+        system = local_galerkin(levels[0], lower.system, finer) if coarse_matrices == "galerkin" else lower.system
+        levels.insert(0, CorrectionLevel(system))
+    return CorrectionLevels(levels, fine)
 
 
 def contact_weights(nodal: sparse.csr_array, fine: DiscreteProblem, coarse: DiscreteProblem) -> sparse.csr_array:
@@ -152,7 +158,7 @@ def _tangential_part(rotation: np.ndarray) -> np.ndarray:
     return result
 
 
-def galerkin(level: StackLevel, coarse: LocalSystem, finer: StackLevel | None = None) -> LocalSystem:
+def local_galerkin(level: CorrectionLevel, coarse: LocalSystem, finer: CorrectionLevel | None = None) -> LocalSystem:
     """The Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale diagonal.
 
     Dofs of ``level`` that ``finer``, the next level, does not see have such a diagonal, which is left out.

@@ -1,4 +1,4 @@
-"""Truncation below coarse spaces that are given dof by dof (algebraic ones, say), by small sparse triple products."""
+"""Updates of Galerkin matrices on coarse spaces that are given dof by dof (algebraic ones, say), by sparse products."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg.multigrid import truncation_kernels as kernels
-from adaptmg.multigrid.halves import Halves
+from adaptmg.multigrid.linear.split_matrix import SplitMatrix
+from adaptmg.multigrid.truncated.coarse_matrices import kernels
 
-__all__ = ["DofChain"]
+__all__ = ["DofUpdate"]
 
 
 @dataclass(eq=False)
-class _Below:
+class _ChangedDofs:
     """One coarse level: the part of the prolongation that changes pass, and where they go."""
 
-    level: Halves
+    level: SplitMatrix
     weights: sparse.csr_array
     free: np.ndarray
     keys: np.ndarray
@@ -27,7 +27,8 @@ class _Below:
     base: np.ndarray
 
     @classmethod
-    def of(cls, level: Halves, weights: sparse.csr_array, dofs: np.ndarray, pattern: sparse.csr_array) -> _Below:
+    def of(cls, level: SplitMatrix, weights: sparse.csr_array, dofs: np.ndarray,
+           pattern: sparse.csr_array) -> _ChangedDofs:
         """From the weights of the changed dofs, the coarse ones they reach, and the pattern of the change (ones)."""
         order = sparse.coo_array(pattern)
         keys = np.sort(order.row.astype(np.int64) * len(dofs) + order.col)
@@ -60,12 +61,12 @@ class _Below:
                       int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse)
 
 
-class DofChain:
+class DofUpdate:
     """Carries changed blocks down scalar levels.
 
     Parameters
     ----------
-    levels : list of Halves
+    levels : list of SplitMatrix
         The coarse levels, coarsest first, of blocks of size 1.
     prolongations : list of csr_array
         From each of them to the next finer level (n_dofs, n_dofs coarse).
@@ -75,7 +76,7 @@ class DofChain:
         Of the changed blocks there.
     """
 
-    def __init__(self, levels: list[Halves], prolongations: list[sparse.csr_array], dim: int, rows: np.ndarray,
+    def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], dim: int, rows: np.ndarray,
                  columns: np.ndarray) -> None:
         components = np.arange(dim)
         shape = (len(rows), dim, dim)
@@ -86,14 +87,14 @@ class DofChain:
         self._size = len(dofs)
         pattern = sparse.csr_array(sparse.coo_array((np.ones(len(self._rows)), (self._rows, self._columns)),
                                                     shape=(self._size, self._size)))
-        self.below: list[_Below] = []
+        self.below: list[_ChangedDofs] = []
         for level, prolongation in zip(reversed(levels), reversed(prolongations), strict=True):
             weights = sparse.csr_array(prolongation[dofs])
             dofs = np.unique(weights.indices).astype(np.int64)
             weights = sparse.csr_array(weights[:, dofs])
             reach = sparse.csr_array((np.ones(weights.nnz), weights.indices, weights.indptr), shape=weights.shape)
             pattern = sparse.csr_array(reach.T @ (pattern @ reach))
-            self.below.append(_Below.of(level, weights, dofs, pattern))
+            self.below.append(_ChangedDofs.of(level, weights, dofs, pattern))
 
     def update(self, change: np.ndarray) -> None:
         """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""

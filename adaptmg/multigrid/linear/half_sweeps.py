@@ -1,8 +1,9 @@
-r"""Numba kernels of the linear cycle: Gauss-Seidel in half passes, on :class:`~adaptmg.multigrid.halves.Halves`.
+r"""Numba kernels of the linear cycle: Gauss-Seidel in half passes, on a matrix that is stored in parts.
 
-For :math:`(L + D + U)\,u = f`, not necessarily symmetric. From zero: forward (L), keeping :math:`s = f - L u`; backward
-(U), keeping the change :math:`\delta`; then the residual is :math:`-L\delta` (L). After the coarse correction: forward
-(L and U), keeping s; backward (U). Two symmetric sweeps and a residual in three passes.
+For :math:`(L + D + U)\,u = f`, stored as :class:`~adaptmg.multigrid.linear.split_matrix.SplitMatrix`, not necessarily
+symmetric. From zero: forward (L), keeping :math:`s = f - L u`; backward (U), keeping the change :math:`\delta`; then
+the residual is :math:`-L\delta` (L). After the coarse correction: forward (L and U), keeping s; backward (U). Two
+symmetric sweeps and a residual in three passes.
 Arguments in the order of the function: ``zero`` (dim zeros, see :mod:`adaptmg.smoother.blocks`; one for coarse spaces
 that know no nodes); indptr, indices, data of a half; ``inverse`` of the diagonal blocks.
 """

@@ -1,0 +1,1 @@
+"""The linear multigrid below the finest level of the truncated method."""

@@ -1,0 +1,159 @@
+"""One's own coarse solve and coarse smoother with the truncated method: same solution, counted work, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pyamg
+import pytest
+from scipy import sparse
+from scipy.sparse.linalg import splu, spsolve_triangular
+
+import adaptmg as am
+
+
+@dataclass
+class Factors:
+    """A direct solver, as LU factors are; it keeps the matrices it was set up for."""
+
+    matrices: list = field(default_factory=list)
+
+    def setup(self, matrix):
+        self.matrices.append(matrix.copy())
+        return splu(sparse.csc_array(matrix))
+
+
+class Iterative:
+    """Twenty damped Jacobi sweeps for the coarsest problem, their passes told."""
+
+    passes = 20
+
+    def setup(self, matrix):
+        self.matrix, self.diagonal = matrix, matrix.diagonal()
+        return self
+
+    def solve(self, rhs):
+        x = np.zeros_like(rhs)
+        for _ in range(self.passes):
+            x += 0.6 * (rhs - self.matrix @ x) / self.diagonal
+        return x
+
+
+class GaussSeidel:
+    """A symmetric point sweep."""
+
+    def setup(self, matrix):
+        self.matrix = matrix
+        self.lower, self.upper = sparse.tril(matrix, format="csr"), sparse.triu(matrix, format="csr")
+        return self
+
+    def smooth(self, rhs, x):
+        for triangle, lower in ((self.lower, True), (self.upper, False)):
+            x += spsolve_triangular(triangle, rhs - self.matrix @ x, lower=lower)
+        return 2
+
+
+@pytest.fixture(scope="module")
+def bar():
+    return am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
+
+
+@pytest.fixture(scope="module")
+def joint():
+    return am.Hierarchy.graded(am.cases.dovetail(), sizes=(12e-3, 8e-3, 5e-3))
+
+
+def far(a, b):
+    return np.abs(a.displacement - b.displacement).max() / np.abs(b.displacement).max()
+
+
+@pytest.mark.parametrize("grids, method", [
+    ("bar", am.FullMultigrid), ("bar", am.Multigrid), ("joint", am.FullMultigrid)])
+def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method, request):
+    grids, own = request.getfixturevalue(grids), Factors()
+    expected = am.solve(grids, method())
+    found = am.solve(grids, method(correction=am.Truncated(coarse_solve=own)))
+    assert found.cycles == expected.cycles and found.work_units == expected.work_units
+    assert far(found, expected) < 1e-8
+    # truncated anew with the contact status, and regular: no row is empty
+    assert len(own.matrices) > 1 and all((abs(matrix).sum(axis=1) > 0).all() for matrix in own.matrices)
+
+
+def test_an_iterative_one_is_counted(bar):
+    own = am.solve(bar, am.FullMultigrid(correction=am.Truncated(coarse_solve=Iterative())))
+    exact = am.solve(bar, am.FullMultigrid())
+    assert own.status.ok and far(own, exact) < 1e-6
+    share = bar[0].matrix.nnz / bar.finest.matrix.nnz
+    assert own.work_units > exact.work_units + Iterative.passes * share * (own.cycles - 1)
+
+
+@pytest.mark.parametrize("grids", ["bar", "joint"])
+def test_a_smoother_below_the_finest_level(grids, request):
+    grids = request.getfixturevalue(grids)
+    own = am.solve(grids, am.FullMultigrid(correction=am.Truncated(coarse_smoother=GaussSeidel())))
+    expected = am.solve(grids, am.FullMultigrid())
+    assert own.status.ok and own.cycles <= expected.cycles + 4
+    assert far(own, expected) < 1e-6
+
+
+def test_a_smoother_below_algebraic_levels(bar):
+    grids = am.Hierarchy.algebraic(bar.finest.discrete, max_coarse=20)
+    assert len(grids) > 2
+    own = am.solve(grids, am.Multigrid(correction=am.Truncated(coarse_smoother=GaussSeidel())))
+    assert own.status.ok and far(own, am.solve(grids, am.Multigrid())) < 1e-6
+
+
+def test_a_smoother_that_does_nothing_costs_cycles(bar):
+    class Nothing(GaussSeidel):
+        def smooth(self, rhs, x):
+            return 0
+
+    found = am.solve(bar, am.FullMultigrid(correction=am.Truncated(coarse_smoother=Nothing())), throw=False)
+    assert found.cycles > am.solve(bar, am.FullMultigrid()).cycles
+
+
+def test_pyamg_solves_the_coarsest_problem(bar):
+    class Amg:
+        def setup(self, matrix):
+            self.solver = pyamg.smoothed_aggregation_solver(sparse.csr_matrix(matrix))
+            return self
+
+        def solve(self, rhs):
+            return self.solver.solve(rhs, tol=1e-10)
+
+    found = am.solve(bar, am.FullMultigrid(correction=am.Truncated(coarse_solve=Amg())))
+    assert found.status.ok and far(found, am.solve(bar, am.FullMultigrid())) < 1e-6
+
+
+class Answers(Iterative):
+    """Answers what it is told to."""
+
+    def __init__(self, answer, passes=0):
+        self.answer, self.passes = answer, passes
+
+    def solve(self, rhs):
+        return self.answer(rhs)
+
+    def smooth(self, rhs, x):
+        return self.answer(rhs)
+
+
+@pytest.mark.parametrize("parts, message", [
+    ({"coarse_solve": 5}, "coarse_solve"), ({"coarse_solve": Iterative}, "coarse_solve"),
+    ({"coarse_smoother": "jacobi"}, "coarse_smoother")])
+def test_what_offers_no_setup_is_refused(parts, message):
+    with pytest.raises(TypeError, match=message):
+        am.Truncated(**parts)
+
+
+@pytest.mark.parametrize("own", [Answers(lambda rhs: rhs[1:]), Answers(lambda rhs: rhs * np.nan),
+                                 Answers(lambda rhs: None), Answers(np.copy, passes=-1)])
+def test_a_coarse_solve_that_does_not_keep_its_word_is_named(bar, own):
+    with pytest.raises((TypeError, ValueError), match="coarse_solve"):
+        am.solve(bar, am.FullMultigrid(correction=am.Truncated(coarse_solve=own)))
+
+
+def test_a_smoother_that_does_not_count_is_named(bar):
+    with pytest.raises((TypeError, ValueError), match="coarse_smoother"):
+        am.solve(bar, am.FullMultigrid(correction=am.Truncated(coarse_smoother=Answers(lambda rhs: None))))
