@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU, splu
 
 from adaptmg.smoother.system import LocalProblem, LocalSystem, turn_held
 from adaptmg.solver.linear.dissection import nested_dissection, node_graph
+from adaptmg.solver.linear.ordered_factors import OrderedFactors, dofs_of
 
 __all__ = ["Condensed", "condense"]
 
@@ -89,7 +89,7 @@ class Condensed:
         interior = self._interior
         rhs = residual.copy()
         rhs[interior.contact] = 0.0
-        particular = interior.solve(rhs)
+        particular = interior.factors.solve(rhs)
         return particular, residual[interior.contact] + interior.stiffness(particular[interior.contact])
 
     def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ class Condensed:
         interior = self._interior
         rhs = np.zeros_like(particular)
         rhs[interior.contact] = interior.stiffness(unknowns - particular[interior.contact])
-        result = particular + interior.solve(rhs)
+        result = particular + interior.factors.solve(rhs)
         result[interior.contact] = unknowns
         return result
 
@@ -116,10 +116,8 @@ class Interior:
 
     Attributes
     ----------
-    factors : SuperLU
-        Of M, permuted.
-    order : (n_dofs,) int array
-        Elimination order.
+    factors : OrderedFactors
+        Of M.
     contact : (n_contact * dim,) int array
         Contact dofs.
     schur : (n, n) array
@@ -128,17 +126,10 @@ class Interior:
         Diagonal of Sigma at the contact dofs.
     """
 
-    factors: SuperLU
-    order: np.ndarray
+    factors: OrderedFactors
     contact: np.ndarray
     schur: np.ndarray
     shift: np.ndarray
-
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """M^-1 rhs."""
-        result = np.empty_like(rhs)
-        result[self.order] = self.factors.solve(rhs[self.order])
-        return result
 
     def stiffness(self, unknowns: np.ndarray) -> np.ndarray:
         """(S + Sigma) w_c: the right-hand side of M that makes w_c."""
@@ -168,11 +159,10 @@ def condense(local: LocalProblem) -> Condensed:
     """
     system = local.system
     dim = system.dim
-    contact = (dim * system.nodes[:, None].astype(np.int64) + np.arange(dim)).reshape(-1)
+    contact = dofs_of(system.nodes, dim)
     shift = system.matrix.diagonal()[contact]
     nodes = nested_dissection(node_graph(system.matrix), local.discrete.coordinates, last=system.nodes)
-    order = (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
-    factors, schur = _eliminate(_shifted(system, contact, shift), order, contact)
+    factors, schur = _eliminate(_shifted(system, contact, shift), dofs_of(nodes, dim), contact)
     schur[np.diag_indices_from(schur)] -= shift
     schur = 0.5 * (schur + schur.T)
     fixed = system.fixed[contact]
@@ -181,7 +171,7 @@ def condense(local: LocalProblem) -> Condensed:
     turn_held(dense.diagonal, dense.nodes, local.contact)
     problem = LocalProblem(system=dense, load=np.zeros(len(contact)), contact=local.contact, frames=local.frames,
                            discrete=local.discrete)
-    condensed = Condensed(problem, local, Interior(factors, order, contact, schur, shift))
+    condensed = Condensed(problem, local, Interior(factors, contact, schur, shift))
     problem.load = np.where(fixed, 0.0, condensed.reduce(local.load)[1])
     return condensed
 
@@ -204,24 +194,22 @@ def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> spa
     return sparse.coo_array((data, (rows, columns)), shape=system.matrix.shape).tocsc()
 
 
-def _eliminate(matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray) -> tuple[SuperLU, np.ndarray]:
-    """Factors of the permuted matrix, and L_cc U_cc in the order of ``contact``."""
+def _eliminate(matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray) -> tuple[OrderedFactors, np.ndarray]:
+    """Factors, and L_cc U_cc in the order of ``contact``."""
     message = ("the problem is singular even with all contact dofs fixed: add a support, or check that every node "
                "belongs to an element")
-    permuted = matrix[order][:, order].tocsc()
     try:
-        # the matrix is symmetric and positive definite: pivots on the diagonal are safe
-        factors = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factors = OrderedFactors.of(matrix, order)
     except RuntimeError as error:
         raise ValueError(message) from error
     # SuperLU postorders the elimination tree: row and column k of the permuted matrix became place[k]
-    place, rows = factors.perm_c, factors.perm_r
-    upper = factors.U
+    lu = factors.lu
+    place, rows, upper = lu.perm_c, lu.perm_r, lu.U
     pivots = upper.diagonal()[place]
-    if not (np.array_equal(place, rows) and (pivots > _PIVOT * permuted.diagonal()).all()):
+    if not (np.array_equal(place, rows) and (pivots > _PIVOT * factors.diagonal).all()):
         raise ValueError(message)
     inverse = np.empty_like(order)
     inverse[order] = np.arange(len(order))
     at = place[inverse[contact]]
-    lower = factors.L.tocsr()[at][:, at].toarray()
+    lower = lu.L.tocsr()[at][:, at].toarray()
     return factors, lower @ upper.tocsc()[:, at].tocsr()[at].toarray()

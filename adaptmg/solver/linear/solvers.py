@@ -20,11 +20,12 @@ import numpy as np
 import pyamg
 import pyamg.krylov
 from scipy import sparse
-from scipy.sparse.linalg import LinearOperator, SuperLU, splu
+from scipy.sparse.linalg import LinearOperator
 
 from adaptmg.problem import checks
 from adaptmg.runtime.threads import seeded
 from adaptmg.solver.linear.dissection import nested_dissection, node_graph
+from adaptmg.solver.linear.ordered_factors import OrderedFactors, dofs_of
 
 __all__ = ["AMG", "Direct", "LinearSolution", "LinearSolver", "Prepared"]
 
@@ -110,21 +111,18 @@ class Direct:
     def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
               preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Factorised:
         """Factorise; see :class:`LinearSolver`. The order of a previous matrix of the same pattern is reused."""
-        if isinstance(previous, Factorised) and len(previous.order) == matrix.shape[0]:
-            order = previous.order
+        if isinstance(previous, Factorised) and len(previous.factors.order) == matrix.shape[0]:
+            order = previous.factors.order
         else:
             size = matrix.blocksize[0]
-            order = (size * nested_dissection(node_graph(matrix))[:, None] + np.arange(size)).reshape(-1)
-        permuted = sparse.csr_array(matrix)[order][:, order].tocsc()
-        # pivots off the diagonal destroy the order: none if positive definite, else only where the diagonal is tiny
-        threshold = 0.0 if symmetric else 1e-3
+            order = dofs_of(nested_dissection(node_graph(matrix)), size)
         try:
-            factors = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=threshold, options={"SymmetricMode": True})
+            factors = OrderedFactors.of(sparse.csr_array(matrix), order, 0.0 if symmetric else 1e-3)
         except RuntimeError as error:
             raise np.linalg.LinAlgError(_singular(matrix)) from error
-        result = Factorised(matrix, factors, order)
+        result = Factorised(matrix, factors)
         probe = np.random.default_rng(0).standard_normal(matrix.shape[0])
-        growth = np.abs(result.apply(matrix.diagonal() * probe)).max()
+        growth = np.abs(factors.solve(matrix.diagonal() * probe)).max()
         if not growth < self.SINGULAR:
             raise np.linalg.LinAlgError(_singular(matrix))
         return result
@@ -140,19 +138,12 @@ class Factorised:
     """The factors of a matrix; :class:`Direct` makes it."""
 
     matrix: sparse.bsr_array
-    factors: SuperLU
-    order: np.ndarray
-
-    def apply(self, rhs: np.ndarray) -> np.ndarray:
-        """One solve with the factors."""
-        result = np.empty_like(rhs)
-        result[self.order] = self.factors.solve(rhs[self.order])
-        return result
+    factors: OrderedFactors
 
     def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
         """Solve and refine; see :class:`Prepared`. ``start`` is not needed."""
-        unknowns = self.apply(rhs)
-        unknowns += self.apply(rhs - self.matrix @ unknowns)
+        unknowns = self.factors.solve(rhs)
+        unknowns += self.factors.solve(rhs - self.matrix @ unknowns)
         relative = _relative(rhs - self.matrix @ unknowns, rhs)
         return LinearSolution(unknowns, 0, 0.0, relative, relative <= rtol)
 
