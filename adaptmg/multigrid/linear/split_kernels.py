@@ -124,6 +124,7 @@ def _invert_2d(blocks, result, at):
 
 @kernel
 def invert_all(dim, diagonal, inverse):
+    """Inverses of all diagonal blocks; see :func:`invert_block`."""
     size = dim * dim
     block = np.empty(size)
     scale = np.empty(dim)
