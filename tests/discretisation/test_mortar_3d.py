@@ -350,7 +350,7 @@ def test_visible_and_hidden_parts_add_up(way):
 
 SCRIPT = """
 import sys
-sys.path.insert(0, sys.argv[1])
+sys.path[:0] = sys.argv[3:] + [sys.argv[1]]
 from test_mortar_3d import small
 import numpy as np
 assert "ngsolve" not in sys.modules
@@ -368,7 +368,8 @@ def small():
 
 def test_kernels_without_jit(tmp_path):
     path = tmp_path / "results.npz"
-    subprocess.run([sys.executable, "-W", "error::RuntimeWarning", "-c", SCRIPT, str(HERE), str(path)],
+    subprocess.run([sys.executable, "-W", "error::RuntimeWarning", "-c", SCRIPT, str(HERE), str(path),
+                    str(HERE.parent / "helpers")],
                    env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, check=True)
     plain = np.load(path)
     for key, value in small().items():
