@@ -121,7 +121,7 @@ def test_direct_uses_the_order_of_a_matrix_like_it():
     matrix, load, _ = glued_system(bar(6))
     first = am.Direct().setup(matrix)
     second = am.Direct().setup(sparse.bsr_array(2 * matrix, blocksize=(2, 2)), previous=first)
-    assert second.order is first.order
+    assert second.factors.order is first.factors.order
     assert second.solve(load).unknowns == pytest.approx(0.5 * first.solve(load).unknowns, rel=1e-10)
 
 
