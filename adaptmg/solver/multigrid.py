@@ -72,6 +72,8 @@ class Multigrid:
         checks.instance("cycle", self.cycle, Cycle, "a Cycle")
         checks.offers("smoother", self.smoother, "smooth",
                       "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes")
+        if isinstance(self.correction, type):
+            raise TypeError(f"correction must be an instance, got {checks.described(self.correction)}")
         if own(self.correction, "method") is None:
             words = "Monotone(), Truncated(), PaperCorrection() or offer transport and needs_initial"
             checks.offers("correction", self.correction, "transport", words)

@@ -158,7 +158,9 @@ def test_a_terminal_gets_a_bar(capsys, monkeypatch):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
 def test_ctrl_c_ends_with_130_and_one_line():
-    code = ("import os, signal, time\nfrom adaptmg.cli import main, work\n"
+    # in a shell's background the signal comes ignored
+    code = ("import os, signal, time\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+            "from adaptmg.cli import main, work\n"
             "work.solved = lambda *arguments: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\nmain()")
     done = subprocess.run([sys.executable, "-c", code, "solve", "greco_bar", "--divisions", "2,4"], capture_output=True,
                           text=True, timeout=60)

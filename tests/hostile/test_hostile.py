@@ -26,7 +26,7 @@ def _batch(table: str) -> dict[str, dict]:
     left = [row.name for row in importlib.import_module(table).INPUTS]
     found: dict[str, dict] = {}
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg",
-                   "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")])}
+                   "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent / "helpers"), str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")])}
     while left:
         with subprocess.Popen([sys.executable, str(HERE / "child.py"), table, *left], stdout=subprocess.PIPE,
                               stderr=subprocess.DEVNULL, text=True, env=environment) as child:
