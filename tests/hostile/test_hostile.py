@@ -25,8 +25,9 @@ def _batch(table: str) -> dict[str, dict]:
     """Outcomes of all rows of a table; after a row that ends or hangs its process the rest goes on in a new one."""
     left = [row.name for row in importlib.import_module(table).INPUTS]
     found: dict[str, dict] = {}
+    folders = [str(HERE), str(HERE.parent / "helpers"), str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg",
-                   "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent / "helpers"), str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")])}
+                   "PYTHONPATH": os.pathsep.join(folders)}
     while left:
         with subprocess.Popen([sys.executable, str(HERE / "child.py"), table, *left], stdout=subprocess.PIPE,
                               stderr=subprocess.DEVNULL, text=True, env=environment) as child:
