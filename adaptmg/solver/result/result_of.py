@@ -61,7 +61,7 @@ def _confirmed(outcome: Outcome, residual: float, checked: Certificate) -> Statu
     if outcome.status.ok and not residual <= 2 * wanted:
         return Status.DIVERGED if not residual < 1 else Status.STALLED
     if outcome.status.ok and checked.contradictions(outcome.rtol):
-        _LOG.info("said to be converged, contradicted by %s\n%s", ", ".join(checked.contradictions(outcome.rtol)),
-                  checked)
+        _LOG.info("said to be converged, contradicted by %s", ", ".join(checked.contradictions(outcome.rtol)))
+        _LOG.debug("%s", checked)
         return Status.STALLED
     return outcome.status
