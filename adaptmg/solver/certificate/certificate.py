@@ -75,12 +75,12 @@ class Certificate:
         """The line with the largest relative violation."""
         return max(self.lines, key=lambda line: np.inf if np.isnan(line.relative) else line.relative)
 
-    def contradictions(self, rtol: float) -> tuple[str, ...]:
+    def contradictions(self, rtol: float, energy_factor: float = ENERGY_FACTOR) -> tuple[str, ...]:
         """Names of what a displacement that has converged to ``rtol`` would not violate so much."""
         def beyond(value: float, allowed: float, rounding: float) -> bool:
             return not value <= max(allowed, min(rounding, self.MOST_ROUNDING))
         found = [line.name for line in self.lines if beyond(line.relative, self.FACTOR * rtol, line.rounding)]
-        if beyond(self.energy_error, self.ENERGY_FACTOR * rtol, self.energy_rounding):
+        if beyond(self.energy_error, energy_factor * rtol, self.energy_rounding):
             found.append("energy error")
         return tuple(found)
 

@@ -44,7 +44,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
     return Result(displacement=found.displacement, reaction=found.reaction, checked=found.checked,
-                  status=_confirmed(outcome, found.residual, found.checked), cycles=outcome.cycles,
+                  status=_confirmed(outcome, found.residual, found.checked, getattr(solver, "stop", "error")),
+                  cycles=outcome.cycles,
                   contact=found.contact, work_units=run.work_units, residual=found.residual,
                   error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
@@ -52,16 +53,21 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data)
 
 
-def _confirmed(outcome: Outcome, residual: float, checked: Certificate) -> Status:
-    """The status of a solver, unless what it returned, examined here anew, contradicts it."""
+def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
+    """The status of a solver, unless what it returned, examined here anew, contradicts it.
+
+    With the paper's test rtol is that of a change: the error is held against the multiple that the residual has.
+    """
     if not np.isfinite(residual):
         return Status.DIVERGED
     wanted = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, StopTest.ROUNDING_LIMIT)
     # twice: solvers sum the same numbers in another order
     if outcome.status.ok and not residual <= 2 * wanted:
         return Status.DIVERGED if not residual < 1 else Status.STALLED
-    if outcome.status.ok and checked.contradictions(outcome.rtol):
-        _LOG.info("said to be converged, contradicted by %s", ", ".join(checked.contradictions(outcome.rtol)))
+    factor = StopTest.RESIDUAL_FACTOR if stop == "change" else checked.ENERGY_FACTOR
+    found = checked.contradictions(outcome.rtol, factor)
+    if outcome.status.ok and found:
+        _LOG.info("said to be converged, contradicted by %s", ", ".join(found))
         _LOG.debug("%s", checked)
         return Status.STALLED
     return outcome.status
