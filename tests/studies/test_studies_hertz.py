@@ -41,7 +41,8 @@ def test_errors_are_small_and_all_converge(tables):
 def test_two_bodies_cost_little_more_than_one(tables):
     frame = tables["hertz_bodies"]
     nested = frame[frame["start"] == "nested"]
-    assert len(nested) and (nested["WU ratio"] < 1.5).all()  # a cycle more or less is .1
+    # 1.40 on the 407 nodes of a quick run, 1.11 to 1.20 on those of a full one
+    assert len(nested) and (nested["WU ratio"] < 1.5).all()
     assert (frame["nodes, two"] / frame["nodes, one"] > 1.9).all()
 
 
