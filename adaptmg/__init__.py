@@ -14,8 +14,8 @@ __version__ = "0.1.0"
 
 kernel_cache.install()
 
-_SUBMODULES = ("cases", "discretisation", "export", "mesh", "multigrid", "plot", "problem", "smoother", "solver",
-               "study", "transfer")
+_SUBMODULES = ("cases", "discretisation", "estimate", "export", "mesh", "multigrid", "plot", "problem", "smoother",
+               "solver", "study", "transfer")
 
 _WHERE = {
     "adaptmg.problem": ("Assembly", "Axisymmetric", "BodyForce", "Box", "Contact", "ContactPair", "ContactProblem",
@@ -44,6 +44,7 @@ _WHERE = {
     "adaptmg.solver.result": ("Result",),
     "adaptmg.solver.result.not_converged": ("NotConverged",),
     "adaptmg.solver.result.status": ("Status",),
+    "adaptmg.estimate.estimate": ("Estimate",),
     "adaptmg.study.study": ("Study",),
 }
 _HOME = {name: module for module, names in _WHERE.items() for name in names}

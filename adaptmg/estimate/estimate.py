@@ -1,0 +1,93 @@
+r"""Estimate: what an indicator says of a discrete solution, element by element and in all.
+
+With :math:`\eta_E^2` the square of element E (an energy, N m; in 2D per metre of thickness),
+
+.. math:: \eta = \Bigl(\sum_E \eta_E^2\Bigr)^{1/2}, \qquad \eta / \|u_h\|_A .
+
+Goals (:class:`adaptmg.Goal`) quote a signed estimate of the error of one quantity; their squares only say where to
+refine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from adaptmg.problem import checks
+
+__all__ = ["Estimate"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """An error estimate on the finest mesh of a hierarchy.
+
+    Parameters
+    ----------
+    squares : (n_elements,) array
+        Square of each element's part, >= 0; N m. Of a goal: the absolute value of its part, in the goal's unit; these
+        mark, their sum overestimates the error many times and is never quoted.
+    norm : float
+        Energy norm of the displacement ||u_h||_A, sqrt(N m): what ``relative`` refers to.
+    indicator : str
+        Which indicator it is from, in words.
+    terms : mapping of str to float
+        Parts of the sum of squares by name; they add up to it.
+    value, signed : float, optional
+        Of a goal: the quantity of the discrete solution, and the estimate of exact minus discrete value.
+    energy_error : float, optional
+        Of a goal: an estimated relative energy error, by which tolerances of solvers are chosen.
+    """
+
+    squares: np.ndarray
+    norm: float
+    indicator: str = ""
+    terms: Mapping[str, float] = field(default_factory=dict)
+    value: float | None = None
+    signed: float | None = None
+    energy_error: float | None = None
+
+    def __post_init__(self) -> None:
+        squares = np.array(self.squares, dtype=np.float64)
+        if squares.ndim != 1 or not len(squares):
+            raise ValueError(f"squares must have shape (n_elements,), got {squares.shape}")
+        if not (squares >= 0).all() or not np.isfinite(squares).all():
+            k = int(np.argmin(np.where(np.isfinite(squares), squares, -np.inf)))
+            raise ValueError(f"squares must be finite and >= 0, got {squares[k]} in element {k}")
+        squares.flags.writeable = False
+        object.__setattr__(self, "squares", squares)
+        object.__setattr__(self, "norm", checks.nonnegative("norm", self.norm))
+        object.__setattr__(self, "terms", {name: float(part) for name, part in self.terms.items()})
+        if (self.value is None) != (self.signed is None):
+            raise ValueError("value and signed belong together: give both, or neither")
+
+    @property
+    def total(self) -> float:
+        """Square root of the sum of squares, sqrt(N m); of a goal the absolute value of ``signed``, in its unit."""
+        return float(np.sqrt(self.squares.sum())) if self.signed is None else abs(self.signed)
+
+    @property
+    def relative(self) -> float:
+        """``total`` over ||u_h||_A; of a goal over the absolute value of the quantity."""
+        size = self.norm if self.value is None else abs(self.value)
+        return self.total / size if size > 0 else (np.inf if self.total > 0 else 0.0)
+
+    @property
+    def relative_energy(self) -> float:
+        """The estimated relative error in the energy norm."""
+        return self.relative if self.energy_error is None else self.energy_error
+
+    def __repr__(self) -> str:
+        unit = "sqrt(N m)"
+        lines = [f"Estimate by {self.indicator or 'an indicator'}: {len(self.squares)} elements"]
+        if self.signed is None:
+            lines.append(f"  total {self.total:.4g} {unit}, relative {self.relative:.3%} of ||u||_A = {self.norm:.4g} "
+                         f"{unit}")
+        else:
+            lines.append(f"  value {self.value:.8g}, estimated error {self.signed:+.3g} (exact minus discrete), "
+                         f"relative {self.relative:.3%}")
+        whole = sum(self.terms.values())
+        lines += [f"  {name:<28s} {part:11.4g} {part / whole:7.1%}" for name, part in self.terms.items() if whole > 0]
+        return "\n".join(lines)
