@@ -103,8 +103,8 @@ class Certificate:
 
 
 @one_blas_thread()
-def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False
-            ) -> Certificate:
+def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
+            images: np.ndarray | None = None) -> Certificate:
     """Check a displacement and the contact forces and states that go with it.
 
     Parameters
@@ -117,10 +117,12 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
     bound : bool
         The energy error by a sparse factorisation, exact for this contact status; else estimated in a few passes over
         the matrix.
+    images : (n_dofs,) array, optional
+        The stored matrix times the displacement (relative), N, where the caller has made that product already.
     """
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
-        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact)
+        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, images)
         energy, energy_rounding = found.energy_error(bound)
         lines = (found.equilibrium(), found.prescribed(), *found.normal(), *found.tangential(), *found.states(),
                  found.balance())

@@ -12,6 +12,7 @@ import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.solver.certificate.energy import FrozenStatus, residual_energy
+from adaptmg.solver.certificate.tally import Tally
 
 __all__ = ["Condition", "ContactClaims", "Evidence"]
 
@@ -59,7 +60,8 @@ class Condition:
 class Evidence:
     """What the lines are made from. Forces of coupled bodies are those of the bodies, not of relative coordinates."""
 
-    def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims) -> None:
+    def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims,
+                 images: np.ndarray | None = None) -> None:
         self.problem, self.contact = problem, contact
         # contact as it was posed: between held bodies the problem may have nodes of the master in its place
         self.posed = problem.contact if problem.exchange is None else problem.exchange.contact
@@ -68,10 +70,8 @@ class Evidence:
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
-        images = problem.matrix @ self.unknowns.reshape(-1)
-        self.energy = float(np.sqrt(max(_sum(self.unknowns, images.reshape(shape)), 0.0)))
-        self.reaction = self._physical(images - problem.load).reshape(shape)
-        self.load = self._physical(problem.load).reshape(shape)
+        if images is None:
+            images = problem.matrix @ self.unknowns.reshape(-1)
         self.fixed = problem.fixed.reshape(shape)
         self.diagonal = problem.matrix.diagonal().reshape(shape)
         self.normals = self.posed.normals
@@ -82,14 +82,16 @@ class Evidence:
         self.limit = limit / np.abs(self.sigma)
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
-        self.unexplained = self.reaction.copy()
+        self.unexplained = self._physical(images - problem.load).reshape(shape)
         self.unexplained[self.nodes] -= self.claimed
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
-        supports = self.unexplained[self.fixed]
-        self.force = max(_norm(self.load), float(np.linalg.norm(supports)), _norm(self.claimed))
-        self.length = float(np.abs(self.u).max(initial=0.0))
+        self.tally = Tally(self.unexplained, self.fixed, self.u, self.unknowns,
+                           problem.fixed_values.reshape(shape), self.diagonal)
+        self.energy = float(np.sqrt(max(_sum(self.unknowns, images), 0.0)))
+        self.force = max(_norm(self._physical(problem.load)), self.tally.supports, _norm(self.claimed))
+        self.length = self.tally.displacement
         # a row sums terms of the size of its diagonal times its displacement
-        self.rounding = 8 * _EPSILON * _norm(self.diagonal * self.u)
+        self.rounding = 8 * _EPSILON * self.tally.stiff
 
     @property
     def idle(self) -> bool:
@@ -133,12 +135,13 @@ class Evidence:
 
     def equilibrium(self) -> Condition:
         """Forces at free dofs that neither loads nor claimed contact forces explain."""
-        return self._forces("equilibrium", np.where(self.fixed, 0.0, self.unexplained).reshape(-1))
+        return Condition("equilibrium", self.tally.largest, self.tally.free, "N", _over(self.tally.free, self.force),
+                         _over(self.rounding, self.force))
 
     def prescribed(self) -> Condition:
         """Distance from prescribed values."""
-        values = self.problem.fixed_values.reshape(self.u.shape)
-        return self._lengths("prescribed values", (self.unknowns - values)[self.fixed])
+        return Condition("prescribed values", self.tally.furthest, self.tally.moved, "m",
+                         _over(self.tally.furthest, self.length), 16 * _EPSILON)
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Penetration, tension, complementarity."""
@@ -167,7 +170,7 @@ class Evidence:
 
     def balance(self) -> Condition:
         """Sum of loads, supports, claimed contact forces and elastic foundations: what free dofs leave unexplained."""
-        sums = np.where(self.fixed, 0.0, self.unexplained).sum(axis=0)
+        sums = self.tally.sums
         # n forces of random sign sum up to more than one of them
         scale = self.force * np.sqrt(self.problem.n_nodes)
         total = float(np.linalg.norm(sums))
@@ -178,15 +181,18 @@ class Evidence:
         """The relative energy error, and as much of it as rounding explains."""
         problem, coupling = self.problem, self.problem.coupling
         status, change, unlawful = self._frozen()
-        forces = self.unexplained if coupling is None else coupling.relative_forces(self.unexplained.reshape(-1))
-        forces = forces.reshape(self.u.shape).copy()
+        # a copy: what is unexplained is told by other lines too
+        forces = self.unexplained.copy() if coupling is None else coupling.relative_forces(self.unexplained.reshape(-1))
+        forces = forces.reshape(self.u.shape)
         forces[problem.contact.nodes] += unlawful
         moved = 0.0
         if change.any():
             image = (problem.matrix @ change.reshape(-1)).reshape(change.shape)
-            moved, forces = np.sqrt(max(_sum(change, image), 0.0)), forces + image
-        rest = residual_energy(problem.matrix, status, forces, self.diagonal, problem.coordinates, exact)
-        rounding = 32 * _EPSILON * _norm(np.sqrt(np.abs(self.diagonal)) * self.u)
+            moved = np.sqrt(max(_sum(change, image), 0.0))
+            forces += image
+        rest = residual_energy(problem.matrix, status, forces, self.diagonal, problem.coordinates, exact,
+                               relative=coupling is not None)
+        rounding = 32 * _EPSILON * self.tally.stiff_energy
         return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
 
     def _frozen(self) -> tuple[FrozenStatus, np.ndarray, np.ndarray]:
@@ -196,8 +202,7 @@ class Evidence:
         to give the force up (to turn it against the slip).
         """
         contact, dim = self.problem.contact, self.problem.dim
-        free = (~self.fixed).astype(float)
-        here, d = free[contact.nodes], self.diagonal[contact.nodes].max(axis=1)
+        here, d = (~self.fixed[contact.nodes]).astype(float), self.diagonal[contact.nodes].max(axis=1)
         # at the nodes that carry the conditions in the equations
         scale, sigma = np.abs(self.sigma), self.sigma[:, None]
         gap, pressure = self.gap / scale, self.pressure * scale
@@ -225,8 +230,18 @@ class Evidence:
         dragged = (self.coefficient * (slides & closed))[:, None, None] * np.einsum(
             "ni,nj->nij", against, contact.normals)
         pressed = -np.where(closed, pressure, 0.0)[:, None] * contact.normals
-        status = FrozenStatus(free, contact.nodes, kept, turning[:, None, None] * across, dragged)
+        held, kept = self._held(kept)
+        status = FrozenStatus(held, kept, contact.nodes, turning[:, None, None] * across, dragged)
         return status, change, self.claimed * sigma - pressed - lawful
+
+    def _held(self, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes in supports or contact, and the projections there, from those (n_contact, dim, dim) of contact."""
+        nodes = self.problem.contact.nodes
+        supported = np.flatnonzero(self.problem.fixed) // self.problem.dim
+        held = np.append(nodes, np.setdiff1d(supported, nodes))
+        every = np.concatenate([kept, np.tile(np.eye(self.problem.dim), (len(held) - len(nodes), 1, 1))])
+        free = ~self.fixed[held]
+        return held, every * free[:, :, None] * free[:, None, :]
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:

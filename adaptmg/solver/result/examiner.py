@@ -82,21 +82,20 @@ class Examiner:
         it is all there is.
         """
         solved = np.asarray(solved, dtype=np.float64).reshape(-1)
-        return self._residual(solved, self._defect(solved))
-
-    def _defect(self, solved: np.ndarray) -> np.ndarray:
-        """b - A u (n_dofs,)."""
-        return self.discrete.load - self.discrete.matrix @ solved
+        return self._residual(solved, self.discrete.load - self.discrete.matrix @ solved)
 
     def _at_contact(self, vector: np.ndarray) -> np.ndarray:
         """Local components (n_contact, dim) of a vector (n_dofs,), zero along what is held."""
-        at = vector.reshape(-1, self.discrete.dim)[self.discrete.contact.nodes]
+        return self._local(vector.reshape(-1, self.discrete.dim)[self.discrete.contact.nodes])
+
+    def _local(self, at: np.ndarray) -> np.ndarray:
         local = np.einsum("nij,nj->ni", self.frames, at)
         local[:, 1:][self.held] = 0.0
         return local
 
     def _values(self, solved: np.ndarray) -> np.ndarray:
-        return self._at_contact(solved - self.discrete.fixed_values)
+        nodes, shape = self.discrete.contact.nodes, (-1, self.discrete.dim)
+        return self._local(solved.reshape(shape)[nodes] - self.discrete.fixed_values.reshape(shape)[nodes])
 
     def _residual(self, solved: np.ndarray, defect: np.ndarray) -> float:
         discrete = self.discrete
@@ -117,13 +116,15 @@ class Examiner:
         solved = np.array(solved, dtype=np.float64).reshape(-1)
         if self._last is not None and np.array_equal(self._last[0], solved):
             return self._last[1]
-        discrete, defect = self.discrete, self._defect(solved)
+        discrete = self.discrete
+        images = discrete.matrix @ solved
+        defect = discrete.load - images
         reaction = -defect if discrete.coupling is None else discrete.coupling.physical_forces(-defect)
         nodal = solved.reshape(discrete.n_nodes, discrete.dim)
         displacement = discrete.physical(nodal)
         contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
                                  -self._at_contact(defect))
         found = Examined(displacement, reaction.reshape(nodal.shape), contact, self._residual(solved, defect),
-                         certify(discrete, displacement, contact))
+                         certify(discrete, displacement, contact, images=images))
         self._last = solved, found
         return found
