@@ -54,7 +54,8 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     _check_numbers(mesh)
     dim = mesh.dim
     indptr, indices = _pattern(mesh.elements, mesh.n_nodes)
-    data = np.zeros((len(indices), dim, dim))
+    # not np.zeros: of that the operating system maps small pages, one by one as they are written, several times slower
+    data = np.full((len(indices), dim, dim), 0.0)
     arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
     if is_axisymmetric(materials):
         bad = kernels.add_axisymmetric(*arguments, *quadrature_rule(3, AXISYMMETRIC_DEGREE), indptr, indices, data)

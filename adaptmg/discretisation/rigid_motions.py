@@ -40,7 +40,8 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
             modes = np.zeros((len(nodes), 2, 1))
             modes[:, 1] = 1 / np.sqrt(len(nodes))
         else:
-            modes = rigid_body_modes(mesh.points[nodes]).reshape(len(nodes), mesh.dim, -1)
+            points = mesh.points if len(nodes) == mesh.n_nodes else mesh.points[nodes]
+            modes = rigid_body_modes(points).reshape(len(nodes), mesh.dim, -1)
         if len(nodes) == mesh.n_nodes:
             return modes.reshape(mesh.points.size, -1)
         column = np.zeros((mesh.n_nodes, mesh.dim, modes.shape[2]))

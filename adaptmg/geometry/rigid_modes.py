@@ -24,20 +24,39 @@ def rigid_body_modes(points: np.ndarray) -> np.ndarray:
         Translations, then rotations; orthonormalised.
     """
     n, dim = points.shape
-    x = points - points.mean(axis=0)
-    modes = np.zeros((n, dim, 3 if dim == 2 else 6))
+    # by coordinate, each in one piece: several times faster than the points as they are
+    x = np.ascontiguousarray(points.T)
+    x = x - x.mean(axis=1, keepdims=True)
+    planes = ((0, 1),) if dim == 2 else ((0, 1), (1, 2), (2, 0))
+    modes = np.full((n, dim, dim + len(planes)), 0.0)
+    # about the centroid rotations are orthogonal to translations: only their own Gram matrix is to be undone
+    triangle = _triangle(x @ x.T, planes)
+    plain = triangle is None  # points on a line: by reflections
+    if plain:
+        triangle = np.eye(len(planes))
     for k in range(dim):
-        modes[:, k, k] = 1.0
-    if dim == 2:
-        modes[:, 0, 2], modes[:, 1, 2] = -x[:, 1], x[:, 0]
-    else:
-        for k, (a, b) in enumerate(((0, 1), (1, 2), (2, 0))):
-            modes[:, a, 3 + k], modes[:, b, 3 + k] = -x[:, b], x[:, a]
+        modes[:, k, k] = 1.0 if plain else 1 / np.sqrt(n)
+    for k in range(len(planes)):
+        for (a, b), share in zip(planes, triangle[:, k], strict=True):
+            if share != 0.0:
+                modes[:, a, dim + k] -= share * x[b]
+                modes[:, b, dim + k] += share * x[a]
     modes = modes.reshape(n * dim, -1)
-    # by the triangle of the Gram matrix, several times faster than by reflections; not where it is singular (a line)
-    size = np.sqrt(np.einsum("nk,nk->k", modes, modes))
-    if size.min() > 0:
-        gram = (modes.T @ modes) / np.outer(size, size)
-        if np.linalg.eigvalsh(gram)[0] > 1e-6:
-            return modes @ (np.linalg.inv(np.linalg.cholesky(gram)).T / size[:, None])
-    return np.linalg.qr(modes)[0]
+    return np.linalg.qr(modes)[0] if plain else modes
+
+
+def _triangle(moments: np.ndarray, planes: tuple[tuple[int, int], ...]) -> np.ndarray | None:
+    """The upper triangle that makes rotations in the planes orthonormal; None where they are (nearly) dependent.
+
+    ``moments`` (dim, dim) are the second moments of the points about their centroid.
+    """
+    same = np.eye(len(moments))
+    gram = np.array([[same[a, c] * moments[b, d] - same[a, d] * moments[b, c] - same[b, c] * moments[a, d]
+                      + same[b, d] * moments[a, c] for c, d in planes] for a, b in planes])
+    size = np.sqrt(gram.diagonal())
+    if not size.min() > 0:
+        return None
+    scaled = gram / np.outer(size, size)
+    if np.linalg.eigvalsh(scaled)[0] <= 1e-6:
+        return None
+    return np.linalg.inv(np.linalg.cholesky(scaled)).T / size[:, None]

@@ -242,6 +242,15 @@ def test_the_energy_error_is_estimated(solver, law, dim):
     assert 0.8 * true <= result.certificate(discrete, bound=True).energy_error <= 1.2 * true
 
 
+def test_one_step_sees_what_is_smooth(monkeypatch):
+    """Hats that keep the contact status; constants over boxes that leave contact out see a third of it here."""
+    monkeypatch.setattr("adaptmg.solver.certificate.energy._MANY", (1, 0.0))
+    hierarchy = am.Hierarchy.uniform(lifted_bar(LAWS["coulomb"]), (4, 8, 16, 32, 64))
+    result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6), throw=False)
+    true = result.certificate(hierarchy.finest.discrete, bound=True).energy_error
+    assert 0.75 * true <= certify(hierarchy.finest.discrete, result.displacement, result.contact).energy_error
+
+
 def test_an_energy_error_beyond_the_tolerance_takes_converged_back():
     discrete, u = grids().finest.discrete, exact().displacement
     # smooth: the residual hardly shows it

@@ -11,7 +11,7 @@ import numpy as np
 from adaptmg.runtime.compiled import kernel
 from adaptmg.smoother.blocks import add, in_loop, inner, read, scale, subtract, write
 
-__all__ = ["add_prolonged", "combine", "dot", "product_of_change", "restrict", "shorten", "zero_at"]
+__all__ = ["add_prolonged", "combine", "dot", "product_of_change", "restrict", "shorten", "stiff_squares", "zero_at"]
 
 ONE = np.uint64(1)
 
@@ -29,6 +29,18 @@ def dot(a, b):
     total = 0.0
     for at in range(len(a)):
         total += a[at] * b[at]
+    return total
+
+
+@kernel
+def stiff_squares(dim, inverse, u):
+    """|D u|^2, D one over the diagonals of the inverse blocks, 0 where these are not positive."""
+    total = 0.0
+    for at in range(len(u)):
+        i, k = at // dim, at % dim
+        diagonal = inverse[(i * dim + k) * dim + k]
+        if diagonal > 0.0:
+            total += ((1.0 / diagonal) * u[at]) ** 2
     return total
 
 

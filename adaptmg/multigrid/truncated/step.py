@@ -19,7 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg.multigrid.linear.linear_cycle import LinearCycle
-from adaptmg.multigrid.linear.transfer_kernels import combine, dot, product_of_change, restrict, shorten, zero_at
+from adaptmg.multigrid.linear.transfer_kernels import (
+    combine,
+    dot,
+    product_of_change,
+    restrict,
+    shorten,
+    stiff_squares,
+    zero_at,
+)
 from adaptmg.multigrid.truncated import projected_sweeps
 from adaptmg.multigrid.truncated.coarse_matrices.truncation import Truncation
 from adaptmg.multigrid.truncated.contact import TruncatedContact
@@ -203,8 +211,4 @@ class TruncatedStep:
 
     def rounding(self) -> float:
         """Norm of D u, D the diagonal: times the unit of rounding, what a residual cannot be better than, N."""
-        dim = self.level.dim
-        diagonal = self.level.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
-        stiffness = np.divide(1.0, diagonal, where=diagonal > 0, out=np.zeros_like(diagonal))
-        forces = stiffness * self.unknowns
-        return float(np.sqrt(dot(forces, forces)))
+        return float(np.sqrt(stiff_squares(self.level.dim, self.level.inverse, self.unknowns)))

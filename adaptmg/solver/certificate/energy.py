@@ -20,14 +20,14 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from adaptmg.runtime.compiled import kernel
 from adaptmg.solver.certificate.hats import Hats
 
-__all__ = ["FrozenStatus", "residual_energy"]
+__all__ = ["FrozenStatus", "add_forces", "residual_energy"]
 
-#: conjugate gradient steps at most, and the nodes up to which they cost nothing that anybody notices
-_STEPS, _MORE_STEPS, _SMALL = 4, 12, 20_000
-#: a step that would add so little of the sum is not taken
-_LITTLE = 0.02
+#: conjugate gradient steps at most, and the share of the sum that is not worth another: up to so many nodes, which cost
+#: nothing that anybody notices, and beyond
+_SMALL, _MANY, _FEW = 20_000, (12, 0.005), (4, 0.05)
 _NONE = np.empty(0, dtype=np.int64)
 
 
@@ -67,6 +67,19 @@ class FrozenStatus:
         return result
 
 
+@kernel
+def add_forces(indptr, indices, data, nodes, change, forces):
+    """Forces += A z of a change (n_nodes, dim) of some nodes alone, A symmetric; returns z'Az."""
+    energy = 0.0
+    for i in nodes:
+        for p in range(indptr[i], indptr[i + 1]):
+            for k in range(change.shape[1]):
+                for m in range(change.shape[1]):
+                    forces[indices[p], m] += data[p, k, m] * change[i, k]
+                    energy += change[i, k] * data[p, k, m] * change[indices[p], m]
+    return energy
+
+
 def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray,
                     diagonal: np.ndarray, coordinates: np.ndarray | None, exact: bool = False,
                     relative: bool = False) -> float:
@@ -101,10 +114,11 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
     hats = Hats(matrix, diagonal, status.held, status.kept, coordinates, status.nodes if relative else _NONE)
     energy, before, alpha = 0.0, np.inf, 0.0
     direction, image = np.zeros_like(residual), residual
-    for _ in range(_MORE_STEPS if len(residual) <= _SMALL else _STEPS):
+    steps, little = _MANY if len(residual) <= _SMALL else _FEW
+    for _ in range(steps):
         product, smooth = hats.advance(residual, alpha, image)
         # not before the product, which costs most: steps are about as long as the last one
-        if not product > 0.0 or (alpha * product <= _LITTLE * energy and energy > 0.0):
+        if not product > 0.0 or (alpha * product <= little * energy and energy > 0.0):
             break
         hats.turn(residual, smooth, product / before, direction)
         status.project(direction)

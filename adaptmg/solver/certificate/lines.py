@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.solver.certificate.energy import FrozenStatus, residual_energy
+from adaptmg.solver.certificate.energy import FrozenStatus, add_forces, residual_energy
 from adaptmg.solver.certificate.tally import Tally
 
 __all__ = ["Condition", "ContactClaims", "Evidence"]
@@ -185,12 +185,9 @@ class Evidence:
         forces = self.unexplained.copy() if coupling is None else coupling.relative_forces(self.unexplained.reshape(-1))
         forces = forces.reshape(self.u.shape)
         forces[problem.contact.nodes] += unlawful
-        moved = 0.0
-        if change.any():
-            image = (problem.matrix @ change.reshape(-1)).reshape(change.shape)
-            moved = np.sqrt(max(_sum(change, image), 0.0))
-            forces += image
-        rest = residual_energy(problem.matrix, status, forces, self.diagonal, problem.coordinates, exact,
+        matrix = problem.matrix
+        moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
+        rest = residual_energy(matrix, status, forces, self.diagonal, problem.coordinates, exact,
                                relative=coupling is not None)
         rounding = 32 * _EPSILON * self.tally.stiff_energy
         return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
@@ -220,7 +217,8 @@ class Evidence:
         lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * here)
         change = np.zeros_like(self.u)
         change[contact.nodes] = np.where(closed, gap, 0.0)[:, None] * contact.normals - stays[:, None] * slip * here
-        change[self.fixed] = (self.problem.fixed_values.reshape(self.u.shape) - self.unknowns)[self.fixed]
+        held = np.flatnonzero(self.fixed)
+        change.reshape(-1)[held] = self.problem.fixed_values[held] - self.unknowns.reshape(-1)[held]
         outer = np.einsum("ni,nj->nij", contact.normals, contact.normals)
         tangents = np.eye(dim) - outer
         slides, closed_too = ~stays | beyond, closed[:, None, None]

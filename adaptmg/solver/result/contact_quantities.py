@@ -34,7 +34,7 @@ def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.nd
     values, force : (n_contact, dim) arrays
         Local unknowns (counted from prescribed values) and forces on the body at the contact nodes, m and N.
     """
-    contact, small = discrete.contact, 1e-12 * np.abs(solved).max(initial=0.0)
+    contact, small = discrete.contact, 1e-12 * max(solved.max(initial=0.0), -solved.min(initial=0.0))
     u = np.einsum("nij,nj->ni", frames, discrete.at_contact(solved))
     slip = u[:, 1:] - np.einsum("nij,nj->ni", frames, contact.slip_reference)[:, 1:]
     force_n, force_t = np.maximum(-force[:, 0], 0.0), np.where(held, 0.0, force[:, 1:])
