@@ -13,7 +13,7 @@ import adaptmg as am
 from adaptmg.discretisation.discretise import discretise
 from adaptmg.mesh import graded, structured
 from adaptmg.multigrid.linear.split_matrix import split
-from adaptmg.multigrid.truncated import local_sweeps
+from adaptmg.multigrid.truncated import projected_sweeps
 from adaptmg.multigrid.truncated.contact import TruncatedContact
 from adaptmg.multigrid.truncated.interface import Interface
 from adaptmg.smoother.blocks import ZERO
@@ -68,7 +68,7 @@ class Swept:
 
     def sweep(self, order=None, kernel=None):
         order = self.interface.forward if order is None else order
-        (local_sweeps.local if kernel is None else kernel)(
+        (projected_sweeps.local if kernel is None else kernel)(
             ZERO[self.dim], order, *self.interface.arrays, self.inverse, self.contact.contact_of,
             *self.contact.node_data, self.u, self.defect)
 
@@ -254,9 +254,9 @@ def test_jit_changes_nothing(dim, amplitude, monkeypatch):
     compiled, plain = (Swept(dim, am.Coulomb(0.4), amplitude=amplitude) for _ in range(2))
     compiled.sweep()
     compiled.sweep(compiled.interface.backward)
-    uncompile(monkeypatch, local_sweeps)
-    assert not hasattr(local_sweeps.local, "py_func")
-    plain.sweep(kernel=local_sweeps.local)
-    plain.sweep(plain.interface.backward, kernel=local_sweeps.local)
+    uncompile(monkeypatch, projected_sweeps)
+    assert not hasattr(projected_sweeps.local, "py_func")
+    plain.sweep(kernel=projected_sweeps.local)
+    plain.sweep(plain.interface.backward, kernel=projected_sweeps.local)
     np.testing.assert_allclose(compiled.u, plain.u, atol=1e-13 * np.abs(plain.u).max())
     np.testing.assert_allclose(compiled.defect, plain.defect, atol=1e-12 * np.abs(plain.load).max())

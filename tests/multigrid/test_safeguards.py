@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.multigrid.linear.coarse_factors import CoarseFactors
+from adaptmg.multigrid.linear.linear_cycle import CoarseFactors
 from adaptmg.multigrid.linear.split_matrix import split
 from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
 from adaptmg.solver.run import Outcome

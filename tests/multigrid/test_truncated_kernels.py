@@ -13,7 +13,7 @@ from scipy import sparse
 from smoother_problems import expand, network
 
 from adaptmg.multigrid.linear import half_sweeps as kernels
-from adaptmg.multigrid.linear.coarse_factors import CoarseFactors
+from adaptmg.multigrid.linear.linear_cycle import CoarseFactors
 from adaptmg.multigrid.linear.split_matrix import split
 from adaptmg.multigrid.linear.transfer_kernels import add_prolonged, combine, restrict
 from adaptmg.multigrid.truncated import projected_sweeps

@@ -1,4 +1,4 @@
-"""Interface: the nodes near contact between bodies, which are swept more often than the others."""
+"""Interface: the nodes near contact between bodies, swept more often than the others, and their rows of the matrix."""
 
 from __future__ import annotations
 
@@ -7,9 +7,82 @@ from scipy import sparse
 
 from adaptmg.coupling import Coupling
 from adaptmg.multigrid.linear.split_matrix import SplitMatrix
-from adaptmg.multigrid.truncated import interface_rows
+from adaptmg.runtime.compiled import kernel
 
 __all__ = ["Interface"]
+
+
+@kernel
+def _count(indptr, indices, place, result):
+    """Row pointers of the rows (without diagonal) of the nodes with ``place`` >= 0."""
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = np.int64(indices[k])
+            if place[i] >= 0:
+                result[place[i] + 1] += 1
+            if place[j] >= 0:
+                result[place[j] + 1] += 1
+    for i in range(len(result) - 1):
+        result[i + 1] += result[i]
+
+
+@kernel
+def _fill(dim, indptr, indices, lower, place, row_indptr, columns, blocks):
+    """Columns and blocks of those rows; a block above the diagonal is the transpose of the one below."""
+    size = dim * dim
+    at = row_indptr[:-1].copy()
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = np.int64(indices[k])
+            p, q = place[i], place[j]
+            if p >= 0:
+                columns[at[p]] = j
+                for c in range(size):
+                    blocks[size * at[p] + c] = lower[size * k + c]
+                at[p] += 1
+            if q >= 0:
+                columns[at[q]] = i
+                for a in range(dim):
+                    for b in range(dim):
+                        blocks[size * at[q] + dim * a + b] = lower[size * k + dim * b + a]
+                at[q] += 1
+
+
+@kernel
+def _add(dim, p, node, left, right, nodes, indptr, columns, blocks, diagonal, result, at):
+    """result += diag(left) A diag(right) for the block in row ``p`` (a position) and column ``node``."""
+    size = dim * dim
+    if nodes[p] == node:
+        for a in range(dim):
+            for b in range(dim):
+                result[at + dim * a + b] += left[a] * diagonal[size * p + dim * a + b] * right[b]
+        return
+    for k in range(indptr[p], indptr[p + 1]):
+        if np.int64(columns[k]) == node:
+            for a in range(dim):
+                for b in range(dim):
+                    result[at + dim * a + b] += left[a] * blocks[size * k + dim * a + b] * right[b]
+            return
+
+
+@kernel
+def _alone(dim, nodes, indptr, columns, blocks, diagonal, follow_indptr, followers, weights, result):
+    """Blocks D'AD of the motion D of each node that leaves its followers where they are."""
+    one = np.ones(dim)
+    left, right = np.empty(dim), np.empty(dim)
+    for p in range(len(nodes)):
+        at = dim * dim * p
+        _add(dim, p, nodes[p], one, one, nodes, indptr, columns, blocks, diagonal, result, at)
+        for s in range(follow_indptr[p], follow_indptr[p + 1]):
+            for a in range(dim):
+                left[a] = -weights[dim * s + a]
+            q = followers[s]
+            _add(dim, q, nodes[p], left, one, nodes, indptr, columns, blocks, diagonal, result, at)
+            _add(dim, p, nodes[q], one, left, nodes, indptr, columns, blocks, diagonal, result, at)
+            for t in range(follow_indptr[p], follow_indptr[p + 1]):
+                for a in range(dim):
+                    right[a] = -weights[dim * t + a]
+                _add(dim, q, nodes[followers[t]], left, right, nodes, indptr, columns, blocks, diagonal, result, at)
 
 
 class Interface:
@@ -54,14 +127,14 @@ class Interface:
         place = np.full(n, -1, dtype=np.int32)
         place[self.nodes] = np.arange(len(self.nodes), dtype=np.int32)
         self.indptr = np.zeros(len(self.nodes) + 1, dtype=np.int64)
-        interface_rows.count(level.lower_indptr, level.lower_indices, place, self.indptr)
+        _count(level.lower_indptr, level.lower_indices, place, self.indptr)
         self.indices = np.empty(self.indptr[-1], dtype=np.uint32)
         self.blocks = np.empty(self.indptr[-1] * dim * dim)
-        interface_rows.fill(dim, *level.lower_arrays, place, self.indptr, self.indices, self.blocks)
+        _fill(dim, *level.lower_arrays, place, self.indptr, self.indices, self.blocks)
         self.diagonal = level.diagonal.reshape(-1, dim * dim)[self.nodes].reshape(-1)
         self._follow(coupling, place)
         self.alone = np.zeros_like(self.diagonal)
-        interface_rows.alone(dim, self.nodes, self.indptr, self.indices, self.blocks, self.diagonal,
+        _alone(dim, self.nodes, self.indptr, self.indices, self.blocks, self.diagonal,
                              self.follow_indptr, self.followers, self.follow_weights, self.alone)
         # fixed components stay where they are, though followers pull at them
         free = ~coupling.fixed.reshape(-1, dim)[self.nodes]

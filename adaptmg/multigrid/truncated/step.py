@@ -14,6 +14,7 @@ J. Comput. Math. 27, 2009); the Newton rows of Coulomb's law and the recombinati
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,13 +33,11 @@ from adaptmg.multigrid.truncated import projected_sweeps
 from adaptmg.multigrid.truncated.coarse_matrices.truncation import Truncation
 from adaptmg.multigrid.truncated.contact import TruncatedContact
 from adaptmg.multigrid.truncated.interface import Interface
-from adaptmg.multigrid.truncated.line_search import line_minimum
-from adaptmg.multigrid.truncated.local_sweeps import local
 from adaptmg.multigrid.truncated.recombination import Recombination
 from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
 from adaptmg.smoother.blocks import ZERO
 
-__all__ = ["StepState", "TruncatedStep"]
+__all__ = ["StepState", "TruncatedStep", "line_minimum"]
 
 
 @dataclass(frozen=True)
@@ -158,8 +157,8 @@ class TruncatedStep:
 
     def _interface_sweep(self, order: np.ndarray) -> None:
         c = self.contact
-        local(ZERO[self.level.dim], order, *self.interface.arrays, self.level.inverse, c.contact_of, *c.node_data,
-              self.unknowns, self.defect)
+        projected_sweeps.local(ZERO[self.level.dim], order, *self.interface.arrays, self.level.inverse, c.contact_of,
+                               *c.node_data, self.unknowns, self.defect)
         self.cycle.recorder.count(1.0, self.interface.nonzeros)
 
     def _restrict(self) -> float:
@@ -212,3 +211,18 @@ class TruncatedStep:
     def rounding(self) -> float:
         """Norm of D u, D the diagonal: times the unit of rounding, what a residual cannot be better than, N."""
         return float(np.sqrt(stiff_squares(self.level.dim, self.level.inverse, self.unknowns)))
+
+
+#: halvings of the interval
+_HALVINGS = 30
+
+
+def line_minimum(slope: Callable[[float], float]) -> float:
+    """The part of a step, at most all of it (1), up to which a convex energy falls; ``slope`` is its derivative."""
+    if slope(1.0) <= 0.0:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
+    return low

@@ -1,10 +1,16 @@
-"""PathWalk: what is posed at each step of a load path, and what is known of the steps before."""
+"""PathWalk: what is posed at each step of a load path, what is known of the steps before, and how methods go on.
+
+The truncated multigrid keeps its set-up (:mod:`adaptmg.solver.history.truncated_steps`). With FullMultigrid each step
+has a nested start of the increment, unless the displacement extrapolated in the loads leaves far less: under
+proportional loading that is the solution. All other methods start from the better of the displacement of the step
+before and the extrapolated one; a FullMultigrid with another correction goes on as a Multigrid.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -17,9 +23,10 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.arguments import checked_outcome
 from adaptmg.solver.confirm import confirmed_result
-from adaptmg.solver.history.past import Past, coarse_displacements, past_of
-from adaptmg.solver.history.step_solvers import step_solver
+from adaptmg.solver.history.past import Past, StepSolver, better_start, coarse_displacements, past_of
 from adaptmg.solver.history.store import fingerprint
+from adaptmg.solver.method import own
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.result import Result
 from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.result.result_of import result_of
@@ -28,7 +35,37 @@ from adaptmg.solver.run import Outcome, Run, Solver
 from adaptmg.solver.statics import check_statics_of
 from adaptmg.solver.truncated.multigrid import lifted_load
 
-__all__ = ["PathWalk"]
+__all__ = ["PathWalk", "step_solver"]
+
+
+def step_solver(solver: Solver) -> StepSolver:
+    """The way through the steps for a solver."""
+    if not isinstance(solver, Multigrid):
+        return _Restarted(solver, solver)
+    kept = own(solver.correction, "load_steps")
+    if kept is not None:
+        return kept(solver)
+    if not isinstance(solver, FullMultigrid):
+        return _Restarted(solver, solver)
+    plain = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
+    return _Restarted(solver, plain)
+
+
+class _Restarted:
+    """A solver that is run anew for every step: ``first`` without a start, ``later`` with one."""
+
+    def __init__(self, first: Solver, later: Solver) -> None:
+        self.first, self.later = first, later
+
+    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past) -> tuple[Outcome, None]:
+        if not past.given:
+            return self.first.run(hierarchy, run, None), None
+        start = better_start(examiner, past, run)
+        return self.later.run(hierarchy, run, start.reshape(examiner.discrete.n_nodes, -1)), None
+
+    def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> None:
+        """Nothing is kept."""
+
 
 _LOG = logging.getLogger(__name__)
 

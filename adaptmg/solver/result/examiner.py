@@ -11,16 +11,17 @@ import copy
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.smoother.residuals import natural_at_nodes
-from adaptmg.smoother.system import contact_blocks, held_tangents, local_contact
+from adaptmg.smoother.residuals import natural_at_nodes, states
+from adaptmg.smoother.state import ContactState
+from adaptmg.smoother.system import NodalContact, contact_blocks, held_tangents, local_contact
 from adaptmg.solver.certificate import Certificate, certify
-from adaptmg.solver.result.contact_quantities import contact_result
 from adaptmg.solver.result.contact_result import ContactResult
 from adaptmg.solver.sizes import ROUNDING, Sizes, euclidean_norm
 
-__all__ = ["Examined", "Examiner"]
+__all__ = ["Examined", "Examiner", "contact_result"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,3 +129,96 @@ class Examiner:
                          certify(discrete, displacement, contact, images=images))
         self._last = solved, found
         return found
+
+
+def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.ndarray, held: np.ndarray,
+                   solved: np.ndarray, values: np.ndarray, force: np.ndarray) -> ContactResult:
+    """Contact quantities at a solution.
+
+    Where a support holds a tangential component, the equations do not tell friction from the reaction of the support:
+    there it is what the law says for the slip, and nothing if nothing slips.
+
+    Parameters
+    ----------
+    discrete : DiscreteProblem
+    nodal : NodalContact
+        Its contact data in local components.
+    frames : (n_contact, dim, dim) array
+    held : (n_contact, dim - 1) bool array
+        Tangents that a support holds.
+    solved : (n_nodes, dim) array
+        Cartesian, m; between bodies in relative coordinates.
+    values, force : (n_contact, dim) arrays
+        Local unknowns (counted from prescribed values) and forces on the body at the contact nodes, m and N.
+    """
+    contact, small = discrete.contact, 1e-12 * max(solved.max(initial=0.0), -solved.min(initial=0.0))
+    u = np.einsum("nij,nj->ni", frames, discrete.at_contact(solved))
+    slip = u[:, 1:] - np.einsum("nij,nj->ni", frames, contact.slip_reference)[:, 1:]
+    force_n, force_t = np.maximum(-force[:, 0], 0.0), np.where(held, 0.0, force[:, 1:])
+    limit = nodal.limit + nodal.friction * force_n
+    state = states(nodal, values, force_n, small)
+    _friction_at_supports(held, slip, limit, small, force_t, state)
+    posed, weights, size = contact, None, np.ones(len(contact))
+    if discrete.coupling is not None:
+        weights = discrete.coupling.weights[contact.nodes]
+    if discrete.exchange is not None:
+        posed, weights, size = discrete.exchange.contact, discrete.exchange.weights, np.abs(discrete.exchange.sigma)
+        frames = frames * np.sign(discrete.exchange.sigma)[:, None, None]
+        if discrete.dim == 3:  # right-handed again
+            back = np.where(discrete.exchange.sigma < 0, -1.0, 1.0)
+            frames[:, 2] *= back[:, None]
+            for values in (u[:, 1:], slip, force_t):
+                values[:, 1] *= back
+    u, slip, gap = u * size[:, None], slip * size[:, None], (contact.gaps - u[:, 0]) * size
+    force_n, force_t, limit = force_n / size, force_t / size[:, None], limit / size
+    x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[posed.nodes]
+    carried = np.einsum("nk,nkd->nd", np.column_stack([-force_n, force_t]), frames)
+    boundary, node, on_masters = _on_followed(discrete, posed.boundary, weights, carried)
+    return ContactResult(node=posed.nodes, x=x, frames=frames, gap=gap, u_n=u[:, 0], u_t=u[:, 1:], slip=slip,
+                         force_n=force_n, force_t=force_t, weights=posed.weights, limit=limit, state=state,
+                         boundary=posed.boundary, names=posed.names, masters=posed.masters, master_node=node,
+                         master_force=on_masters, master_boundary=boundary)
+
+
+def _friction_at_supports(held: np.ndarray, slip: np.ndarray, limit: np.ndarray, small: float, force_t: np.ndarray,
+                          state: np.ndarray) -> None:
+    """Friction along held tangents (n, dim - 1) and the states of their nodes, in place."""
+    size = np.linalg.norm(slip, axis=1)
+    slides = held.any(axis=1) & (size > small)
+    direction = np.divide(slip, size[:, None], out=np.zeros_like(slip), where=slides[:, None])
+    force_t[held] = (-limit[:, None] * direction)[held]
+    state[slides & (state == ContactState.STICK)] = ContactState.SLIP
+
+
+def _on_followed(discrete: DiscreteProblem, boundary: np.ndarray, rows: sparse.csr_array | None, forces: np.ndarray
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What contact forces (n_contact, dim) exert on the nodes that slave nodes follow, -W' times them, by boundary.
+
+    ``rows`` (n_contact, n_nodes) are the weights W. Where both bodies are held, held nodes of the other one take all.
+
+    Returns
+    -------
+    boundary, node : (m,) int arrays
+    force : (m, dim) array
+        N.
+    """
+    dim, n = discrete.dim, discrete.n_nodes
+    if rows is None:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, dim))
+    keys, parts = [], []
+    held = {c: (at, weights) for at, weights, c in discrete.held_together()}
+    for c in range(dim):
+        weights, (at, instead) = rows, held[c]
+        if len(at):
+            others = np.ones(len(boundary))
+            others[at] = 0.0
+            place = sparse.csr_array((np.ones(len(at)), (at, np.arange(len(at)))), shape=(len(boundary), len(at)))
+            weights = sparse.csr_array(sparse.diags_array(others, format="csr") @ rows + place @ instead)
+        of = np.repeat(np.arange(len(boundary)), np.diff(weights.indptr))
+        keys.append(boundary[of] * n + weights.indices)
+        part = np.zeros((len(of), dim))
+        part[:, c] = -weights.data * forces[of, c]
+        parts.append(part)
+    key, place = np.unique(np.concatenate(keys), return_inverse=True)
+    total = np.column_stack([np.bincount(place, part, minlength=len(key)) for part in np.concatenate(parts).T])
+    return key // n, key % n, total
