@@ -1,21 +1,89 @@
-"""The commands and their options. What is heavy is imported inside them, so that ``--help`` is instant."""
+"""The commands and their options, and what is shown on standard error while they work.
+
+What is heavy is imported inside them, so that ``--help`` is instant.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
+import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from adaptmg import __version__
 from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
 from adaptmg.runtime.text import printable
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "watched"]
+
+
+Callback = Callable[[dict[str, float]], None]
+
+
+@contextmanager
+def watched(rtol: float) -> Iterator[Callback | None]:
+    """Show log and progress of what happens inside.
+
+    Parameters
+    ----------
+    rtol : float
+        Tolerance of the solver: the bar is full when the error has come down to it.
+
+    Yields
+    ------
+    callable or None
+        Callback for :func:`adaptmg.solve`; None where standard error is no terminal.
+    """
+    console = Console(stderr=True)
+    with _logged(console):
+        if not console.is_terminal:
+            yield None
+            return
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=console, transient=True) as bar:
+            yield _advance(bar, rtol)
+
+
+def _advance(bar: Progress, rtol: float) -> Callback:
+    """Fill the bar by decades of the error."""
+    task = bar.add_task("grids and set-up", total=None)
+    first: list[float] = []
+
+    def callback(row: dict[str, float]) -> None:
+        for error in (row.get("error_estimate", math.nan), row.get("residual", math.nan)):
+            if math.isfinite(error) and error > 0:
+                first.append(error)
+                total = math.log10(max(first[0] / rtol, 10.0))
+                bar.update(task, total=total, completed=min(max(math.log10(first[0] / error), 0.0), total),
+                           description=f"cycle {row['cycle']}, error {error:.1e}")
+                return
+
+    return callback
+
+
+@contextmanager
+def _logged(console: Console) -> Iterator[None]:
+    """Send adaptmg's log from INFO on to the console."""
+    logger = logging.getLogger("adaptmg")
+    handler = RichHandler(console=console, show_time=False, show_level=False, show_path=False)
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False,
                   context_settings={"help_option_names": ["-h", "--help"]},
@@ -85,7 +153,7 @@ def solve(
     """Solve a case and say how it went: exit code 1 if the tolerance was not reached, 2 for bad input."""
     with _told():
         from adaptmg.cli import work
-        from adaptmg.cli.progress import watched
+        from adaptmg.cli.command import watched
 
         folder = None if out is None else work.out_folder(out)
         problem = work.problem_of(case, law, friction, limit)

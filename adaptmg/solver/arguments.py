@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -16,11 +15,9 @@ from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome
 
 if TYPE_CHECKING:
-    from adaptmg.solver.result.examiner import Examiner
     from adaptmg.solver.run import Solver
 
-__all__ = ["checked_outcome", "default_solver", "displacement_argument", "grids_argument", "solver_argument",
-           "warn_of_large_friction"]
+__all__ = ["checked_outcome", "default_solver", "displacement_argument", "grids_argument", "solver_argument"]
 
 
 def default_solver(grids: Hierarchy) -> Solver:
@@ -89,17 +86,3 @@ def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) 
             raise TypeError(f"{name} whose {what} is a number >= 0 or NaN, got {checks.shown(value)}")
     finite = bool(np.isfinite(displacement).all())
     return replace(outcome, cycles=cycles, rtol=rtol, status=outcome.status if finite else Status.DIVERGED)
-
-
-def warn_of_large_friction(examiner: Examiner) -> None:
-    """Say where even the problem of one node, all others held, may have several solutions: mu |a_nt| >= a_tt."""
-    blocks, nodes = examiner.blocks, examiner.discrete.contact.nodes
-    tangential = blocks[:, 1:, 1:].copy()
-    tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
-    coupling = examiner.contact.friction * np.linalg.norm(blocks[:, 0, 1:], axis=1)
-    beyond = coupling >= np.linalg.eigvalsh(tangential)[:, 0]
-    if beyond.any():
-        i = int(np.argmax(beyond))
-        warnings.warn(f"friction {examiner.contact.friction[i]:g} is so large that the solution may not be unique "
-                      f"({np.count_nonzero(beyond)} contact nodes, the first is node {nodes[i]}); "
-                      "which one is found depends on start and method", RuntimeWarning, stacklevel=3)

@@ -19,8 +19,9 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.linear.condensation import condense
+from adaptmg.solver.result.examiner import Examiner
 
-__all__ = ["critical_friction", "warn_of_several_solutions"]
+__all__ = ["critical_friction", "warn_of_large_friction", "warn_of_several_solutions"]
 
 #: dofs, and contact dofs, up to which the estimate costs next to nothing
 _SMALL, _SMALL_CONTACT = 1500, 200
@@ -75,3 +76,17 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
                       f"open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes of the "
                       "coarsest grid): the solution may not be unique; compare am.solve(..., start=...) from several "
                       "starts", RuntimeWarning, stacklevel=3)
+
+
+def warn_of_large_friction(examiner: Examiner) -> None:
+    """Say where even the problem of one node, all others held, may have several solutions: mu |a_nt| >= a_tt."""
+    blocks, nodes = examiner.blocks, examiner.discrete.contact.nodes
+    tangential = blocks[:, 1:, 1:].copy()
+    tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
+    coupling = examiner.contact.friction * np.linalg.norm(blocks[:, 0, 1:], axis=1)
+    beyond = coupling >= np.linalg.eigvalsh(tangential)[:, 0]
+    if beyond.any():
+        i = int(np.argmax(beyond))
+        warnings.warn(f"friction {examiner.contact.friction[i]:g} is so large that the solution may not be unique "
+                      f"({np.count_nonzero(beyond)} contact nodes, the first is node {nodes[i]}); "
+                      "which one is found depends on start and method", RuntimeWarning, stacklevel=3)

@@ -16,10 +16,9 @@ from adaptmg.solver.arguments import (
     displacement_argument,
     grids_argument,
     solver_argument,
-    warn_of_large_friction,
 )
 from adaptmg.solver.confirm import confirmed_result
-from adaptmg.solver.critical_friction import warn_of_several_solutions
+from adaptmg.solver.critical_friction import warn_of_large_friction, warn_of_several_solutions
 from adaptmg.solver.result import Result
 from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.result.not_converged import NotConverged

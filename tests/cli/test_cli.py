@@ -16,7 +16,7 @@ import pytest
 
 import adaptmg as am
 from adaptmg.cli import app
-from adaptmg.cli.progress import watched
+from adaptmg.cli.command import watched
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 from adaptmg.discretisation.mortar.interface import NEVER_FACING
 from adaptmg.discretisation.mortar.mortar_2d import mortar_2d
-from adaptmg.discretisation.mortar.node_to_node import node_to_node
+from adaptmg.discretisation.mortar.pair_nodes import node_to_node
 from adaptmg.discretisation.mortar.surface_normals import surface_normals
 
 

@@ -7,19 +7,23 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Patch, PathPatch
+from matplotlib.tri import Triangulation
 
-from adaptmg.plot.bodies import plane, solid
-from adaptmg.plot.bodies.scene import Coloring, Scene, automatic_factor, make_scene
-from adaptmg.plot.states import state_lines
+from adaptmg.plot.bodies import solid
+from adaptmg.plot.bodies.scene import Coloring, DrawnBody, Scene, automatic_factor, make_scene
+from adaptmg.plot.states import halves, state_lines
 from adaptmg.plot.style import GREY, INK, axis_names, canvas, number, plain, scaled, styled
+from adaptmg.plot.walks import filled_path, walks
 from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.result import Result
 
 __all__ = ["deformation"]
+
 
 #: elements above which their edges would only blacken the picture
 _LINES_UP_TO = 8000
@@ -77,8 +81,8 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     if result.dim == 3:
         present = solid.draw(ax, scene, lines, states, None if view is None else check_arrays.vector("view", view, 2))
     else:
-        plane.draw(ax, scene, scene.n_elements <= _LINES_UP_TO if lines is None else lines)
-        present = plane.draw_states(ax, scene) if states else []
+        _draw_plane(ax, scene, scene.n_elements <= _LINES_UP_TO if lines is None else lines)
+        present = _draw_states(ax, scene) if states else []
     _finish(ax, scene, factor)
     _legend(ax, scene, present)
     return ax.figure
@@ -135,3 +139,78 @@ def _legend(ax: Axes, scene: Scene, present: list[int]) -> None:
         ax.figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5))
     else:
         ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(-0.05, 1.0), borderaxespad=0.0)
+
+
+def _draw_plane(ax: Axes, scene: Scene, lines: bool) -> None:
+    """Draw a scene.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+    scene : Scene
+        Two-dimensional.
+    lines : bool
+        Whether to draw the edges of the elements.
+    """
+    width = float(np.clip(12 / np.sqrt(scene.n_elements), 0.08, 0.6))
+    for k, shape in enumerate(scene.shapes):
+        rings = walks(shape.facets)
+        _fill(ax, scene, shape, rings, width if lines else 0.0, zorder=2 + 0.1 * k)
+        after = LineCollection([scene.after[ring] for ring in rings], color=INK, linewidth=1.0, zorder=3.6)
+        before = LineCollection([scene.before[ring] for ring in rings], color=GREY, linewidth=0.8,
+                                linestyle=(0, (4, 3)), zorder=3.5)
+        ax.add_collection(after)
+        ax.add_collection(before)
+    margin = 0.0 if _zoomed(scene) else 0.03 * float(np.max(scene.upper - scene.lower))
+    ax.set_aspect("equal")
+    ax.set_xlim(scene.lower[0] - margin, scene.upper[0] + margin)
+    ax.set_ylim(scene.lower[1] - margin, scene.upper[1] + margin)
+    ax.spines[:].set_visible(_zoomed(scene))
+
+
+def _zoomed(scene: Scene) -> bool:
+    """Whether something shown lies outside what is to be seen."""
+    nodes = np.unique(np.concatenate([shape.facets.ravel() for shape in scene.shapes]))
+    points, slack = scene.after[nodes], 1e-9 * (scene.upper - scene.lower)
+    return bool((points < scene.lower - slack).any() or (points > scene.upper + slack).any())
+
+
+def _fill(ax: Axes, scene: Scene, shape: DrawnBody, rings: list[np.ndarray], width: float, zorder: float) -> None:
+    elements, coloring = scene.result.mesh.elements[shape.elements], scene.coloring
+    if coloring is None and width:
+        ax.add_collection(PolyCollection(scene.after[elements], facecolor=shape.color, edgecolor=INK, linewidth=width,
+                                         zorder=zorder))
+        return
+    if coloring is None:
+        ax.add_patch(PathPatch(filled_path(scene.after, rings), facecolor=shape.color, edgecolor="none", zorder=zorder))
+        return
+    grid = Triangulation(*scene.after.T, elements)
+    if len(coloring.values) == len(scene.after):
+        ax.tripcolor(grid, coloring.values, norm=coloring.norm, cmap="viridis", shading="gouraud", rasterized=True,
+                     zorder=zorder)
+    else:
+        ax.tripcolor(grid, facecolors=coloring.values[shape.elements], norm=coloring.norm, cmap="viridis",
+                     rasterized=True, zorder=zorder)
+    if width:
+        ax.add_collection(PolyCollection(scene.after[elements], facecolor="none", edgecolor="white",
+                                         linewidth=0.5 * width, zorder=zorder + 0.02))
+
+
+def _draw_states(ax: Axes, scene: Scene) -> list[int]:
+    """Draw the contact surfaces of the shown bodies in the colours of their states; returns the states that occur.
+
+    Each edge changes colour half way between its nodes; edges with a node that is no contact node are left out.
+    """
+    mesh = scene.result.mesh
+    shown = np.unique(np.concatenate([shape.facets.ravel() for shape in scene.shapes]))
+    present: set[int] = set()
+    for k, name in enumerate(scene.result.contact.names):
+        state = scene.states(k)
+        facets = mesh.boundary_facets(name)
+        facets = facets[(state[facets] >= 0).all(axis=1) & np.isin(facets, shown).all(axis=1)]
+        for ring in walks(facets):
+            segments, colors = halves(scene.after[ring], state[ring])
+            ax.add_collection(LineCollection(segments, color="white", linewidth=4.2, capstyle="butt", zorder=4))
+            ax.add_collection(LineCollection(segments, colors=colors, linewidth=2.8, capstyle="butt", zorder=4.1))
+        present |= set(state[facets].ravel().tolist())
+    return sorted(present)

@@ -1,7 +1,6 @@
 """Domains as pure data: plane ones, boxes, solids from primitives and their combinations or STEP files, assemblies."""
 
-from adaptmg.problem.domains.assembly import Assembly
-from adaptmg.problem.domains.combined import Combination, Common, Cut, Fuse, Moved
+from adaptmg.problem.domains.combined import Assembly, Combination, Common, Cut, Fuse, Moved
 from adaptmg.problem.domains.outlines import Outline
 from adaptmg.problem.domains.primitives import Ball, Cylinder, Extrusion, Revolution, SolidDomain
 from adaptmg.problem.domains.step_file import StepFile

@@ -1,4 +1,4 @@
-"""Solids moved and combined, as pure data. Lengths in m, angles in degrees.
+"""Solids moved and combined, and several bodies as one domain, as pure data. Lengths in m, angles in degrees.
 
 The names of faces survive: several faces may share one, and a name of which no face is left is an error only where it
 is used.
@@ -14,9 +14,9 @@ import numpy as np
 
 from adaptmg.problem import checks
 from adaptmg.problem.domains.primitives import SolidDomain, Triple, direction, triple
-from adaptmg.problem.domains.straight import Box
+from adaptmg.problem.domains.straight import Box, Domain
 
-__all__ = ["Combination", "Common", "Cut", "Fuse", "Moved"]
+__all__ = ["Assembly", "Combination", "Common", "Cut", "Fuse", "Moved"]
 
 
 def _solid(name: str, value: object) -> SolidDomain | Box:
@@ -161,3 +161,71 @@ class Common(Combination):
     def upper(self) -> np.ndarray:
         """Highest corner of a box around the solid (3,), m."""
         return np.minimum(self.a.upper, self.b.upper)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assembly(Domain):
+    """Bodies that share no nodes; they may touch, or even overlap (a ring of bolts in an axisymmetric model does).
+
+    Parameters
+    ----------
+    parts : mapping of str to Domain
+        The geometry of each body by its name, without "."; all of the same dimension.
+
+    Examples
+    --------
+    >>> from adaptmg.problem import Rectangle
+    >>> Assembly(parts={"upper": Rectangle(width=1.0, height=1.0)}).boundaries
+    ('upper.bottom', 'upper.right', 'upper.top', 'upper.left')
+    """
+
+    parts: Mapping[str, Domain]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.parts, Mapping):
+            raise TypeError(f"parts must map body names to domains, got {checks.described(self.parts)}")
+        parts = dict(self.parts)
+        if not parts:
+            raise ValueError("parts is empty: an assembly needs at least one body")
+        for name, part in parts.items():
+            checks.boundary_name("the name of a body in parts", name)
+            if "." in name:
+                raise ValueError(f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'")
+            if not isinstance(part, Domain):
+                raise TypeError(f"parts[{name!r}] must be a Domain (Rectangle, Polygon, Outline, Box, ...), "
+                                f"got {checks.described(part)}")
+            if part.bodies is None or len(part.bodies) != 1 or part.boundaries is None or isinstance(part, Assembly):
+                raise ValueError(f"parts[{name!r}] must be one body with known boundaries; name the bodies of "
+                                 f"{type(part).__name__} one by one")
+        dims = {name: part.dim for name, part in parts.items()}
+        if len(set(dims.values())) > 1:
+            raise ValueError(f"all parts must have the same dimension, got {dims}")
+        object.__setattr__(self, "parts", parts)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.parts.items()))
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return next(iter(self.parts.values())).dim
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies, in order."""
+        return tuple(self.parts)
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """The distinct boundary names "body.edge", body by body."""
+        return tuple(dict.fromkeys(f"{body}.{edge}" for body, part in self.parts.items() for edge in part.boundaries))
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of the bounding box (dim,), m."""
+        return np.min([part.lower for part in self.parts.values()], axis=0)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of the bounding box (dim,), m."""
+        return np.max([part.upper for part in self.parts.values()], axis=0)

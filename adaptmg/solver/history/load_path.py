@@ -22,8 +22,8 @@ from adaptmg.solver.arguments import (
     displacement_argument,
     grids_argument,
     solver_argument,
-    warn_of_large_friction,
 )
+from adaptmg.solver.critical_friction import warn_of_large_friction
 from adaptmg.solver.history.path_result import PathResult
 from adaptmg.solver.history.store import PathStore
 from adaptmg.solver.history.walk import PathWalk

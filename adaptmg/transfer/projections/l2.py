@@ -1,10 +1,20 @@
-r"""L2 projection with the consistent mass matrix.
+r"""L2 projections: with the consistent mass matrix, a lumped one, and the dual basis.
 
 .. math:: M P = B, \qquad M_{ik} = \int \varphi^f_i \varphi^f_k, \qquad B_{ij} = \int \varphi^f_i \varphi^c_j
 
 P is full, but its entries decay exponentially with distance. It is found by the Chebyshev semi-iteration with the
 diagonal of M, whose spectrum lies in [1/2, (d + 2)/2] on every mesh (Wathen, IMA J. Numer. Anal. 7 (1987) 449-457), on
 sparse iterates from which small entries are dropped.
+
+Lumped: :math:`P = D^{-1} B`, :math:`D_{ii} = \int \varphi^f_i`. Pseudo-L2 is tested with the dual basis instead, so
+that no mass matrix is solved for:
+
+.. math:: P = D^{-1} B^\psi, \qquad B^\psi_{ij} = \int \psi_i\, \varphi^c_j, \qquad
+          \int_e \psi_i\, \varphi^f_k = \delta_{ik} \int_e \varphi^f_i \;\text{ on every element } e,
+
+which on a simplex in d dimensions gives :math:`\psi_i = (d + 2)\,\varphi^f_i - 1`. Dickopf and Krause, Evaluating local
+approximations of the L2-orthogonal projection between non-nested finite element spaces, Numer. Math. Theory Methods
+Appl. 7 (2014) 288-316; dual basis: Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989-1012.
 """
 
 from __future__ import annotations
@@ -19,9 +29,10 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.transfer.location import OUTSIDE_TOLERANCE
 from adaptmg.transfer.projections.mixed_mass import mixed_mass
-from adaptmg.transfer.rows import CLIP, clipped_rows, dropped
+from adaptmg.transfer.rows import CLIP, clipped_rows, dropped, normalised
 
-__all__ = ["L2"]
+__all__ = ["L2", "LumpedL2", "PseudoL2"]
+
 
 Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
 
@@ -96,3 +107,60 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
         if drop > 0:
             step, solution = dropped(step, drop), dropped(solution, drop)
     return solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class LumpedL2:
+    """Averages of the coarse function, weighted by the fine shape functions.
+
+    Entries are >= 0 with row sums 1. Reproduces constants only: an affine field is evaluated at the centre of gravity
+    of the shape function, which is not the node unless the patch is symmetric, and never is on the boundary. For
+    comparison; :class:`adaptmg.transfer.PseudoL2` costs the same and does better. Integrals:
+    :mod:`adaptmg.transfer.projections.mixed_mass`.
+
+    Parameters
+    ----------
+    outside_tolerance : float
+        How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
+    """
+
+    outside_tolerance: float = OUTSIDE_TOLERANCE
+
+    def __post_init__(self) -> None:
+        checks.nonnegative("outside_tolerance", self.outside_tolerance)
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
+        weighted = integrals.assemble(integrals.shape_coefficients())
+        data = weighted.data / np.repeat(integrals.lumped_mass, np.diff(weighted.indptr))
+        result = sparse.csr_array((data, weighted.indices, weighted.indptr), shape=weighted.shape)
+        return normalised(dropped(result, CLIP))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PseudoL2:
+    """The local projection closest to the true L2 projection.
+
+    Row sums 1; entries may be negative, so that it proves nothing for the monotone correction (interpolate the contact
+    rows there: :func:`adaptmg.transfer.with_contact_rows`). Reproduces constants always, and affine fields at fine
+    nodes whose elements the coarse mesh covers. On nested meshes it is the canonical embedding. Integrals are exact
+    where the coarse mesh covers the fine element: :mod:`adaptmg.transfer.projections.mixed_mass`.
+
+    Parameters
+    ----------
+    outside_tolerance : float
+        How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
+    """
+
+    outside_tolerance: float = OUTSIDE_TOLERANCE
+
+    def __post_init__(self) -> None:
+        checks.nonnegative("outside_tolerance", self.outside_tolerance)
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
+        coefficients = (fine.dim + 2) * integrals.shape_coefficients() - 1.0
+        coefficients /= integrals.lumped_mass[integrals.patches.nodes][:, None]
+        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)

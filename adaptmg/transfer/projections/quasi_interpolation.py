@@ -7,7 +7,7 @@ affine functions, and the projection is evaluated at the node. With :math:`q(x) 
           G_i = \int_{\omega_i} q\, q^T .
 
 Clement, RAIRO Anal. Numer. 9 (1975) 77-84; as a transfer: Dickopf and Krause (2014), see
-:mod:`adaptmg.transfer.projections.pseudo_l2`.
+:mod:`adaptmg.transfer.projections.l2`.
 """
 
 from __future__ import annotations
