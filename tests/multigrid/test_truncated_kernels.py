@@ -17,8 +17,8 @@ from adaptmg.multigrid.linear.linear_cycle import CoarseFactors
 from adaptmg.multigrid.linear.split_matrix import split
 from adaptmg.multigrid.linear.transfer_kernels import add_prolonged, combine, restrict
 from adaptmg.multigrid.truncated import projected_sweeps
-from adaptmg.multigrid.truncated.coarse_matrices.truncation import Truncation
 from adaptmg.multigrid.truncated.contact import TruncatedContact
+from adaptmg.multigrid.truncated.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.transfer import galerkin_product, is_galerkin, without_fixed

@@ -30,11 +30,11 @@ from adaptmg.multigrid.linear.transfer_kernels import (
     zero_at,
 )
 from adaptmg.multigrid.truncated import projected_sweeps
-from adaptmg.multigrid.truncated.coarse_matrices.truncation import Truncation
 from adaptmg.multigrid.truncated.contact import TruncatedContact
 from adaptmg.multigrid.truncated.interface import Interface
 from adaptmg.multigrid.truncated.recombination import Recombination
 from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
+from adaptmg.multigrid.truncated.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 
 __all__ = ["StepState", "TruncatedStep", "line_minimum"]

@@ -1,1 +1,0 @@
-"""What the truncation of contact nodes changes in the matrices of the coarser levels."""
