@@ -17,9 +17,8 @@ from pyamg.relaxation.smoothing import change_smoothers
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.multigrid.linear.galerkin_levels import nodal_prolongations
 from adaptmg.multigrid.linear.linear_cycle import LinearCycle
-from adaptmg.multigrid.linear.split_matrix import split
+from adaptmg.multigrid.linear.split_matrix import nodal_prolongations, split
 from adaptmg.solver.run import Run
 from adaptmg.transfer import without_fixed
 

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from adaptmg.export.report import Report
-    from adaptmg.export.series import vtk_series
-    from adaptmg.export.vtu import vtk
+    from adaptmg.export.vtu import vtk, vtk_series
 
-_WHERE = {"Report": "adaptmg.export.report", "vtk": "adaptmg.export.vtu", "vtk_series": "adaptmg.export.series"}
+_WHERE = {"Report": "adaptmg.export.report", "vtk": "adaptmg.export.vtu", "vtk_series": "adaptmg.export.vtu"}
 
 __all__ = ["Report", "vtk", "vtk_series"]
 

@@ -10,8 +10,7 @@ from importlib import import_module
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import merged
-from adaptmg.mesh.checks.check import check_mesh
-from adaptmg.mesh.checks.quality import MeshQuality, quality
+from adaptmg.mesh.checks.check import MeshQuality, check_mesh, quality
 from adaptmg.mesh.size_near import SizeNear
 from adaptmg.mesh.structured import structured
 

@@ -21,8 +21,7 @@ from adaptmg.transfer.galerkin import galerkin_product, is_galerkin
 from adaptmg.transfer.interpolation import Interpolation
 from adaptmg.transfer.location import PointLocator
 from adaptmg.transfer.mesh_ratio import mesh_ratio
-from adaptmg.transfer.projections.l2 import L2, LumpedL2, PseudoL2
-from adaptmg.transfer.projections.quasi_interpolation import QuasiInterpolation
+from adaptmg.transfer.projections.l2 import L2, LumpedL2, PseudoL2, QuasiInterpolation
 from adaptmg.transfer.protocol import Transfer
 from adaptmg.transfer.rows import CLIP
 

@@ -18,7 +18,7 @@ from made_bodies import two_bodies
 
 import adaptmg as am
 from adaptmg.discretisation.measures import StressData
-from adaptmg.export import Report, series, vtk, vtk_series
+from adaptmg.export import Report, vtk, vtk_series, vtu
 from adaptmg.export import report as report_module
 from adaptmg.runtime.text import printable
 
@@ -230,7 +230,7 @@ def test_a_series_whose_steps_cannot_all_be_put_in_place_has_no_list(tmp_path, m
             raise OSError("disk full")
         replace(source, target)
 
-    monkeypatch.setattr(series.os, "replace", failing)
+    monkeypatch.setattr(vtu.os, "replace", failing)
     with pytest.raises(OSError, match="disk full"):
         vtk_series(_steps(2), tmp_path / "run.pvd")
     assert not (tmp_path / "run.pvd").exists()

@@ -1,20 +1,26 @@
-"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every generator and reader ends here.
+r"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every generator and reader ends here.
 
 Netgen does not raise when a face fails, it returns a mesh with holes; a misspelt boundary name gives an empty
 integral without a word. Both are found here: every facet belongs to two elements, or to one element and one named
 boundary facet.
+
+quality: how well shaped the elements are. Angles are those of triangles and the dihedral angles of tetrahedra. The
+aspect ratio is the longest edge h over the inradius r, :math:`h / (2\sqrt{3}\, r)` in 2D and
+:math:`h / (2\sqrt{6}\, r)` in 3D with r = dim volume / surface: 1 for an equilateral element.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.topology import FacetTable, components, facet_keys, facet_table, same_orientation
+from adaptmg.mesh.topology import FacetTable, components, element_facets, facet_keys, facet_table, same_orientation
 
-__all__ = ["check_mesh"]
+__all__ = ["MeshQuality", "check_mesh", "quality"]
+
 
 # volume over longest edge to the power dim (0.43 for an equilateral triangle), below which an element is degenerate
 _FLAT = 1e-10
@@ -152,3 +158,57 @@ def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:
     for name in boundaries:
         if name not in known:
             raise ValueError(f"boundary {name!r} does not exist; the boundaries are {', '.join(known)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshQuality:
+    """Shape and size of the elements of a mesh.
+
+    Parameters
+    ----------
+    min_angle, max_angle : float
+        Smallest and largest angle (3D: dihedral angle), degrees.
+    h_min, h_max : float
+        Shortest and longest edge, m.
+    aspect_ratio : float
+        Of the worst element, 1 for an equilateral one.
+    """
+
+    min_angle: float
+    max_angle: float
+    h_min: float
+    h_max: float
+    aspect_ratio: float
+
+
+def quality(mesh: MeshArrays) -> MeshQuality:
+    """Measure the elements of a mesh.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        A sound mesh, see :func:`adaptmg.mesh.check_mesh`.
+
+    Returns
+    -------
+    MeshQuality
+    """
+    dim = mesh.dim
+    corners = mesh.points[mesh.elements]
+    edges = np.stack([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(dim + 1) for j in range(i)])
+    sides = mesh.points[element_facets(mesh.elements)]
+    first = sides[:, :, 1] - sides[:, :, 0]
+    if dim == 2:
+        normals = np.stack([first[..., 1], -first[..., 0]], axis=-1)
+        measures = np.linalg.norm(normals, axis=-1)
+    else:
+        normals = np.cross(first, sides[:, :, 2] - sides[:, :, 0])
+        measures = 0.5 * np.linalg.norm(normals, axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    # between two facets the angle inside is pi minus the one between the outward normals
+    cosines = np.stack([-(normals[:, i] * normals[:, j]).sum(axis=1) for i in range(dim + 1) for j in range(i)])
+    angles = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+    inradius = dim * mesh.volumes / measures.sum(axis=1)
+    equilateral = 2 * np.sqrt(3.0) if dim == 2 else 2 * np.sqrt(6.0)
+    return MeshQuality(min_angle=float(angles.min()), max_angle=float(angles.max()), h_min=float(edges.min()),
+                       h_max=float(edges.max()), aspect_ratio=float((edges.max(axis=0) / inradius).max() / equilateral))

@@ -3,7 +3,7 @@ r"""SplitMatrix: a block matrix stored as strict lower part L, strict upper part
 Gauss-Seidel sweeps in turn, forward after backward, need the half that has changed only:
 with :math:`t = f - U u` kept from the backward sweep, the forward sweep is :math:`D u_i = t_i - L_i u`. Kept apart, a
 half is streamed for itself and counts as half a pass. Of a symmetric matrix L alone is enough where the sweeps scatter
-:math:`L^T`. Rows and columns of fixed dofs are zero.
+:math:`L^T`. Rows and columns of fixed dofs are zero. :func:`galerkin_levels` splits those of all levels of a hierarchy.
 """
 
 from __future__ import annotations
@@ -13,9 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
+from adaptmg.discrete import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.linear import split_kernels as kernels
+from adaptmg.transfer.aggregation import without_fixed
+from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen
 
-__all__ = ["SplitMatrix", "split"]
+__all__ = ["SplitMatrix", "galerkin_levels", "nodal_prolongations", "split"]
 
 
 @dataclass(eq=False)
@@ -153,3 +157,47 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     kernels.invert_all(dim, diagonal, inverse)
     return SplitMatrix(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse,
                        dofs, nonzeros)
+
+
+def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
+    """Prolongations between neighbours, coarsest first, columns sorted."""
+    result = []
+    for level in hierarchy.levels[1:]:
+        nodal = sparse.csr_array(level.prolongation)
+        nodal.sort_indices()
+        result.append(nodal)
+    return result
+
+
+def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
+    """Galerkin matrices of all levels, coarsest first.
+
+    Where the discretised matrix is the Galerkin one (nested meshes) it is taken as it is; not with coupled bodies,
+    whose truncated matrices need more entries near contact than the discretised ones have. The finest matrix, which no
+    truncation changes, is symmetric: its lower half is all that is stored.
+    """
+    matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
+    result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
+    for level, nodal in zip(reversed(hierarchy.levels[:-1]), reversed(prolongations), strict=True):
+        if level.discrete is None:
+            matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
+        elif level.discrete.coupling is None and is_galerkin(matrix, nodal, level.discrete.matrix):
+            matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
+        else:
+            finer = seen(nodal, finer)
+            matrix = galerkin_product(_supported(matrix, fine, nodal, level.discrete), finer)
+            fixed = level.discrete.fixed
+        fine = level.discrete
+        result.insert(0, split(matrix, fixed))
+    return result
+
+
+def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.csr_array,
+               coarse: DiscreteProblem) -> sparse.bsr_array:
+    """The matrix, without the rows and columns of fixed dofs if free coarse dofs reach them."""
+    dim = fine.dim
+    fixed, free = fine.fixed.reshape(-1, dim), ~coarse.fixed.reshape(-1, dim)
+    reached = any((nodal[np.flatnonzero(fixed[:, c])] @ free[:, c].astype(float)).any() for c in range(dim))
+    if not reached:
+        return matrix
+    return without_fixed(matrix, fine.fixed)

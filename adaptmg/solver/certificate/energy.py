@@ -8,8 +8,8 @@ then missing is a correction in the space of the displacements that keep the sta
 
 e the forces at v that no load, support or lawful contact force explains. Conjugate gradients give
 :math:`|e|^2_{A^{-1}} = \sum_k \alpha_k\,r_k \cdot z_k`, a sum of positive terms, of which some are taken: never too
-much. The preconditioner is the diagonal plus :mod:`adaptmg.solver.certificate.hats`. Nothing here comes from the
-solvers.
+much. The preconditioner is the diagonal plus :mod:`adaptmg.solver.certificate.hats`. What other lines of a certificate
+need from all nodes, sums and largest entries, a :class:`Tally` takes in one pass. Nothing here comes from the solvers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from scipy.sparse.linalg import splu
 from adaptmg.runtime.compiled import kernel
 from adaptmg.solver.certificate.hats import Hats
 
-__all__ = ["FrozenStatus", "add_forces", "residual_energy"]
+__all__ = ["FrozenStatus", "Tally", "add_forces", "residual_energy"]
+
 
 #: conjugate gradient steps at most, and the share of the sum that is not worth another: up to so many nodes, which cost
 #: nothing that anybody notices, and beyond
@@ -151,3 +152,62 @@ def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.nda
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.einsum("nd,nd->", a, b))
+
+
+@kernel
+def _tally(unexplained, fixed, physical, unknowns, values, diagonal, squares, largest, sums):
+    """Squares and largest entries of: free forces, forces in supports, prescribed values missed; displacements."""
+    for i in range(len(unexplained)):
+        for k in range(unexplained.shape[1]):
+            force, u, stiffness = abs(unexplained[i, k]), abs(physical[i, k]), abs(diagonal[i, k])
+            if fixed[i, k]:
+                missed = abs(unknowns[i, k] - values[i, k])
+                squares[1] += force * force
+                squares[2] += missed * missed
+                largest[2] = max(largest[2], missed)
+            else:
+                squares[0] += force * force
+                largest[0] = max(largest[0], force)
+                sums[k] += unexplained[i, k]
+            squares[3] += (stiffness * u) ** 2
+            squares[4] += stiffness * u * u
+            largest[3] = max(largest[3], u)
+
+
+class Tally:
+    """Over the nodes of a problem; what has run away makes its numbers infinite or NaN.
+
+    Parameters
+    ----------
+    unexplained : (n_nodes, dim) array
+        Forces that neither loads nor claimed contact forces explain, N.
+    fixed : (n_nodes, dim) bool array
+    physical, unknowns, values : (n_nodes, dim) arrays
+        Displacement of the bodies, the same relative, prescribed values, m.
+    diagonal : (n_nodes, dim) array
+        Of the matrix, N/m.
+
+    Attributes
+    ----------
+    free, largest : float
+        Norm and largest component of what is unexplained at free dofs, N.
+    supports : float
+        Norm of the forces at fixed dofs, N.
+    moved, furthest : float
+        Norm and largest component of the distance from prescribed values, m.
+    displacement : float
+        The largest component, m.
+    stiff, stiff_energy : float
+        Norms of D u (N) and of D^1/2 u (sqrt(N m)), D the diagonal.
+    sums : (dim,) array
+        Of what is unexplained at free dofs, N.
+    """
+
+    def __init__(self, unexplained: np.ndarray, fixed: np.ndarray, physical: np.ndarray, unknowns: np.ndarray,
+                 values: np.ndarray, diagonal: np.ndarray) -> None:
+        squares, largest, self.sums = np.zeros(5), np.zeros(4), np.zeros(unexplained.shape[1])
+        _tally(unexplained, fixed, physical, unknowns, values, diagonal, squares, largest, self.sums)
+        # the larger of NaN and a number is the number: the squares know
+        largest[~np.isfinite(squares[:4])] = np.nan
+        self.free, self.supports, self.moved, self.stiff, self.stiff_energy = np.sqrt(squares).tolist()
+        self.largest, _, self.furthest, self.displacement = largest.tolist()

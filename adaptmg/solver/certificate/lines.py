@@ -11,8 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.solver.certificate.energy import FrozenStatus, add_forces, residual_energy
-from adaptmg.solver.certificate.tally import Tally
+from adaptmg.solver.certificate.energy import FrozenStatus, Tally, add_forces, residual_energy
 
 __all__ = ["Condition", "ContactClaims", "Evidence"]
 

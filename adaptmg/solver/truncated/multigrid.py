@@ -14,8 +14,8 @@ from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.linear.galerkin_levels import galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.linear.linear_cycle import LinearCycle
+from adaptmg.multigrid.linear.split_matrix import galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.nested import NestedStart
 from adaptmg.multigrid.truncated.contact import TruncatedContact
 from adaptmg.multigrid.truncated.interface import Interface

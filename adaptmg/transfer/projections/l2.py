@@ -1,4 +1,4 @@
-r"""L2 projections: with the consistent mass matrix, a lumped one, and the dual basis.
+r"""L2 projections: with the consistent mass matrix, a lumped one, the dual basis, and on patches of nodes.
 
 .. math:: M P = B, \qquad M_{ik} = \int \varphi^f_i \varphi^f_k, \qquad B_{ij} = \int \varphi^f_i \varphi^c_j
 
@@ -15,6 +15,13 @@ that no mass matrix is solved for:
 which on a simplex in d dimensions gives :math:`\psi_i = (d + 2)\,\varphi^f_i - 1`. Dickopf and Krause, Evaluating local
 approximations of the L2-orthogonal projection between non-nested finite element spaces, Numer. Math. Theory Methods
 Appl. 7 (2014) 288-316; dual basis: Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989-1012.
+
+Quasi-interpolation of Clement type (RAIRO Anal. Numer. 9 (1975) 77-84) projects onto affine functions on the patch
+:math:`\omega_i` of fine elements around the node :math:`x_i` and evaluates there. With
+:math:`q(x) = (1, (x - x_i)/h_i)`
+
+.. math:: (Pu)_i = c_i\cdot\int_{\omega_i} q\, u, \qquad G_i c_i = (1, 0, \dots, 0), \qquad
+          G_i = \int_{\omega_i} q\, q^T .
 """
 
 from __future__ import annotations
@@ -28,10 +35,10 @@ from scipy import sparse
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.transfer.location import OUTSIDE_TOLERANCE
-from adaptmg.transfer.projections.mixed_mass import mixed_mass
+from adaptmg.transfer.projections.mixed_mass import Patches, mixed_mass
 from adaptmg.transfer.rows import CLIP, clipped_rows, dropped, normalised
 
-__all__ = ["L2", "LumpedL2", "PseudoL2"]
+__all__ = ["L2", "LumpedL2", "PseudoL2", "QuasiInterpolation"]
 
 
 Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
@@ -164,3 +171,46 @@ class PseudoL2:
         coefficients = (fine.dim + 2) * integrals.shape_coefficients() - 1.0
         coefficients /= integrals.lumped_mass[integrals.patches.nodes][:, None]
         return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuasiInterpolation:
+    """Clement quasi-interpolation on fine patches.
+
+    Row sums 1; entries may be negative. Reproduces constants always, and affine fields at fine nodes whose patch the
+    coarse mesh covers. Unlike the other affine transfers it is no projection: on nested meshes it smooths the kinks of
+    the coarse function. Integrals: :mod:`adaptmg.transfer.projections.mixed_mass`.
+
+    Parameters
+    ----------
+    outside_tolerance : float
+        How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
+    """
+
+    outside_tolerance: float = OUTSIDE_TOLERANCE
+
+    def __post_init__(self) -> None:
+        checks.nonnegative("outside_tolerance", self.outside_tolerance)
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
+        coefficients = _patch_coefficients(fine, integrals.patches)
+        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)
+
+
+def _patch_coefficients(fine: MeshArrays, patches: Patches) -> np.ndarray:
+    """c_i . q(x_k) at the corners k of every element of the patch of i (n_incidences, dim + 1)."""
+    k = fine.dim + 1
+    node, first = patches.nodes, patches.indptr[:-1]
+    relative = fine.points[fine.elements[patches.elements]] - fine.points[node][:, None, :]
+    size = np.maximum.reduceat(np.abs(relative).max(axis=(1, 2)), first)
+    q = np.concatenate([np.ones((len(node), k, 1)), relative / size[node][:, None, None]], axis=2)
+    # integral of q q' over an element, from the values of q at its corners
+    total = q.sum(axis=1)
+    gram = np.einsum("pka,pkb->pab", q, q) + total[:, :, None] * total[:, None, :]
+    gram *= (fine.volumes[patches.elements] / (k * (k + 1)))[:, None, None]
+    right = np.zeros((fine.n_nodes, k, 1))
+    right[:, 0] = 1.0
+    c = np.linalg.solve(np.add.reduceat(gram, first, axis=0), right)[:, :, 0]
+    return np.einsum("pka,pa->pk", q, c[node])
