@@ -50,7 +50,7 @@ def need_domain(problem: ContactProblem) -> None:
         raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
 
 
-def check_coarse_to_fine(meshes: list[MeshArrays]) -> None:
+def check_coarse_to_fine(meshes: Sequence[MeshArrays]) -> None:
     """ValueError unless each mesh has more nodes than the one before."""
     sizes = [mesh.n_nodes for mesh in meshes]
     if any(a >= b for a, b in pairwise(sizes)):
