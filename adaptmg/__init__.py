@@ -45,6 +45,8 @@ _WHERE = {
     "adaptmg.solver.result.not_converged": ("NotConverged",),
     "adaptmg.solver.result.status": ("Status",),
     "adaptmg.estimate.estimate": ("Estimate",),
+    "adaptmg.estimate.loop.adapt": ("adapt",),
+    "adaptmg.estimate.loop.step": ("Step",),
     "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
     "adaptmg.estimate.residual": ("Residual",),
     "adaptmg.study.study": ("Study",),

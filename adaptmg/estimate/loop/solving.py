@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from adaptmg.estimate.loop.expected import algebraic_tolerance, expected_estimate

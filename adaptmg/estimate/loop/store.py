@@ -1,8 +1,8 @@
 """LoopStore: the finished steps of an adaptive loop in a folder, so that a loop that was killed goes on where it was.
 
 ``loop.json`` says what the steps belong to. A step is a Result (``step_0003.npz``, its mesh inside), an estimate
-(``estimate_0003.npz``), meshes that were put between levels (``mesh_0003_0.npz``), and at last ``step_0003.json``, which
-makes it complete: it names the levels, and the checksum of each file. Every file is written whole or not at all.
+(``estimate_0003.npz``), meshes that were put between levels (``mesh_0003_0.npz``), and at last ``step_0003.json``,
+which makes it complete: it names the levels, and the checksum of each file. Every file is written whole or not at all.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import io
 import json
 import os
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from adaptmg.estimate.estimate import Estimate
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder, write_bytes
+from adaptmg.solver.history.path_result import PathResult
 from adaptmg.solver.history.store import differences
 from adaptmg.solver.result import Result
 from adaptmg.solver.result.archive import DAMAGES, read_arrays
@@ -50,6 +52,8 @@ class StoredStep:
     numbers : dict
         total_seconds, work_units, total_work_units.
     timings : dict of str to float
+    path : PathResult or None
+        Of a loop with a load path; in a folder ``path_0003``.
     """
 
     result: Result
@@ -58,6 +62,7 @@ class StoredStep:
     extra: list[MeshArrays]
     numbers: dict[str, float]
     timings: dict[str, float]
+    path: PathResult | None = None
 
 
 class LoopStore:
@@ -113,7 +118,6 @@ class LoopStore:
 
     def put(self, number: int, step: StoredStep) -> None:
         """Keep a finished step; its ``.json`` comes last."""
-        self._file(number, "step", "npz").unlink(missing_ok=True)
         step.result.save(self._file(number, "step", "npz"))
         names = [self._file(number, "step", "npz").name]
         for k, mesh in enumerate(step.extra):
@@ -124,7 +128,13 @@ class LoopStore:
         names.append(self._write(f"estimate_{number:04d}.npz", {"squares": e.squares}, norm=e.norm,
                                  indicator=e.indicator, terms=dict(e.terms), value=_plain(e.value),
                                  signed=_plain(e.signed), energy_error=_plain(e.energy_error)))
-        said = {"levels": step.levels, "extra": len(step.extra), "timings": step.timings, **step.numbers,
+        folder = self.folder / f"path_{number:04d}"
+        if step.path is not None:
+            # what a process that was killed may have left
+            shutil.rmtree(folder, ignore_errors=True)
+            step.path.save(folder)
+        said = {"levels": step.levels, "extra": len(step.extra), "path": step.path is not None,
+                "timings": step.timings, **step.numbers,
                 "files": {name: _checksum(self.folder / name) for name in names}}
         write_bytes(self._file(number, "step", "json"), json.dumps(said, indent=1).encode())
 
@@ -150,9 +160,10 @@ class LoopStore:
                     raise ValueError(f"{name} is not what was written")
             extra = [self._mesh(f"mesh_{number:04d}_{k}.npz") for k in range(said["extra"])]
             arrays, meta = self._arrays(f"estimate_{number:04d}.npz")
+            path = PathResult.load(self.folder / f"path_{number:04d}") if said["path"] else None
             return StoredStep(Result.load(self._file(number, "step", "npz")), Estimate(**arrays, **meta),
                               _levels(said["levels"], number), extra, {name: float(said[name]) for name in _NUMBERS},
-                              {name: float(value) for name, value in said["timings"].items()})
+                              {name: float(value) for name, value in said["timings"].items()}, path)
         except (*DAMAGES, OSError) as error:
             raise ValueError(f"{file} is damaged, or a file beside it ({error or type(error).__name__}): {_AGAIN}"
                              ) from error
