@@ -28,7 +28,7 @@ from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.truncated.energy_test import EnergyTest, StartTest, WarmTest
 from adaptmg.solver.truncated.fallback import Fallback
-from adaptmg.solver.truncated.iteration import StartIteration, TruncatedIteration
+from adaptmg.solver.truncated.iteration import StartIteration, TruncatedIteration, WarmIteration
 
 __all__ = ["TruncatedMultigrid", "lifted_load"]
 
@@ -129,8 +129,9 @@ class TruncatedMultigrid:
         with self.run.phase("cycles"):
             stop = (EnergyTest(problem, o.rtol, o.max_cycles, shortfall) if rate is None
                     else WarmTest(problem, o.rtol, o.max_cycles, shortfall, rate))
-            cycles = TruncatedIteration(runner, o.correction.safe_cycles, cold, self.run, problem, start,
-                                        hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
+            kind = TruncatedIteration if rate is None else WarmIteration
+            cycles = kind(runner, o.correction.safe_cycles, cold, self.run, problem, start,
+                          hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
             status = iterate(cycles, stop, self.run)
         displacement = (runner.unknowns + problem.fixed_values).reshape(-1, problem.dim)
         outcome = Outcome(displacement, status, cycles.cycles, stop.rtol, stop.error_estimate, stop.rate)
