@@ -48,6 +48,7 @@ _WHERE = {
     "adaptmg.estimate.loop.adapt": ("adapt",),
     "adaptmg.estimate.loop.step": ("Step",),
     "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
+    "adaptmg.estimate.recovery": ("Recovery",),
     "adaptmg.estimate.residual": ("Residual",),
     "adaptmg.study.study": ("Study",),
 }
