@@ -45,6 +45,7 @@ _WHERE = {
     "adaptmg.solver.result.not_converged": ("NotConverged",),
     "adaptmg.solver.result.status": ("Status",),
     "adaptmg.estimate.estimate": ("Estimate",),
+    "adaptmg.estimate.remesh": ("Remesh",),
     "adaptmg.study.study": ("Study",),
 }
 _HOME = {name: module for module, names in _WHERE.items() for name in names}
