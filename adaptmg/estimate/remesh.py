@@ -11,6 +11,7 @@ from typing import Any
 
 from adaptmg.estimate.equilibration import equilibrated_sizes
 from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.intermediate import mean_sizes
 from adaptmg.estimate.size_field import SizeField
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem, checks
@@ -89,6 +90,24 @@ class Remesh:
         sizes = equilibrated_sizes(mesh, estimate.squares, wanted, finest=self.finest, coarsest=self.coarsest,
                                    growth=self.gradation / 2**self.refinements)
         return self.mesh(problem, SizeField(mesh, sizes))
+
+    def intermediate(self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays) -> MeshArrays:
+        """A mesh between two others, for levels whose sizes differ too much (:mod:`adaptmg.estimate.intermediate`).
+
+        Parameters
+        ----------
+        problem : ContactProblem
+            With a domain.
+        coarse, fine : MeshArrays
+            Neighbouring levels, see :func:`adaptmg.transfer.size_ratio`.
+
+        Returns
+        -------
+        MeshArrays
+            Its sizes are the geometric mean of both.
+        """
+        need_domain(problem)
+        return self.mesh(problem, mean_sizes(coarse, fine, self.gradation / 2**self.refinements))
 
     def mesh(self, problem: ContactProblem, field: SizeField) -> MeshArrays:
         """A mesh of the problem's domain by a size field."""
