@@ -46,6 +46,8 @@ _WHERE = {
     "adaptmg.solver.result.status": ("Status",),
     "adaptmg.estimate.estimate": ("Estimate",),
     "adaptmg.estimate.remesh": ("Remesh",),
+    "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
+    "adaptmg.estimate.residual": ("Residual",),
     "adaptmg.study.study": ("Study",),
 }
 _HOME = {name: module for module, names in _WHERE.items() for name in names}

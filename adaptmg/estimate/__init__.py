@@ -3,5 +3,7 @@
 from __future__ import annotations
 
 from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.marking import Doerfler, Maximum
+from adaptmg.estimate.residual import Residual
 
-__all__ = ["Estimate"]
+__all__ = ["Doerfler", "Estimate", "Maximum", "Residual"]
