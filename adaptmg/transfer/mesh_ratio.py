@@ -8,7 +8,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.transfer.location import body_locators
 
-__all__ = ["mesh_ratio"]
+__all__ = ["mesh_ratio", "size_ratio"]
 
 
 def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -> float:
@@ -37,3 +37,19 @@ def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -
         found = locator.locate(fine.points[fine.elements[elements]].mean(axis=1))
         ratio[elements] = coarse.element_sizes[found.element] / fine.element_sizes[elements]
     return float(np.quantile(ratio, quantile))
+
+
+def size_ratio(coarse: MeshArrays, fine: MeshArrays, quantile: float = 0.99) -> float:
+    """Local ratio h_coarse / h_fine by which levels of an adaptive hierarchy are kept: at most about 4.
+
+    Parameters
+    ----------
+    coarse, fine : MeshArrays
+    quantile : float
+        See :func:`mesh_ratio`, of which this is the 99 % quantile.
+
+    Returns
+    -------
+    float
+    """
+    return mesh_ratio(coarse, fine, quantile=quantile)

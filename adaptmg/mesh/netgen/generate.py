@@ -28,7 +28,7 @@ from adaptmg.mesh.netgen.outline import onto_outline, plane_measures, spline_geo
 from adaptmg.mesh.netgen.thin import refuse_thin
 from adaptmg.problem.domains import Box, Domain, Outline
 
-__all__ = ["SizeField", "expected_nodes", "guessed_nodes", "netgen_mesh", "refuse_too_many"]
+__all__ = ["SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh", "refuse_too_many"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 
@@ -68,7 +68,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
     ValueError
         If Netgen fails, or the mesh would have more than 5 million nodes (3D: 2 million).
     """
-    lower, scale = _extent(domain)
+    lower, scale = extent(domain)
     refuse_thin(domain, max_size, side_sizes)
     refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
     mesh = None
@@ -87,7 +87,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
             for (x, y, z), h in zip(places.tolist(), (wanted[small] / scale).tolist(), strict=True):
                 options.RestrictH(x, y, z, h)
         sides = {name: h / scale for name, h in side_sizes.items()}
-        mesh = _generate(domain, lower, scale, sides, options)
+        mesh = one_mesh(domain, lower, scale, sides, options)
     return with_source(mesh)
 
 
@@ -104,7 +104,7 @@ def refuse_too_many(nodes: float, domain: Domain) -> None:
                          "take larger sizes (they are in m) or refine a smaller part")
 
 
-def _extent(domain: Domain) -> tuple[np.ndarray, float]:
+def extent(domain: Domain) -> tuple[np.ndarray, float]:
     """Lowest corner and largest side of the bounding box."""
     return domain.lower, float((domain.upper - domain.lower).max())
 
@@ -129,12 +129,18 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
     return float(_NODES_PER_CELL[domain.dim] * cells)
 
 
-def _generate(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],
-              options: netgen.meshing.MeshingParameters) -> MeshArrays:
-    """One call of Netgen on the scaled domain; the mesh in m, without source."""
+def one_mesh(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],
+             options: netgen.meshing.MeshingParameters, refinements: int = 0) -> MeshArrays:
+    """One call of Netgen on the scaled domain, all elements then cut in four (3D: eight) ``refinements`` times.
+
+    The mesh in m, without source; see :func:`netgen_mesh` for the names of its boundaries.
+    """
     try:
         geometry = (_box if isinstance(domain, Box) else spline_geometry)(domain, lower, scale, sides)
-        unit = own_mesh(ngsolve.Mesh(interruptible(geometry.GenerateMesh, mp=options, limit=_LIMIT_S[domain.dim])))
+        made = interruptible(geometry.GenerateMesh, mp=options, limit=_LIMIT_S[domain.dim])
+        for _ in range(refinements):
+            interruptible(made.Refine)
+        unit = own_mesh(ngsolve.Mesh(made))
     except (netgen.meshing.NgException, ValueError, RuntimeError) as error:
         raise ValueError(f"Netgen could not mesh {domain!r} ({error}); change the sizes a little or take a smaller "
                          "grading") from error
