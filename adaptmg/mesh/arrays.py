@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptmg.runtime.on_demand import made_on_demand
 
-__all__ = ["MeshArrays", "trusted"]
+__all__ = ["MeshArrays", "longest_edges", "trusted"]
 
 
 # of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
@@ -126,10 +126,7 @@ class MeshArrays:
     @cached_property
     def element_sizes(self) -> np.ndarray:
         """Longest edge of each element (n_elements,), m."""
-        corners = self.points[self.elements]
-        k = corners.shape[1]
-        return np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
-                       for i in range(k) for j in range(i)], axis=0)
+        return longest_edges(self.points[self.elements])
 
     @cached_property
     def volumes(self) -> np.ndarray:
@@ -137,6 +134,12 @@ class MeshArrays:
         corners = self.points[self.elements]
         edges = corners[:, 1:] - corners[:, :1]
         return np.linalg.det(edges) / (2 if self.dim == 2 else 6)
+
+
+def longest_edges(corners: np.ndarray) -> np.ndarray:
+    """Longest edge (n,) of each of some simplices, given by their corners (n, dim + 1, dim)."""
+    k = corners.shape[1]
+    return np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)], axis=0)
 
 
 def trusted(mesh: MeshArrays, source: Any, sound: bool = True) -> MeshArrays:

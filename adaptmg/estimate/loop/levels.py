@@ -16,44 +16,16 @@ import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.transfer.location import body_locators
+from adaptmg.transfer.mesh_ratio import size_ratio
 
-__all__ = ["appended", "carried", "size_ratio", "thinned"]
+__all__ = ["appended", "carried", "thinned"]
 
-#: largest quantile of the local size ratio between neighbours
-RATIO, QUANTILE = 4.0, 0.99
+#: largest local size ratio (its 99 % quantile) between neighbours
+RATIO = 4.0
 #: nodes of a level over those of the next coarser one below which the two are too close
 CLOSE = 1.7
 #: meshes put between two neighbours at most, and how many more nodes than the coarser one each must have
 MOST_BETWEEN, GROWTH = 4, 1.2
-#: elements on which the ratio is measured at most: a quantile needs no more
-SAMPLE = 20_000
-
-
-def size_ratio(coarse: MeshArrays, fine: MeshArrays, quantile: float = QUANTILE) -> float:
-    """Quantile of the local ratio of element sizes, coarse over fine, at the centroids of (a sample of) fine elements.
-
-    Parameters
-    ----------
-    coarse, fine : MeshArrays
-    quantile : float
-
-    Returns
-    -------
-    float
-    """
-    step, ratios = max(1, len(fine.elements) // SAMPLE), []
-    for body, locator in body_locators(coarse, fine):
-        elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
-        elements = elements[::step]
-        corners = fine.points[fine.elements[elements]]
-        found = locator.locate(corners.mean(axis=1))
-        # the longest edges of the sample alone
-        k = corners.shape[1]
-        sizes = np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)],
-                       axis=0)
-        ratios.append(coarse.element_sizes[found.element] / sizes)
-    return float(np.quantile(np.concatenate(ratios), quantile))
 
 
 def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Any) -> Hierarchy:
