@@ -82,6 +82,8 @@ class AdaptiveWalk:
 
     #: nodes of the next mesh over those of the last, below which it is not worth making
     LEAST_GROWTH = 1.15
+    #: times that an engine is asked for a mesh that is not too large
+    ATTEMPTS = 3
     #: the estimate must fall by this factor over meshes of twice the nodes, or the loop has come to an end
     PROGRESS = 0.95
 
@@ -135,18 +137,22 @@ class AdaptiveWalk:
     def _finer(self, last: Step) -> tuple[MeshArrays | None, str]:
         """The next mesh; or why there is none."""
         self._tell("mesh", last.nodes)
+        most = self.limits.max_nodes
         with self.clock.phase("mesh"):
             mesh = last.hierarchy.finest.mesh
             marked = self.parts.mark.mark(last.estimate)
             if not np.any(marked):
                 return None, "no progress: the marking chooses no element"
-            finer = self.parts.engine.refine(self.first.problem, mesh, last.estimate, marked,
-                                             max_nodes=self.limits.max_nodes)
-        if finer is None or finer.n_nodes <= mesh.n_nodes:
-            return None, f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes"
-        if self.limits.max_nodes is not None and finer.n_nodes > self.limits.max_nodes:
-            return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {self.limits.max_nodes} are allowed"
-        return finer, ""
+            asked = most
+            for _ in range(self.ATTEMPTS):
+                finer = self.parts.engine.refine(self.first.problem, mesh, last.estimate, marked, max_nodes=asked)
+                if finer is None or finer.n_nodes <= mesh.n_nodes:
+                    return None, f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes"
+                if most is None or finer.n_nodes <= most:
+                    return finer, ""
+                # sizes are met roughly only: ask for as much less
+                asked = int(0.98 * asked * most / finer.n_nodes)
+        return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {most} are allowed"
 
     @one_blas_thread()
     def _grown(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, np.ndarray]:
