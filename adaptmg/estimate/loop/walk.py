@@ -81,7 +81,7 @@ class AdaptiveWalk:
     """
 
     #: nodes of the next mesh over those of the last, below which it is not worth making
-    LEAST_GROWTH = 1.15
+    LEAST_GROWTH = 1.3
     #: times that an engine is asked for a mesh that is not too large
     ATTEMPTS = 3
     #: the estimate must fall by this factor over meshes of twice the nodes, or the loop has come to an end
@@ -109,7 +109,7 @@ class AdaptiveWalk:
                 mesh, reason = self._finer(last)
             if reason:
                 last.ending.words = reason
-                _LOG.info("the adaptive loop ends: %s", reason)
+                _LOG.debug("the adaptive loop ends: %s", reason)
                 return
             yield self._next(*self._grown(last, mesh))
 
