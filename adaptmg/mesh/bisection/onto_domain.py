@@ -111,9 +111,8 @@ def _moved(mesh: MeshArrays, sides: list, depth: np.ndarray, stays: np.ndarray, 
             mine = (depth[nodes] == level) & ~stays[nodes]
             a, b = (points[parents[nodes[mine], k]] for k in (0, 1))
             places = on_surface(domain, name, a, b, normals[mine])
-            own = points[nodes[mine]]
             # a node of two boundaries is moved by the curved one of them
-            goes = np.linalg.norm(places - own, axis=1) > 1e-14 * np.linalg.norm(b - a, axis=1)
+            goes = np.linalg.norm(places - 0.5 * (a + b), axis=1) > 1e-14 * np.linalg.norm(b - a, axis=1)
             points[nodes[mine][goes]] = places[goes]
     return points
 
