@@ -9,7 +9,7 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays, trusted
 
-__all__ = ["Refinement", "refinement_of", "with_refinement"]
+__all__ = ["Refinement", "as_initial", "with_refinement"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,12 @@ def with_refinement(mesh: MeshArrays, refinement: Refinement | None) -> MeshArra
     return result
 
 
-def refinement_of(mesh: MeshArrays) -> Refinement | None:
-    """The history of a mesh, None of one that was not bisected (or whose arrays were replaced since)."""
-    return mesh.refinement
+def as_initial(mesh: MeshArrays) -> MeshArrays:
+    """The mesh with its labels, but without its past: nothing is taken back below it."""
+    history = mesh.refinement
+    if history is None:
+        return mesh
+    own = np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
+    n = len(mesh.elements)
+    return with_refinement(mesh, Refinement(own, history.marks, np.zeros(n, np.int16), np.full(n, -1, np.int32),
+                                            history.tree[:0].copy()))

@@ -9,7 +9,7 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.facets import facets_into_cells, facets_of_cells
 from adaptmg.mesh.bisection.labels import CODES, EVEN, first_labels
-from adaptmg.mesh.bisection.refinement import Refinement, refinement_of, with_refinement
+from adaptmg.mesh.bisection.refinement import Refinement, with_refinement
 from adaptmg.mesh.bisection.tables import FOREBEAR, HEAD, NODE_COLUMNS, STAMP, columns_of_cells, columns_of_tree
 from adaptmg.mesh.on_demand_source import sound_by_construction
 from adaptmg.mesh.topology import element_facets
@@ -39,7 +39,7 @@ class Refined:
 
 def parents_of(mesh: MeshArrays) -> np.ndarray:
     """Parents (n_nodes, 2) of each node since the initial mesh."""
-    refinement = refinement_of(mesh)
+    refinement = mesh.refinement
     if refinement is not None:
         return refinement.parents
     return np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
@@ -51,7 +51,7 @@ def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
     cells = np.empty((n + int(room * n), columns_of_cells(mesh.dim)), dtype=np.int32)
     cells[:n, :corners] = mesh.elements
     facets_into_cells(mesh.facets, cells, n, corners, mesh.n_nodes)
-    marks, refinement = 2 * corners, refinement_of(mesh)
+    marks, refinement = 2 * corners, mesh.refinement
     if refinement is None:
         first_labels(mesh.points, cells, n, corners, EVEN, CODES)
         cells[:n, marks + 1] = -1
@@ -66,7 +66,7 @@ def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
 
 def tree_of(mesh: MeshArrays) -> np.ndarray:
     """The elements that were bisected."""
-    refinement = refinement_of(mesh)
+    refinement = mesh.refinement
     return np.empty((0, columns_of_tree(mesh.dim)), dtype=np.int32) if refinement is None else refinement.tree
 
 
