@@ -133,7 +133,8 @@ class Remesh:
         # a plane mesh that Netgen makes whole is finer than the places of the old nodes
         samples = field.samples(dense=field.mesh.dim == 2 and self.refinements == 0)
         sizes = {body: PointSizes(*given) for body, given in samples.items()}
-        return resized(problem.domain, sizes if len(sizes) > 1 else sizes.popitem()[1], refinements=self.refinements)
+        return resized(problem.domain, sizes if len(sizes) > 1 else sizes.popitem()[1], grading=self.gradation,
+                       refinements=self.refinements)
 
 
 def need_domain(problem: ContactProblem) -> None:

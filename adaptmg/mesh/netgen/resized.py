@@ -9,6 +9,7 @@ more slowly.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -30,8 +31,6 @@ from adaptmg.problem.domains import Assembly, Domain, Outline, SolidDomain, Step
 
 __all__ = ["PointSizes", "resized"]
 
-# Netgen's default growth of sizes; where it fails, slower growth (which only makes the mesh finer) often helps
-_GRADING = 0.3
 # Netgen takes no notice of sizes within 1.2 of what it knows: told twice, it keeps to within a tenth either way; its
 # tetrahedra are smaller than asked for anyway
 _PASSES = {2: (1.0, 0.91), 3: (1.0,)}
@@ -71,16 +70,17 @@ class PointSizes:
         # Netgen's threads spend more time waiting than the work takes
         options = netgen.meshing.MeshingParameters(maxh=factor * largest, grading=grading, parallel_meshing=False,
                                                    **{_STEPS[self.points.shape[1]]: steps})
-        places = np.zeros((len(self.points), 3))
-        places[:, :self.points.shape[1]] = (self.points - lower) / scale
+        places = np.zeros((3, len(self.points)))
+        places[:self.points.shape[1]] = ((self.points - lower) / scale).T
+        # lists of numbers, column by column: a list a point would keep the garbage collector busy
+        columns = places.tolist()
         for share in _PASSES[self.points.shape[1]]:
-            for (x, y, z), h in zip(places.tolist(), (share * factor * self.sizes).tolist(), strict=True):
-                options.RestrictH(x, y, z, h)
+            deque(map(options.RestrictH, *columns, (share * factor * self.sizes).tolist()), maxlen=0)
         return options
 
 
-def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, refinements: int = 0, steps: int = 3
-            ) -> MeshArrays:
+def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, grading: float = 0.3,
+            refinements: int = 0, steps: int = 3) -> MeshArrays:
     """Mesh a domain by sizes at points.
 
     Parameters
@@ -89,6 +89,8 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, ref
         What to mesh.
     sizes : PointSizes; of several bodies a mapping of str to these
         For each body.
+    grading : float
+        Growth of the edge length per distance that Netgen allows, above 0 and at most 1.
     refinements : int
         How often a coarser mesh of Netgen is refined uniformly, >= 0 (module docstring).
     steps : int
@@ -105,27 +107,31 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, ref
         On an unknown domain, bodies without sizes, or where Netgen fails.
     """
     refinements, steps = (checks.integer(name, n, 0) for name, n in (("refinements", refinements), ("steps", steps)))
+    grading = checks.positive("grading", grading)
     if isinstance(domain, Assembly):
         mine = per_body("sizes", sizes, domain.bodies)
-        return merged({body: resized(part, mine[body], refinements=refinements, steps=steps)
+        return merged({body: resized(part, mine[body], grading=grading, refinements=refinements, steps=steps)
                        for body, part in domain.parts.items()})
     if isinstance(domain, StepFile):
-        return _step(domain, sizes, refinements, steps)
+        return _step(domain, sizes, grading, refinements, steps)
     checks.instance("sizes", sizes, PointSizes)
     if isinstance(domain, SolidDomain):
         shape = scaled_shape(domain)
-        return _attempts(domain, refinements, lambda g, k: ordered(domain, _shape(*shape, sizes, g, k, steps)))
+        return _attempts(domain, grading, refinements, lambda g, k: ordered(domain, _shape(*shape, sizes, g, k, steps)))
     if not isinstance(domain, Domain):
         raise TypeError(f"domain must be a plane domain, a solid, an Assembly of these or a StepFile, got {domain!r}")
-    return _attempts(domain, refinements, lambda g, k: _plane_or_box(domain, sizes, g, k, steps))
+    return _attempts(domain, grading, refinements, lambda g, k: _plane_or_box(domain, sizes, g, k, steps))
 
 
-def _attempts(domain: Domain, refinements: int, mesh: Callable[[float, int], MeshArrays]) -> MeshArrays:
-    """The first mesh that comes out sound, with slower and slower growth of sizes, in the end by Netgen alone."""
+def _attempts(domain: Domain, grading: float, refinements: int, mesh: Callable[[float, int], MeshArrays]) -> MeshArrays:
+    """The first mesh that comes out sound.
+
+    Where Netgen fails, slower growth of sizes (which only makes the mesh finer) often helps; in the end no refinement.
+    """
     why: Exception | None = None
     for factor, k in ((1.0, refinements), (0.7, refinements), (0.7, 0), (0.5, 0)):
         try:
-            return mesh(factor * _GRADING, k)
+            return mesh(factor * grading, k)
         except (netgen.meshing.NgException, RuntimeError, ValueError) as error:
             why = error
     raise ValueError(f"Netgen could not mesh {domain!r} by the given sizes ({why}); start from a finer mesh, or take "
@@ -134,16 +140,18 @@ def _attempts(domain: Domain, refinements: int, mesh: Callable[[float, int], Mes
 
 def _plane_or_box(domain: Domain, sizes: PointSizes, grading: float, refinements: int, steps: int) -> MeshArrays:
     lower, scale = extent(domain)
-    mesh = one_mesh(domain, lower, scale, {}, sizes.options(lower, scale, grading, refinements, steps), refinements)
+    options = sizes.options(lower, scale, grading, refinements, steps)
+    mesh = one_mesh(domain, lower, scale, {}, options, refinements, draft=True)
     return finished(domain, mesh) if isinstance(domain, Outline) else with_source(mesh)
 
 
-def _step(domain: StepFile, sizes: PointSizes | Mapping[str, PointSizes], refinements: int, steps: int) -> MeshArrays:
+def _step(domain: StepFile, sizes: PointSizes | Mapping[str, PointSizes], grading: float, refinements: int, steps: int
+          ) -> MeshArrays:
     shapes = step_shapes(domain)
     meshes = {}
     for (body, shape), own in zip(shapes.items(), per_body("sizes", sizes, list(shapes)).values(), strict=True):
         checks.instance(f"sizes[{body!r}]", own, PointSizes)
-        meshes[body] = _attempts(domain, refinements,
+        meshes[body] = _attempts(domain, grading, refinements,
                                  lambda g, k, shape=shape, own=own: with_source(_shape(*shape, own, g, k, steps)))
     return merged(meshes)
 
