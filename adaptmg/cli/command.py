@@ -153,7 +153,8 @@ def adapt(
         if as_json:
             _say(json.dumps(adaptive.summary(steps, files), indent=2, allow_nan=False))
         else:
-            _say("\n".join([*told, steps[-1].outcome, "", repr(steps[-1].result), *(f"wrote {file}" for file in files)]))
+            last = steps[-1]
+            _say("\n".join([*told, last.outcome, "", repr(last.result), *(f"wrote {file}" for file in files)]))
 
 
 @contextmanager

@@ -108,7 +108,7 @@ def _parts(problem: ContactProblem, indicator: Any, mark: Any, engine: Any) -> t
 
     if engine is None:
         if problem.domain is None:
-            from adaptmg.estimate.bisect import Bisect as Default
+            from adaptmg.estimate.bisect_engine import Bisect as Default
         else:
             from adaptmg.estimate.remesh import Remesh as Default
         engine = Default()

@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
-
-import numpy as np
 
 from adaptmg.discretisation.load_steps import load_steps
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.problem import ContactProblem, LoadPath
-from adaptmg.problem.load_path import name_in_path
-from adaptmg.problem.loads import Load, Pressure, Support
+from adaptmg.problem import LoadPath, step_problem
 from adaptmg.solver.history.path_result import PathResult
 
-__all__ = ["estimated_step", "posed_at", "scaled_problem"]
-
-
-def scaled_problem(problem: ContactProblem, factors: Mapping[str, float]) -> ContactProblem:
-    """The problem with loads and prescribed displacements times the factors of a load step, by their names."""
-    return replace(problem, loads=tuple(_scaled(load, factors.get(name_in_path(load), 1.0)) for load in problem.loads),
-                   supports=tuple(_moved(one, factors.get(name_in_path(one), 1.0)) for one in problem.supports))
+__all__ = ["estimated_step", "posed_at"]
 
 
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
@@ -45,7 +34,7 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     if k > 0:
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
     posed = finest.posing(discrete.with_step(loads.load(factors), loads.fixed_values(factors), reference))
-    return replace(hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=scaled_problem(problem, factors))
+    return replace(hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors))
 
 
 def estimated_step(hierarchy: Hierarchy, path: LoadPath, results: PathResult, adapt_on: str,
@@ -57,23 +46,3 @@ def estimated_step(hierarchy: Hierarchy, path: LoadPath, results: PathResult, ad
     if not found:
         raise ValueError("load_path: nothing moves in any of its steps, so there is nothing to refine for")
     return max(found, key=lambda pair: float(pair[1].squares.sum()))
-
-
-def _times(factor: float, value: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np.ndarray:
-    return factor * np.asarray(value(points))
-
-
-def _product(factor: float, value: Any) -> Any:
-    """A number or function of position times a factor."""
-    return partial(_times, factor, value) if callable(value) else factor * value
-
-
-def _scaled(load: Load, factor: float) -> Load:
-    if isinstance(load, Pressure):
-        return replace(load, value=_product(factor, load.value))
-    return replace(load, components=tuple(_product(factor, value) for value in load.components))
-
-
-def _moved(support: Support, factor: float) -> Support:
-    values = {name: getattr(support, name) for name in "xyz"}
-    return replace(support, **{name: factor * value for name, value in values.items() if value is not None})

@@ -1,8 +1,9 @@
 """LoopStore: the finished steps of an adaptive loop in a folder, so that a loop that was killed goes on where it was.
 
 ``loop.json`` says what the steps belong to. A step is a Result (``step_0003.npz``, its mesh inside), an estimate
-(``estimate_0003.npz``), meshes that were put between levels (``mesh_0003_0.npz``), and at last ``step_0003.json``,
-which makes it complete: it names the levels, and the checksum of each file. Every file is written whole or not at all.
+(``estimate_0003.npz``), of a bisected mesh its history (``history_0003.npz``), meshes that were put between levels
+(``mesh_0003_0.npz``), and at last ``step_0003.json``, which makes it complete: it names the levels, and the checksum of
+each file. Every file is written whole or not at all.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import os
 import re
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ import numpy as np
 
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.bisection.refinement import Refinement, with_refinement
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder, write_bytes
 from adaptmg.solver.history.path_result import PathResult
@@ -124,7 +126,11 @@ class LoopStore:
             arrays = {name: getattr(mesh, name) for name in _MESH}
             names.append(self._write(f"mesh_{number:04d}_{k}.npz", arrays, boundaries=mesh.boundaries,
                                      bodies=mesh.bodies))
-        e = step.estimate
+        e, history = step.estimate, step.result.mesh.refinement
+        if history is not None:
+            # bisection goes on from it
+            arrays = {part.name: getattr(history, part.name) for part in fields(history)}
+            names.append(self._write(f"history_{number:04d}.npz", arrays))
         names.append(self._write(f"estimate_{number:04d}.npz", {"squares": e.squares}, norm=e.norm,
                                  indicator=e.indicator, terms=dict(e.terms), value=_plain(e.value),
                                  signed=_plain(e.signed), energy_error=_plain(e.energy_error)))
@@ -133,8 +139,8 @@ class LoopStore:
             # what a process that was killed may have left
             shutil.rmtree(folder, ignore_errors=True)
             step.path.save(folder)
-        said = {"levels": step.levels, "extra": len(step.extra), "path": step.path is not None,
-                "timings": step.timings, **step.numbers,
+        said = {"levels": step.levels, "extra": len(step.extra), "history": history is not None,
+                "path": step.path is not None, "timings": step.timings, **step.numbers,
                 "files": {name: _checksum(self.folder / name) for name in names}}
         write_bytes(self._file(number, "step", "json"), json.dumps(said, indent=1).encode())
 
@@ -161,7 +167,11 @@ class LoopStore:
             extra = [self._mesh(f"mesh_{number:04d}_{k}.npz") for k in range(said["extra"])]
             arrays, meta = self._arrays(f"estimate_{number:04d}.npz")
             path = PathResult.load(self.folder / f"path_{number:04d}") if said["path"] else None
-            return StoredStep(Result.load(self._file(number, "step", "npz")), Estimate(**arrays, **meta),
+            result = Result.load(self._file(number, "step", "npz"))
+            if said["history"]:
+                history = Refinement(**self._arrays(f"history_{number:04d}.npz")[0])
+                result = replace(result, mesh=with_refinement(result.mesh, history))
+            return StoredStep(result, Estimate(**arrays, **meta),
                               _levels(said["levels"], number), extra, {name: float(said[name]) for name in _NUMBERS},
                               {name: float(value) for name, value in said["timings"].items()}, path)
         except (*DAMAGES, OSError) as error:
