@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from adaptmg.plot.adaptation import adaptation
+    from adaptmg.plot.adaptive_loop import adaptation
     from adaptmg.plot.bodies.deformation import deformation
     from adaptmg.plot.contact_surfaces.contact import contact
     from adaptmg.plot.contact_surfaces.load_history import load_history
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from adaptmg.plot.posed.problem import problem
     from adaptmg.plot.way import path
 
-_WHERE = {"adaptation": "adaptation", "contact": "contact_surfaces.contact", "deformation": "bodies.deformation",
+_WHERE = {"adaptation": "adaptive_loop", "contact": "contact_surfaces.contact", "deformation": "bodies.deformation",
           "grids": "meshes", "history": "convergence", "load_history": "contact_surfaces.load_history",
           "mesh": "meshes", "path": "way", "problem": "posed.problem"}
 
