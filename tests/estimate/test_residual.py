@@ -216,7 +216,7 @@ def test_forces_of_another_unit_scale_the_estimate():
 def test_steps_of_a_load_path_are_estimated_under_their_own_loads(solved):
     grids = solved[0]
     path = am.solve_path(grids, am.LoadPath({"top": [1.0, 1.0], "left": [0.3, 1.0]}), EXACT)
-    with pytest.raises(ValueError, match="other loads than those of hierarchy.problem"):
+    with pytest.raises(ValueError, match="other loads than those of hierarchy"):
         am.Residual().indicate(grids, path[0])
     step = dataclasses.replace(grids, problem=step_problem(grids.problem, {"left": 0.3}))
     again = am.Hierarchy.uniform(am.cases.greco_bar(side_pressure=4.5e7), divisions=(4, 8, 16))
@@ -241,7 +241,7 @@ def test_what_cannot_be_estimated_is_refused(solved):
             indicator.indicate(grids.truncated(finest=1), result)
         broken = result.displacement.copy()
         broken[7, 1] = np.nan
-        with pytest.raises(ValueError, match="must be finite.* at node 7"):
+        with pytest.raises(ValueError, match=r"must be finite.* at node 7"):
             indicator.indicate(grids, dataclasses.replace(result, displacement=broken))
         spoilt = dataclasses.replace(result.contact, force_n=np.full(len(result.contact), np.nan))
         if isinstance(indicator, am.Residual):
