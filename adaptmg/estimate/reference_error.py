@@ -9,7 +9,8 @@ the reference's mesh would have another energy wherever elements overlap.
 
 For u stands the reference :math:`u_H`. By Galerkin orthogonality (exact for nested spaces without contact)
 :math:`\|u - u_h\|^2 \approx \|u_H - u_h\|^2 + \|u - u_H\|^2`, so that the reference's own error is added; unless it is
-given it is estimated by :class:`~adaptmg.estimate.recovery.Recovery`.
+given it is estimated by :class:`~adaptmg.estimate.recovery.Recovery`. Measured on exact solutions the result is right
+to .4 times the square of the quotient of both errors: 2 % against a reference of four times less error.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ import numpy as np
 
 from adaptmg.discretisation.elasticity import stiffness
 from adaptmg.discretisation.loads import load_vector
-from adaptmg.discretisation.supports import fixed_dofs
 from adaptmg.estimate.fields.posed import posed
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.hierarchy import Hierarchy
@@ -77,7 +77,7 @@ class Reference:
     forces : mapping of str to (n, dim) array
         These forces, on the body, N.
     prescribed : mapping of str to (n, dim) array
-        What supports prescribe there, m; NaN where nothing.
+        Constants that supports prescribe there, m; NaN elsewhere.
     """
 
     problem: ContactProblem
@@ -104,8 +104,7 @@ class Reference:
             own_error = Recovery().indicate(hierarchy, result).total
         mesh = this.mesh
         forces = _exerted(this.discrete.fixed.reshape(-1, mesh.dim), result)
-        fixed, values = (part.reshape(-1, mesh.dim) for part in fixed_dofs(mesh, this.problem.supports))
-        prescribed = np.where(fixed, values, np.nan)
+        prescribed = _constants(this.problem, mesh)
         points, of_body, given = {}, {}, {}
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
@@ -144,8 +143,8 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     Raises
     ------
     ValueError
-        Without a mesh, for other bodies, or where the squared error comes out negative: the reference is no better than
-        the result.
+        Without a mesh, for other bodies, or where the squared error comes out negative: the reference is no better
+        than the result.
     """
     if not isinstance(reference, Reference):
         reference = Reference.of(*reference)
@@ -179,6 +178,20 @@ def _exerted(fixed: np.ndarray, result: Result) -> np.ndarray:
     np.add.at(forces, contact.master_node, contact.master_force)
     # a support bears what contact does not, whatever both exert at one node
     return np.where(fixed, result.reaction, forces)
+
+
+def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
+    """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same on all meshes, m.
+
+    NaN elsewhere: of a function of position a coarse mesh has its own interpolant.
+    """
+    result = np.full(mesh.points.shape, np.nan)
+    for support in problem.supports:
+        nodes = mesh.boundary_nodes(support.boundary)
+        for d, value in enumerate(support.components(mesh.dim)):
+            if value is not None and not callable(value):
+                result[nodes, d] = value
+    return result
 
 
 def _displacement_in(mesh: MeshArrays, body: str, u: np.ndarray, points: np.ndarray) -> np.ndarray:

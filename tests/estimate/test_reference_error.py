@@ -15,7 +15,7 @@ SOLVER = am.FullMultigrid(rtol=1e-9)
 
 def on(problem, meshes):
     grids = am.Hierarchy.from_meshes(problem, meshes)
-    return grids, am.solve(grids, SOLVER)
+    return grids, am.solve(grids, SOLVER if len(grids) > 1 else am.ActiveSet(rtol=1e-10))
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +34,14 @@ def test_errors_are_the_exact_ones(transition):
               on(grids.problem, [am.mesh.graded(domain, 0.1, ("bottom",), 2.0)])[1]]
     for result in solved:
         exact, found = field.energy_error(result), energy_error(reference, result)
-        assert found.absolute == pytest.approx(exact.absolute, rel=0.01)
-        assert found.relative == pytest.approx(exact.relative, rel=0.01)
+        # of second order in the quotient of the two errors: measured .35 times its square, nested 1e-3
+        known = 0.5 * (found.allowance / found.absolute)**2
+        assert found.absolute == pytest.approx(exact.absolute, rel=known)
+        assert found.relative == pytest.approx(exact.relative, rel=known)
         assert found.norm == pytest.approx(exact.norm, rel=1e-4)
-        assert 0.5 < found.allowance / (exact.absolute / 4) < 1.1
+        assert 0.2 < found.allowance / exact.absolute < 0.27
+    nested = energy_error(reference, solved[0]).absolute
+    assert nested == pytest.approx(field.energy_error(solved[0]).absolute, rel=1e-3)
 
 
 def test_the_own_error_may_be_given_and_counts(transition):
@@ -89,10 +93,8 @@ def test_what_is_no_reference_is_refused(transition):
     result = am.solve(small, SOLVER)
     worse = Reference.of(small, result, own_error=0.0)
     fine = am.solve(grids.truncated(finest=3), SOLVER)
-    assert energy_error(worse, fine).absolute > 0  # of two solutions the distance
-    low = dataclasses.replace(reference, energy=0.5 * reference.energy)
     with pytest.raises(ValueError, match="several times finer than the result"):
-        energy_error(low, fine)
+        energy_error(worse, fine)
     with pytest.raises(ValueError, match="no mesh"):
         energy_error(reference, dataclasses.replace(result, mesh=None))
     with pytest.raises(ValueError, match="bodies"):
