@@ -44,6 +44,7 @@ _WHERE = {
     "adaptmg.solver.result": ("Result",),
     "adaptmg.solver.result.not_converged": ("NotConverged",),
     "adaptmg.solver.result.status": ("Status",),
+    "adaptmg.estimate.bisect_engine": ("Bisect",),
     "adaptmg.estimate.estimate": ("Estimate",),
     "adaptmg.estimate.remesh": ("Remesh",),
     "adaptmg.estimate.marking": ("Doerfler", "Maximum"),

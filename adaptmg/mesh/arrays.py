@@ -65,6 +65,10 @@ class MeshArrays:
     sound : bool
         Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction: the arrays are
         frozen, so that it need not be checked again.
+    refinement : Refinement or None
+        Of a bisected mesh its history, see :class:`adaptmg.mesh.bisection.refinement.Refinement`: further bisection
+        goes on from it, coarsening takes it back. Pickled, but not saved in a result; a mesh made by
+        ``dataclasses.replace`` has none, and is an initial mesh.
     """
 
     points: np.ndarray
@@ -76,6 +80,7 @@ class MeshArrays:
     bodies: tuple[str, ...] = ("body",)
     source: Any = field(default=None, repr=False)
     sound: bool = field(default=False, init=False, repr=False)
+    refinement: Any = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
@@ -89,7 +94,7 @@ class MeshArrays:
     def __reduce__(self) -> tuple[Any, ...]:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
         return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
-                            self.element_body, self.bodies), {"sound": self.sound}
+                            self.element_body, self.bodies), {"sound": self.sound, "refinement": self.refinement}
 
     def __copy__(self) -> MeshArrays:
         # what is frozen needs no second copy, and a source that nobody has asked for yet is built once

@@ -22,18 +22,16 @@ from netgen.occ import OCCGeometry, Pnt, X, Y, Z
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.build import own_mesh, raw_mesh, with_source
 from adaptmg.mesh.geometry import BOX_SIDES
+from adaptmg.mesh.limits import MAX_NODES
 from adaptmg.mesh.netgen.interruptible import interruptible
 from adaptmg.mesh.netgen.outline import onto_outline, plane_measures, spline_geometry, straight_area
 from adaptmg.mesh.netgen.thin import refuse_thin
 from adaptmg.problem.domains import Box, Domain, Outline
 
-__all__ = ["MAX_NODES", "SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh",
-           "refuse_too_many"]
+__all__ = ["SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh", "refuse_too_many"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 
-# what Netgen makes in about a quarter of an hour (0.2 ms a node in 2D, 0.7 ms in 3D)
-MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 # seconds: several times what meshes of that many nodes take
 _LIMIT_S = {2: 20_000.0, 3: 70_000.0}
 _NODES_PER_CELL = {2: 1.15, 3: 1.4}
