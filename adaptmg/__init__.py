@@ -46,7 +46,7 @@ _WHERE = {
     "adaptmg.solver.result.status": ("Status",),
     "adaptmg.estimate.bisect_engine": ("Bisect",),
     "adaptmg.estimate.estimate": ("Estimate",),
-    "adaptmg.estimate.remesh": ("Remesh",),
+    "adaptmg.estimate.remesh_engine": ("Remesh",),
     "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
     "adaptmg.estimate.residual": ("Residual",),
     "adaptmg.study.study": ("Study",),
