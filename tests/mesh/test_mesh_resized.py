@@ -6,15 +6,17 @@ import math
 
 import numpy as np
 import pytest
+from netgen.occ import Box as OccBox
+from netgen.occ import Compound, Pnt
 
 import adaptmg as am
-from adaptmg.mesh import check_mesh, quality
+from adaptmg.mesh import check_mesh, graded, quality
 from adaptmg.mesh.netgen.resized import PointSizes, resized
 
 PLATE = am.Rectangle(width=0.46, height=0.25, origin=(0.6, 0.2))
 # a quarter of a ring: two arcs
 RING = am.Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("foot", "outer", "side", "inner"),
-                  arcs={1: math.pi / 2, 3: -math.pi / 2})
+                  arcs={1: (0, 0), 3: (0, 0)})
 
 
 def sizes_near(domain, place, smallest, growth, n=40):
@@ -68,9 +70,9 @@ def test_nodes_lie_on_arcs(refinements):
                          ids=["box", "cylinder"])
 def test_solids(domain, refinements):
     place = (0.0, 0.0, 0.0)
-    mesh = check_mesh(resized(domain, sizes_near(domain, place, 3e-3, 0.1, 14), refinements=refinements),
+    mesh = check_mesh(resized(domain, sizes_near(domain, place, 1.5e-3, 0.1, 14), refinements=refinements),
                       domain.boundaries)
-    relative = relative_sizes(mesh, place, 3e-3, 0.1)
+    relative = relative_sizes(mesh, place, 1.5e-3, 0.1)
     assert 0.8 < np.median(relative) < 1.2
     assert np.quantile(relative, 0.01) > 0.5 and np.quantile(relative, 0.99) < 1.6
     assert quality(mesh).min_angle > 10
@@ -88,7 +90,7 @@ def test_the_same_arguments_give_the_same_mesh():
 
 def test_bodies_have_their_own_sizes():
     left, right = am.Rectangle(width=1, height=1), am.Rectangle(width=1, height=1, origin=(1, 0))
-    both = am.Assembly({"left": left, "right": right})
+    both = am.Assembly(parts={"left": left, "right": right})
     uniform = {"left": PointSizes(left.lower[None], [0.5]), "right": PointSizes(right.lower[None], [0.1])}
     mesh = check_mesh(resized(both, uniform))
     assert mesh.bodies == ("left", "right") and "right.top" in mesh.boundaries
@@ -98,11 +100,17 @@ def test_bodies_have_their_own_sizes():
         resized(both, {"left": uniform["left"]})
 
 
-def test_step_files_are_meshed_by_sizes(step_files):
-    solid = am.StepFile(step_files.one)
-    mesh = resized(solid, PointSizes(np.zeros((1, 3)), [0.01]))
-    assert len(mesh.bodies) == 1
-    check_mesh(mesh)
+def test_solids_of_step_files_have_their_own_sizes(tmp_path):
+    path = tmp_path / "two.step"
+    Compound([OccBox(Pnt(0, 0, low), Pnt(20, 20, low + 10)) for low in (0, 10)]).WriteStep(str(path))
+    domain = am.StepFile(path)
+    lower, upper = graded(domain, 10e-3).bodies
+    mesh = check_mesh(resized(domain, {lower: PointSizes(np.zeros((1, 3)), [10e-3]),
+                                       upper: PointSizes(np.zeros((1, 3)), [2.5e-3])}, refinements=1))
+    assert mesh.bodies == (lower, upper)
+    assert mesh.volumes.sum() == pytest.approx(8e-6, rel=1e-9)
+    nodes = [len(np.unique(mesh.elements[mesh.element_body == k])) for k in range(2)]
+    assert nodes[1] > 5 * nodes[0]
 
 
 def test_failures_name_the_argument():
