@@ -28,7 +28,8 @@ from adaptmg.mesh.build import with_source
 from adaptmg.mesh.netgen.generate import extent, one_mesh
 from adaptmg.mesh.netgen.interruptible import interruptible
 from adaptmg.mesh.netgen.outline import finished
-from adaptmg.mesh.netgen.solids import CURVATURE, in_metres, ordered, read_shape, scaled_shape
+from adaptmg.mesh.netgen.shape_arrays import check_volume, in_metres, ordered, read_shape
+from adaptmg.mesh.netgen.solids import CURVATURE, scaled_shape
 from adaptmg.mesh.netgen.step import step_shapes
 from adaptmg.problem import checks
 from adaptmg.problem.domains import Assembly, Domain, Outline, SolidDomain, StepFile
@@ -170,4 +171,6 @@ def _shape(shape: Solid, names: list[str], lower: np.ndarray, scale: float, size
     made = interruptible(OCCGeometry(shape).GenerateMesh, mp=options)
     for _ in range(refinements):
         interruptible(made.Refine)
-    return in_metres(read_shape(ngsolve.Mesh(made), shape.mass), names, lower, scale)
+    unit = read_shape(ngsolve.Mesh(made))
+    check_volume(unit, shape.mass)
+    return in_metres(unit, names, lower, scale)
