@@ -47,6 +47,7 @@ _WHERE = {
     "adaptmg.estimate.estimate": ("Estimate",),
     "adaptmg.estimate.remesh": ("Remesh",),
     "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
+    "adaptmg.estimate.recovery": ("Recovery",),
     "adaptmg.estimate.residual": ("Residual",),
     "adaptmg.study.study": ("Study",),
 }
