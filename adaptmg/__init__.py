@@ -46,6 +46,7 @@ _WHERE = {
     "adaptmg.solver.result.status": ("Status",),
     "adaptmg.estimate.estimate": ("Estimate",),
     "adaptmg.estimate.remesh": ("Remesh",),
+    "adaptmg.estimate.goals": ("ContactForce", "Displacement", "Goal", "GoalEstimate", "MeanDisplacement", "Opening"),
     "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
     "adaptmg.estimate.recovery": ("Recovery",),
     "adaptmg.estimate.residual": ("Residual",),
