@@ -9,8 +9,9 @@ and overestimate the error several times (10 times on meshes by Netgen, where er
 
 R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and friction linearised at
 the solution as in the semismooth Newton method. That the contact zones end elsewhere than in the discrete solution is
-not seen: it is of higher order where the mesh is fine there, and both fields being singular at the ends of the zones,
-the marks refine there.
+not seen by the sum; both fields being singular at the ends of the zones, the marks refine there all the same. Nodes
+where the state changes can be given a part of their own (``transitions``,
+:mod:`adaptmg.estimate.goals.transitions`).
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from adaptmg.estimate.goals.bubbles import edge_bubbles
 from adaptmg.estimate.goals.contact_state import linearised_contact
 from adaptmg.estimate.goals.goal_estimate import GoalEstimate
 from adaptmg.estimate.goals.master_loads import master_work
+from adaptmg.estimate.goals.transitions import transition_changes
 from adaptmg.estimate.goals.view import Functional, GoalView
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
@@ -60,6 +62,9 @@ class Goal:
         Of GMRES, for each.
     direct_below : int
         Up to so many dofs, and where there is one level only, the adjoint problems are solved directly.
+    transitions : float
+        Weight, >= 0, with which the change of the quantity counts among the squares if the contact zones ended one node
+        further or sooner; a term "transitions". On the GRECO bar it gained nothing.
 
     Notes
     -----
@@ -70,6 +75,7 @@ class Goal:
     rtol: float = 1e-4
     max_iterations: int = 100
     direct_below: int = 3000
+    transitions: float = 0.0
 
     def __post_init__(self) -> None:
         for item in self.quantities:
@@ -80,6 +86,7 @@ class Goal:
         object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         checks.integer("max_iterations", self.max_iterations, 1)
         checks.integer("direct_below", self.direct_below, 0)
+        object.__setattr__(self, "transitions", checks.nonnegative("transitions", self.transitions))
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -99,7 +106,7 @@ class Goal:
         Returns
         -------
         GoalEstimate
-            Terms: the sums of squares of each quantity by name.
+            Terms: the sums of squares of each quantity by name, and "transitions".
 
         Raises
         ------
@@ -112,6 +119,8 @@ class Goal:
         this = posed(hierarchy, result)
         view = GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
         wanted = [functional for item in self.quantities for functional in item.functionals(view)]
+        if len({functional.name for functional in wanted}) < len(wanted):
+            raise ValueError(f"quantity: one is given twice, {', '.join(functional.name for functional in wanted)}")
         return self.of_functionals(hierarchy, view, wanted)
 
     def of_functionals(self, hierarchy: Hierarchy, view: GoalView, wanted: list[Functional]) -> GoalEstimate:
@@ -121,12 +130,17 @@ class Goal:
         error, weighted = _bubbles(view, wanted, duals)
         parts = np.abs(np.einsum("gnd,nd->gn", weighted, error.alone)) / sizes[:, None]
         signed = np.einsum("gnd,nd->g", weighted, error.together)
-        squares = [view.bubbles.on_elements(part) for part in parts]
+        squares = {functional.name: view.bubbles.on_elements(part)
+                   for functional, part in zip(wanted, parts, strict=True)}
+        if self.transitions > 0:
+            squares["transitions"] = self.transitions * sum(
+                transition_changes(view, functional, dual.field) / size
+                for functional, dual, size in zip(wanted, duals, sizes, strict=True))
         values = np.array([functional.value for functional in wanted])
         worst = int(np.argmax(np.abs(signed / sizes)))
         several, norm = len(wanted) > 1, view.posed.norm
-        whole = Estimate(squares=np.sum(squares, axis=0), norm=norm, indicator="dual-weighted residuals for "
-                         + _names(wanted), terms=_terms(wanted, squares),
+        whole = Estimate(squares=sum(squares.values()), norm=norm, indicator="dual-weighted residuals for "
+                         + _names(wanted), terms={name: part.sum() for name, part in squares.items()},
                          value=1.0 if several else values[0],
                          signed=float(signed[worst] / sizes[worst]),
                          energy_error=error.energy / norm if norm > 0 else 0.0)
@@ -170,10 +184,3 @@ def _sizes(wanted: list[Functional]) -> np.ndarray:
 
 def _names(wanted: list[Functional]) -> str:
     return wanted[0].name + (f" and {len(wanted) - 1} more" if len(wanted) > 1 else "")
-
-
-def _terms(wanted: list[Functional], squares: list[np.ndarray]) -> dict[str, float]:
-    terms: dict[str, float] = {}
-    for functional, part in zip(wanted, squares, strict=True):
-        terms[functional.name] = terms.get(functional.name, 0.0) + float(part.sum())
-    return terms
