@@ -12,7 +12,16 @@ from typing import Annotated
 import typer
 
 from adaptmg import __version__
-from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
+from adaptmg.cli.choices import (
+    CorrectionName,
+    EngineName,
+    IndicatorName,
+    LawName,
+    LinearName,
+    Shape,
+    SolverName,
+    TransferName,
+)
 from adaptmg.runtime.text import printable
 
 __all__ = ["app", "main"]
@@ -102,6 +111,50 @@ def solve(
     if not result.status.ok:
         _say(f"adaptmg: not converged ({result.status.name}): {result.status.value}", err=True)
         raise typer.Exit(1)
+
+
+@app.command(epilog="Example: adaptmg adapt upset_block --max-nodes 20000 --engine bisect --out results/upset")
+def adapt(
+    case: Annotated[str, typer.Argument(help="Name of a case, see 'adaptmg cases'.")],
+    start: Annotated[float | None, typer.Option(
+        show_default="5e-3", help="Element size of the first mesh, m.")] = None,
+    tolerance: Annotated[float | None, typer.Option(
+        help="Stop when the estimate is so small, relative to the energy norm of the displacement.")] = None,
+    max_nodes: Annotated[int | None, typer.Option(
+        show_default="20000 if no limit is given", help="Nodes at most.")] = None,
+    max_seconds: Annotated[float | None, typer.Option(help="Begin no step after so many seconds.")] = None,
+    engine: Annotated[EngineName, typer.Option(
+        help="Meshes made anew by sizes, or marked elements bisected.")] = EngineName.REMESH,
+    indicator: Annotated[IndicatorName, typer.Option(help="What estimates the error.")] = IndicatorName.RESIDUAL,
+    theta: Annotated[float, typer.Option(help="Share of the estimate whose elements are marked (bisect).")] = 0.5,
+    law: Annotated[LawName | None, typer.Option(show_default="that of the case", help="Contact law.")] = None,
+    friction: Annotated[float | None, typer.Option(help="Coefficient of Coulomb friction.")] = None,
+    limit: Annotated[float | None, typer.Option(help="Tresca limit, Pa.")] = None,
+    out: Annotated[Path | None, typer.Option(
+        help="Directory for the last result (.npz), pictures and a .vtu file.")] = None,
+    store: Annotated[Path | None, typer.Option(
+        help="Directory where every step is kept; a loop that was broken off goes on there.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Solve a case on meshes that follow the error, until a limit is reached: a line a step. Exit code 2: bad input."""
+    with _told():
+        from adaptmg.cli import adaptive, work
+        from adaptmg.cli.progress import watched_loop
+
+        folder = None if out is None else work.out_folder(out)
+        problem = work.problem_of(case, law, friction, limit)
+        told: list[str] = []
+        with watched_loop() as progress:
+            # lines would run into the bar: they wait until it has gone
+            say = told.append if as_json or progress is not None else _say
+            steps = adaptive.stepped(problem, 5e-3 if start is None else start, indicator, engine, theta,
+                                     adaptive.limits(tolerance, max_nodes, max_seconds), store, progress, say)
+        files = [] if folder is None else adaptive.write(folder, problem, steps)
+        if as_json:
+            _say(json.dumps(adaptive.summary(steps, files), indent=2, allow_nan=False))
+        else:
+            last = steps[-1]
+            _say("\n".join([*told, last.outcome, "", repr(last.result), *(f"wrote {file}" for file in files)]))
 
 
 @contextmanager

@@ -6,12 +6,13 @@ import logging
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.logging import RichHandler
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-__all__ = ["watched"]
+__all__ = ["watched", "watched_loop"]
 
 Callback = Callable[[dict[str, float]], None]
 
@@ -53,6 +54,42 @@ def _advance(bar: Progress, rtol: float) -> Callback:
                 bar.update(task, total=total, completed=min(max(math.log10(first[0] / error), 0.0), total),
                            description=f"cycle {row['cycle']}, error {error:.1e}")
                 return
+
+    return callback
+
+
+@contextmanager
+def watched_loop() -> Iterator[Callable[[dict[str, Any]], None] | None]:
+    """Show log and progress of an adaptive loop inside: nodes, estimate, and when it should end.
+
+    Yields
+    ------
+    callable or None
+        ``progress`` for :func:`adaptmg.adapt`; None where standard error is no terminal.
+    """
+    console = Console(stderr=True)
+    with _logged(console):
+        if not console.is_terminal:
+            yield None
+            return
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[end]}"))
+        with Progress(*columns, console=console, transient=True) as bar:
+            yield _advance_loop(bar)
+
+
+def _advance_loop(bar: Progress) -> Callable[[dict[str, Any]], None]:
+    """Fill the bar by the seconds used of those expected."""
+    task = bar.add_task("first mesh", total=None, end="")
+
+    def callback(row: dict[str, Any]) -> None:
+        words = f"step {row['step']}: {row['phase']}, {row['nodes']} nodes"
+        if math.isfinite(row["estimate"]):
+            words += f", estimate {row['estimate']:.2%}"
+        expected = row["expected_seconds"]
+        if math.isfinite(expected) and expected > 0:
+            bar.update(task, total=expected, completed=min(row["seconds"], expected),
+                       end=f"about {max(expected - row['seconds'], 0.0):.0f} s more")
+        bar.update(task, description=words)
 
     return callback
 

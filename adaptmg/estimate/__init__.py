@@ -5,6 +5,9 @@ from __future__ import annotations
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.marking import Doerfler, Maximum
 from adaptmg.estimate.recovery import Recovery
+from adaptmg.estimate.reference_error import EnergyError, Reference, energy_error
 from adaptmg.estimate.residual import Residual
+from adaptmg.estimate.tractions import BoundaryTractions, boundary_tractions
 
-__all__ = ["Doerfler", "Estimate", "Maximum", "Recovery", "Residual"]
+__all__ = ["BoundaryTractions", "Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Residual",
+           "boundary_tractions", "energy_error"]

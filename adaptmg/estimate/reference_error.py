@@ -9,7 +9,8 @@ the reference's mesh would have another energy wherever elements overlap.
 
 For u stands the reference :math:`u_H`. By Galerkin orthogonality (exact for nested spaces without contact)
 :math:`\|u - u_h\|^2 \approx \|u_H - u_h\|^2 + \|u - u_H\|^2`, so that the reference's own error is added; unless it is
-given it is estimated by :class:`~adaptmg.estimate.recovery.Recovery`.
+given it is estimated by :class:`~adaptmg.estimate.recovery.Recovery`. Measured on exact solutions the result is right
+to .4 times the square of the quotient of both errors: 2 % against a reference of four times less error.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ import numpy as np
 
 from adaptmg.discretisation.elasticity import stiffness
 from adaptmg.discretisation.loads import load_vector
-from adaptmg.discretisation.supports import fixed_dofs
 from adaptmg.estimate.fields.posed import posed
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.hierarchy import Hierarchy
@@ -34,6 +34,8 @@ __all__ = ["EnergyError", "Reference", "energy_error"]
 
 # of the largest force: what the solver leaves at free nodes is none
 _IDLE = 1e-12
+# of the energy: its differences are not known better, with solutions to a relative 1e-8
+_RESOLVED = 1e-8
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class Reference:
     forces : mapping of str to (n, dim) array
         These forces, on the body, N.
     prescribed : mapping of str to (n, dim) array
-        What supports prescribe there, m; NaN where nothing.
+        Constants that supports prescribe there, m; NaN elsewhere.
     """
 
     problem: ContactProblem
@@ -102,8 +104,7 @@ class Reference:
             own_error = Recovery().indicate(hierarchy, result).total
         mesh = this.mesh
         forces = _exerted(this.discrete.fixed.reshape(-1, mesh.dim), result)
-        fixed, values = (part.reshape(-1, mesh.dim) for part in fixed_dofs(mesh, this.problem.supports))
-        prescribed = np.where(fixed, values, np.nan)
+        prescribed = _constants(this.problem, mesh)
         points, of_body, given = {}, {}, {}
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
@@ -137,12 +138,13 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     Returns
     -------
     EnergyError
+        As a difference of energies it is blind below 1e-4 of the norm or so, where it may be 0.
 
     Raises
     ------
     ValueError
-        Without a mesh, for other bodies, or where the reference is not better than the result by more than rounding
-        leaves.
+        Without a mesh, for other bodies, or where the squared error comes out negative: the reference is no better
+        than the result.
     """
     if not isinstance(reference, Reference):
         reference = Reference.of(*reference)
@@ -158,6 +160,8 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     u = result.displacement.reshape(-1)
     own = float(u @ (stiffness(mesh, reference.problem.material) @ u))
     squared = reference.energy - 2 * reference.against(result) + own + reference.own_error**2
+    if -_RESOLVED * reference.energy <= squared < 0:
+        squared = 0.0
     if not squared >= 0:
         raise ValueError(f"the squared error comes out as {squared:.3g} N m, that of the reference as "
                          f"{reference.own_error**2:.3g}: the reference must be several times finer than the result, "
@@ -174,6 +178,20 @@ def _exerted(fixed: np.ndarray, result: Result) -> np.ndarray:
     np.add.at(forces, contact.master_node, contact.master_force)
     # a support bears what contact does not, whatever both exert at one node
     return np.where(fixed, result.reaction, forces)
+
+
+def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
+    """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same on all meshes, m.
+
+    NaN elsewhere: of a function of position a coarse mesh has its own interpolant.
+    """
+    result = np.full(mesh.points.shape, np.nan)
+    for support in problem.supports:
+        nodes = mesh.boundary_nodes(support.boundary)
+        for d, value in enumerate(support.components(mesh.dim)):
+            if value is not None and not callable(value):
+                result[nodes, d] = value
+    return result
 
 
 def _displacement_in(mesh: MeshArrays, body: str, u: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -1,22 +1,26 @@
 """Remesh: the next mesh of an adaptive loop made anew by Netgen, with sizes that equilibrate the error.
 
 Each mesh is independent of the one before: not nested in it, coarser where the error is small, with nodes on the
-curves of the domain. Sizes come from :mod:`adaptmg.estimate.equilibration`.
+curves of the domain. Sizes come from :mod:`adaptmg.estimate.sizes.equilibration`.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
-from adaptmg.estimate.equilibration import equilibrated_sizes
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.intermediate import mean_sizes
-from adaptmg.estimate.size_field import SizeField
+from adaptmg.estimate.sizes.equilibration import NodeCount, equilibrated_sizes
+from adaptmg.estimate.sizes.intermediate import mean_sizes
+from adaptmg.estimate.sizes.size_field import SizeField
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem, checks
 
 __all__ = ["Remesh"]
+
+# share of the nodes by which a mesh may miss the expected number without being made again
+_MISSED = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class Remesh:
@@ -87,12 +91,24 @@ class Remesh:
         wanted = self.growth * mesh.n_nodes
         if max_nodes is not None:
             wanted = min(wanted, checks.integer("max_nodes", max_nodes, 1))
+        made, expected = self._equilibrated(problem, mesh, estimate, wanted)
+        if not abs(made.n_nodes - expected) <= _MISSED * expected:
+            # mostly coarse meshes in 3D, which follow sizes badly and cost little
+            again, _ = self._equilibrated(problem, mesh, estimate, wanted * expected / made.n_nodes)
+            made = min(made, again, key=lambda new: abs(math.log(new.n_nodes / expected)))
+        return made
+
+    def _equilibrated(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, wanted: float
+                      ) -> tuple[MeshArrays, float]:
+        """A mesh of about the wanted number of nodes, and how many were expected from its sizes."""
         sizes = equilibrated_sizes(mesh, estimate.squares, wanted, finest=self.finest, coarsest=self.coarsest,
                                    growth=self.gradation / 2**self.refinements)
-        return self.mesh(problem, SizeField(mesh, sizes))
+        return self.mesh(problem, SizeField(mesh, sizes)), NodeCount(mesh)(sizes)
 
     def intermediate(self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays) -> MeshArrays:
-        """A mesh between two others, for levels whose sizes differ too much (:mod:`adaptmg.estimate.intermediate`).
+        """A mesh between two others, for levels whose sizes differ too much.
+
+        See :mod:`adaptmg.estimate.sizes.intermediate`.
 
         Parameters
         ----------
@@ -117,7 +133,8 @@ class Remesh:
         # a plane mesh that Netgen makes whole is finer than the places of the old nodes
         samples = field.samples(dense=field.mesh.dim == 2 and self.refinements == 0)
         sizes = {body: PointSizes(*given) for body, given in samples.items()}
-        return resized(problem.domain, sizes if len(sizes) > 1 else sizes.popitem()[1], refinements=self.refinements)
+        return resized(problem.domain, sizes if len(sizes) > 1 else sizes.popitem()[1], grading=self.gradation,
+                       refinements=self.refinements)
 
 
 def need_domain(problem: ContactProblem) -> None:

@@ -20,20 +20,18 @@ from netgen.occ import Box as OccBox
 from netgen.occ import OCCGeometry, Pnt, X, Y, Z
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import own_mesh, with_source
+from adaptmg.mesh.build import own_mesh, raw_mesh, with_source
 from adaptmg.mesh.geometry import BOX_SIDES
+from adaptmg.mesh.limits import MAX_NODES
 from adaptmg.mesh.netgen.interruptible import interruptible
 from adaptmg.mesh.netgen.outline import onto_outline, plane_measures, spline_geometry, straight_area
 from adaptmg.mesh.netgen.thin import refuse_thin
 from adaptmg.problem.domains import Box, Domain, Outline
 
-__all__ = ["MAX_NODES", "SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh",
-           "refuse_too_many"]
+__all__ = ["SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh", "refuse_too_many"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 
-# what Netgen makes in about a quarter of an hour (0.2 ms a node in 2D, 0.7 ms in 3D)
-MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 # seconds: several times what meshes of that many nodes take
 _LIMIT_S = {2: 20_000.0, 3: 70_000.0}
 _NODES_PER_CELL = {2: 1.15, 3: 1.4}
@@ -89,7 +87,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
             for (x, y, z), h in zip(places.tolist(), (wanted[small] / scale).tolist(), strict=True):
                 options.RestrictH(x, y, z, h)
         sides = {name: h / scale for name, h in side_sizes.items()}
-        mesh = one_mesh(domain, lower, scale, sides, options)
+        mesh = one_mesh(domain, lower, scale, sides, options, draft=step < rounds)
     return with_source(mesh)
 
 
@@ -132,17 +130,18 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
 
 
 def one_mesh(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],
-             options: netgen.meshing.MeshingParameters, refinements: int = 0) -> MeshArrays:
+             options: netgen.meshing.MeshingParameters, refinements: int = 0, *, draft: bool = False) -> MeshArrays:
     """One call of Netgen on the scaled domain, all elements then cut in four (3D: eight) ``refinements`` times.
 
-    The mesh in m, without source; see :func:`netgen_mesh` for the names of its boundaries.
+    The mesh in m, without source; see :func:`netgen_mesh` for the names of its boundaries. A ``draft`` is not checked
+    but for its area or volume.
     """
     try:
         geometry = (_box if isinstance(domain, Box) else spline_geometry)(domain, lower, scale, sides)
         made = interruptible(geometry.GenerateMesh, mp=options, limit=_LIMIT_S[domain.dim])
         for _ in range(refinements):
             interruptible(made.Refine)
-        unit = own_mesh(ngsolve.Mesh(made))
+        unit = (raw_mesh if draft else own_mesh)(ngsolve.Mesh(made))
     except (netgen.meshing.NgException, ValueError, RuntimeError) as error:
         raise ValueError(f"Netgen could not mesh {domain!r} ({error}); change the sizes a little or take a smaller "
                          "grading") from error

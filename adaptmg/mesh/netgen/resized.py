@@ -9,27 +9,31 @@ more slowly.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import netgen.meshing
+import ngsolve
 import numpy as np
+from netgen.occ import OCCGeometry, Solid
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import merged, per_body
 from adaptmg.mesh.build import with_source
 from adaptmg.mesh.netgen.generate import extent, one_mesh
+from adaptmg.mesh.netgen.interruptible import interruptible
 from adaptmg.mesh.netgen.outline import finished
+from adaptmg.mesh.netgen.solids import CURVATURE, in_metres, ordered, read_shape, scaled_shape
+from adaptmg.mesh.netgen.step import step_shapes
 from adaptmg.problem import checks
 from adaptmg.problem.domains import Assembly, Domain, Outline, SolidDomain, StepFile
 
 __all__ = ["PointSizes", "resized"]
 
-# Netgen's default growth of sizes; where it fails, slower growth (which only makes the mesh finer) often helps
-_GRADING = 0.3
-_ATTEMPTS = (1.0, 0.7, 0.5)
-# Netgen takes no notice of sizes within 1.2 of what it knows: told twice, it keeps to within a tenth either way
-_PASSES = (1.0, 0.91)
+# Netgen takes no notice of sizes within 1.2 of what it knows: told twice, it keeps to within a tenth either way; its
+# tetrahedra are smaller than asked for anyway
+_PASSES = {2: (1.0, 0.91), 3: (1.0,)}
 _STEPS = {2: "optsteps2d", 3: "optsteps3d"}
 
 
@@ -66,16 +70,17 @@ class PointSizes:
         # Netgen's threads spend more time waiting than the work takes
         options = netgen.meshing.MeshingParameters(maxh=factor * largest, grading=grading, parallel_meshing=False,
                                                    **{_STEPS[self.points.shape[1]]: steps})
-        places = np.zeros((len(self.points), 3))
-        places[:, :self.points.shape[1]] = (self.points - lower) / scale
-        for share in _PASSES:
-            for (x, y, z), h in zip(places.tolist(), (share * factor * self.sizes).tolist(), strict=True):
-                options.RestrictH(x, y, z, h)
+        places = np.zeros((3, len(self.points)))
+        places[:self.points.shape[1]] = ((self.points - lower) / scale).T
+        # lists of numbers, column by column: a list a point would keep the garbage collector busy
+        columns = places.tolist()
+        for share in _PASSES[self.points.shape[1]]:
+            deque(map(options.RestrictH, *columns, (share * factor * self.sizes).tolist()), maxlen=0)
         return options
 
 
-def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, refinements: int = 0, steps: int = 3
-            ) -> MeshArrays:
+def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, grading: float = 0.3,
+            refinements: int = 0, steps: int = 3) -> MeshArrays:
     """Mesh a domain by sizes at points.
 
     Parameters
@@ -84,6 +89,8 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, ref
         What to mesh.
     sizes : PointSizes; of several bodies a mapping of str to these
         For each body.
+    grading : float
+        Growth of the edge length per distance that Netgen allows, above 0 and at most 1.
     refinements : int
         How often a coarser mesh of Netgen is refined uniformly, >= 0 (module docstring).
     steps : int
@@ -100,29 +107,63 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, ref
         On an unknown domain, bodies without sizes, or where Netgen fails.
     """
     refinements, steps = (checks.integer(name, n, 0) for name, n in (("refinements", refinements), ("steps", steps)))
+    grading = checks.positive("grading", grading)
     if isinstance(domain, Assembly):
         mine = per_body("sizes", sizes, domain.bodies)
-        return merged({body: resized(part, mine[body], refinements=refinements, steps=steps)
+        return merged({body: resized(part, mine[body], grading=grading, refinements=refinements, steps=steps)
                        for body, part in domain.parts.items()})
+    if isinstance(domain, StepFile):
+        return _step(domain, sizes, grading, refinements, steps)
     checks.instance("sizes", sizes, PointSizes)
-    if not isinstance(domain, Domain) or isinstance(domain, SolidDomain | StepFile):
-        raise TypeError(f"domain must be a plane domain, a Box or an Assembly of these, got {domain!r}")
-    return _attempts(domain, lambda grading: _body(domain, sizes, grading, refinements, steps))
+    if isinstance(domain, SolidDomain):
+        shape = scaled_shape(domain)
+        return _attempts(domain, grading, refinements, lambda g, k: ordered(domain, _shape(*shape, sizes, g, k, steps)))
+    if not isinstance(domain, Domain):
+        raise TypeError(f"domain must be a plane domain, a solid, an Assembly of these or a StepFile, got {domain!r}")
+    return _attempts(domain, grading, refinements, lambda g, k: _plane_or_box(domain, sizes, g, k, steps))
 
 
-def _attempts(domain: Domain, mesh: Callable[[float], MeshArrays]) -> MeshArrays:
-    """The first mesh that Netgen makes, with slower and slower growth of sizes."""
-    why: ValueError | None = None
-    for factor in _ATTEMPTS:
+def _attempts(domain: Domain, grading: float, refinements: int, mesh: Callable[[float, int], MeshArrays]) -> MeshArrays:
+    """The first mesh that comes out sound.
+
+    Where Netgen fails, slower growth of sizes (which only makes the mesh finer) often helps; in the end no refinement.
+    """
+    why: Exception | None = None
+    for factor, k in ((1.0, refinements), (0.7, refinements), (0.7, 0), (0.5, 0)):
         try:
-            return mesh(factor * _GRADING)
-        except ValueError as error:
+            return mesh(factor * grading, k)
+        except (netgen.meshing.NgException, RuntimeError, ValueError) as error:
             why = error
-    raise ValueError(f"{domain!r} could not be meshed by the given sizes: {why}") from why
+    raise ValueError(f"Netgen could not mesh {domain!r} by the given sizes ({why}); start from a finer mesh, or take "
+                     "a smaller gradation") from why
 
 
-def _body(domain: Domain, sizes: PointSizes, grading: float, refinements: int, steps: int) -> MeshArrays:
-    """One plane domain or box."""
+def _plane_or_box(domain: Domain, sizes: PointSizes, grading: float, refinements: int, steps: int) -> MeshArrays:
     lower, scale = extent(domain)
-    mesh = one_mesh(domain, lower, scale, {}, sizes.options(lower, scale, grading, refinements, steps), refinements)
+    options = sizes.options(lower, scale, grading, refinements, steps)
+    mesh = one_mesh(domain, lower, scale, {}, options, refinements, draft=True)
     return finished(domain, mesh) if isinstance(domain, Outline) else with_source(mesh)
+
+
+def _step(domain: StepFile, sizes: PointSizes | Mapping[str, PointSizes], grading: float, refinements: int, steps: int
+          ) -> MeshArrays:
+    shapes = step_shapes(domain)
+    meshes = {}
+    for (body, shape), own in zip(shapes.items(), per_body("sizes", sizes, list(shapes)).values(), strict=True):
+        checks.instance(f"sizes[{body!r}]", own, PointSizes)
+        meshes[body] = _attempts(domain, grading, refinements,
+                                 lambda g, k, shape=shape, own=own: with_source(_shape(*shape, own, g, k, steps)))
+    return merged(meshes)
+
+
+def _shape(shape: Solid, names: list[str], lower: np.ndarray, scale: float, sizes: PointSizes, grading: float,
+           refinements: int, steps: int) -> MeshArrays:
+    """One scaled shape of OCC."""
+    for i, face in enumerate(shape.faces):
+        face.name = str(i)
+    options = netgen.meshing.MeshingParameters(sizes.options(lower, scale, grading, refinements, steps),
+                                               curvaturesafety=CURVATURE / 2 ** (refinements / 2))
+    made = interruptible(OCCGeometry(shape).GenerateMesh, mp=options)
+    for _ in range(refinements):
+        interruptible(made.Refine)
+    return in_metres(read_shape(ngsolve.Mesh(made), shape.mass), names, lower, scale)

@@ -34,8 +34,10 @@ from adaptmg.mesh.topology import facet_keys, facet_table
 from adaptmg.problem import checks
 from adaptmg.problem.domains import Box, Domain, SolidDomain
 
-__all__ = ["SolidSizes", "shape_mesh", "solid_mesh"]
+__all__ = ["CURVATURE", "SolidSizes", "in_metres", "ordered", "read_shape", "scaled_shape", "shape_mesh", "solid_mesh"]
 
+CURVATURE = 2.0
+"""On curved faces edges are at most their radius of curvature over this, about."""
 _NETGEN_RATIO = 16.0
 # an element is bisected when its size is this many times the wanted one: then it is not halved below 1 / sqrt(2)
 _TOO_LARGE = math.sqrt(2)
@@ -78,7 +80,7 @@ class SolidSizes:
     boundaries: Mapping[str, float] = field(default_factory=dict)
     grading: float = 0.3
     function: float | Callable[[np.ndarray], np.ndarray] | None = None
-    curvature: float = 2.0
+    curvature: float = CURVATURE
 
     def __post_init__(self) -> None:
         for name in ("size", "grading", "curvature"):
@@ -127,7 +129,7 @@ def raised(size: float, floor: float) -> float:
 
 def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[str, float] | None = None,
                grading: float = 0.3, size_function: float | Callable[[np.ndarray], np.ndarray] | None = None, *,
-               curvature: float = 2.0) -> MeshArrays:
+               curvature: float = CURVATURE) -> MeshArrays:
     """Mesh a solid with straight tetrahedra.
 
     Parameters
@@ -169,14 +171,23 @@ def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[s
                              f"the boundaries are {', '.join(domain.boundaries)}")
     refuse_thin(domain, sizes.size, sizes.boundaries)
     refuse_too_many(curved_nodes(domain, sizes.size, sizes.curvature), domain)
+    shape, names, lower, scale = scaled_shape(domain)
+    return ordered(domain, shape_mesh(shape, names, lower, scale, sizes, domain))
+
+
+def scaled_shape(domain: SolidDomain | Box) -> tuple[Solid, list[str], np.ndarray, float]:
+    """OCC's shape of a solid at about unit size, the names of its faces, where its origin lies and its unit, m."""
     lower = domain.lower
     scale = float((domain.upper - lower).max())
     try:
         shape = interruptible(occ_shape, domain, lower, scale)
     except _NETGEN_ERRORS as error:
         raise ValueError(f"OCC could not build {domain!r} ({error}); change its lengths a little") from error
-    names = [face.name for face in shape.faces]
-    mesh = shape_mesh(shape, names, lower, scale, sizes, domain)
+    return shape, [face.name for face in shape.faces], lower, scale
+
+
+def ordered(domain: SolidDomain | Box, mesh: MeshArrays) -> MeshArrays:
+    """The checked mesh with its boundaries in the order of the domain, with source."""
     order = tuple(name for name in domain.boundaries if name in mesh.boundaries)
     labels = np.array([order.index(name) for name in mesh.boundaries])[mesh.facet_labels]
     return with_source(replace(mesh, facet_labels=labels, boundaries=order, source=None))
@@ -233,11 +244,23 @@ def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, 
     else:
         raise ValueError(f"Netgen could not mesh {domain!r} ({why}); change the sizes a little or take a smaller "
                          "grading") from why
+    return in_metres(unit, names, lower, scale)
+
+
+def in_metres(unit: MeshArrays, names: list[str], lower: np.ndarray, scale: float) -> MeshArrays:
+    """The mesh of a scaled shape in m, its faces (called by their numbers so far) with their names; without source."""
     mesh = _in_planes(_placed(unit, lower, scale))
     order = tuple(dict.fromkeys(names))
     faces = np.array([order.index(names[int(face)]) for face in mesh.boundaries])
     return replace(mesh, facet_labels=faces[mesh.facet_labels], boundaries=order, bodies=("body",),
                    source=None)
+
+
+def read_shape(mesh: ngsolve.Mesh, volume: float) -> MeshArrays:
+    """The checked arrays of a mesh of a scaled shape of that volume; ValueError if it is not sound."""
+    unit = _read(mesh)
+    _check_volume(unit, volume)
+    return unit
 
 
 def _read(mesh: ngsolve.Mesh) -> MeshArrays:

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.estimate.equilibration import nodal_sizes, simplex_sizes
-from adaptmg.estimate.gradation import Neighbours, graded_sizes
-from adaptmg.estimate.size_field import SizeField
+from adaptmg.estimate.sizes.equilibration import nodal_sizes, simplex_sizes
+from adaptmg.estimate.sizes.gradation import Neighbours, graded_sizes
+from adaptmg.estimate.sizes.size_field import SizeField
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 

@@ -5,12 +5,14 @@ Linear elements of size h in d dimensions have :math:`\eta_E^2 \sim h^{2+d}`. Eq
 .. math:: \frac{h_{new}}{h} = c\,(\eta_E^2)^{-1/(2+d)}
 
 (L. Y. Li and P. Bettess, Adaptive finite element methods: a review, Appl. Mech. Rev. 50, 1997), kept between two
-bounds, averaged at the nodes (geometric mean over their elements) and graded (:mod:`adaptmg.estimate.gradation`). The
-constant c is found by the secant method, safeguarded by a bracket, for the wanted number of nodes; a mesh of sizes h
-has about
+bounds, averaged at the nodes (geometric mean over their elements) and graded
+(:mod:`adaptmg.estimate.sizes.gradation`). The constant c is found by the secant method, safeguarded by a bracket, for
+the wanted number of nodes. A mesh of sizes h has about
 
-.. math:: N = a_d \int h^{-d}\,dx + b_d \int_{\partial\Omega} h^{1-d}\,ds, \qquad
-          a_2 = 2/\sqrt3,\; b_2 = 1/2,\; a_3 = 1.4,\; b_3 = 0.6 .
+.. math:: N = q \Bigl(a_d \int h^{-d}\,dx + b_d \int_{\partial\Omega} h^{1-d}\,ds\Bigr), \qquad
+          a_2 = 2/\sqrt3,\; b_2 = 1/2,\; a_3 = 1.4,\; b_3 = 0.6
+
+nodes, where q makes it exact for the present mesh.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import math
 
 import numpy as np
 
-from adaptmg.estimate.gradation import Neighbours, graded_sizes
+from adaptmg.estimate.sizes.gradation import Neighbours, graded_sizes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 
@@ -63,6 +65,8 @@ class NodeCount:
         sides = corners[:, 1:] - corners[:, :1]
         measures = np.sqrt(np.linalg.det(sides @ sides.transpose(0, 2, 1))) / (dim - 1)
         self.boundary = measures * (_BOUNDARY[dim] / dim)
+        self.factor = 1.0
+        self.factor = mesh.n_nodes / self(nodal_sizes(mesh, simplex_sizes(mesh)))
 
     def __call__(self, sizes: np.ndarray) -> float:
         """Nodes for the sizes (n_nodes,), m."""
@@ -72,7 +76,8 @@ class NodeCount:
         at = 0.5 * (at + at.mean(axis=1, keepdims=True))
         on = sizes[mesh.facets]
         on = 0.5 * (on + on.mean(axis=1, keepdims=True))
-        return float(self.inside @ (at**-mesh.dim).sum(axis=1) + self.boundary @ (on ** (1 - mesh.dim)).sum(axis=1))
+        inside, boundary = (at**-mesh.dim).sum(axis=1), (on ** (1 - mesh.dim)).sum(axis=1)
+        return self.factor * float(self.inside @ inside + self.boundary @ boundary)
 
 
 def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, *, finest: float = 0.25,

@@ -1,0 +1,108 @@
+"""The loop of a bisection: cut edges of the marked elements, then bisect until no element has a cut edge.
+
+An element with a cut edge is bisected at its own edge, which may cut a further one; so do its children. Whether the
+rest may have a cut edge is asked only of elements two of whose corners were ends of one lately. Each cut edge halves
+elements of some generation, and no element is bisected more than its depth plus that of its neighbours: the loop ends,
+from any conforming mesh (Arnold, Mukherjee, Pouly, theorem 3.1).
+"""
+
+from __future__ import annotations
+
+from adaptmg.mesh.bisection.children import write_children
+from adaptmg.mesh.bisection.tables import HIGH, LOW, STAMP, cut_edge, midpoint_of, roomier
+from adaptmg.runtime.compiled import inner_kernel, kernel
+
+__all__ = ["bisected", "midpoints"]
+
+
+@inner_kernel
+def _has_cut_edge(cells, e, corners, nodes):
+    """Whether an edge of element e is cut; most have no two corners that ever were ends of one."""
+    for i in range(1, corners):
+        a = cells[e, i]
+        if nodes[a, STAMP] >= 0:
+            for j in range(i):
+                b = cells[e, j]
+                if nodes[b, STAMP] >= 0 and midpoint_of(nodes, a, b) >= 0:
+                    return True
+    return False
+
+
+@inner_kernel
+def _touched(cells, e, corners, nodes, since):
+    """Whether two corners of element e were ends of cut edges since some round."""
+    found = 0
+    for i in range(corners):
+        found += nodes[cells[e, i], STAMP] >= since
+    return found > 1
+
+
+@inner_kernel
+def _cut(nodes, n_nodes, a, b, stamp):
+    """Cut the edge (a, b) unless it is cut: its node, the table, which may have grown, and the number of nodes."""
+    p = midpoint_of(nodes, a, b)
+    if p < 0:
+        if n_nodes == len(nodes):
+            nodes = roomier(nodes)
+        p = n_nodes
+        n_nodes += 1
+        cut_edge(nodes, p, a, b, stamp)
+    return p, nodes, n_nodes
+
+
+@kernel
+def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
+    """Bisect the marked elements and what conformity asks for.
+
+    Parameters
+    ----------
+    cells, tree, nodes : (n, width) int32 arrays
+        See :mod:`adaptmg.mesh.bisection.tables`; with or without room for more.
+    n_cells, n_tree, n_nodes : int
+        How many of their rows are used.
+    marked : (n_cells,) array of bool
+        At least one.
+    every_edge : bool
+        Whether all edges of the marked elements are cut, or only the one that is next.
+
+    Returns
+    -------
+    cells, n_cells, tree, n_tree, nodes, n_nodes
+        The tables, changed or grown.
+    """
+    corners = tree.shape[1] - 3
+    stamp = 0
+    for e in range(n_cells):
+        if marked[e]:
+            for i in range(1, corners if every_edge else 2):
+                for j in range(i):
+                    _, nodes, n_nodes = _cut(nodes, n_nodes, cells[e, i], cells[e, j], stamp)
+    going = True
+    while going:
+        stamp += 1
+        nodes_before, cells_before = n_nodes, n_cells
+        e = 0
+        while e < n_cells:
+            # elements made in this round come here for the first time
+            if e >= cells_before or _touched(cells, e, corners, nodes, stamp - 1):
+                while _has_cut_edge(cells, e, corners, nodes):
+                    p, nodes, n_nodes = _cut(nodes, n_nodes, cells[e, 0], cells[e, 1], stamp)
+                    if n_cells == len(cells):
+                        cells = roomier(cells)
+                    if n_tree == len(tree):
+                        tree = roomier(tree)
+                    write_children(cells, e, n_cells, tree, n_tree, p)
+                    n_cells += 1
+                    n_tree += 1
+            e += 1
+        going = n_nodes > nodes_before
+    return cells, n_cells, tree, n_tree, nodes, n_nodes
+
+
+@kernel
+def midpoints(points, n_old, nodes):
+    """Places of the nodes from ``n_old`` on, each halfway between its parents; ``points`` is changed."""
+    for p in range(n_old, len(points)):
+        a, b = nodes[p, LOW], nodes[p, HIGH]
+        for k in range(points.shape[1]):
+            points[p, k] = 0.5 * (points[a, k] + points[b, k])
