@@ -49,7 +49,6 @@ _WHERE = {
     "adaptmg.estimate.loop.adapt": ("adapt",),
     "adaptmg.estimate.loop.step": ("Step",),
     "adaptmg.estimate.remesh_engine": ("Remesh",),
-    "adaptmg.estimate.remesh": ("Remesh",),
     "adaptmg.estimate.goals": ("ContactForce", "Displacement", "Goal", "GoalEstimate", "MeanDisplacement", "Opening"),
     "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
     "adaptmg.estimate.recovery": ("Recovery",),

@@ -114,6 +114,20 @@ def test_levels_that_were_put_between_or_given_at_the_start_come_back(tmp_path):
     assert numbers_of(list(run(tmp_path))) == once
 
 
+def test_goals_come_back_with_all_they_say(tmp_path):
+    problem, goal = upset(), am.Goal(am.Displacement((0.0, 0.02), "x"))
+
+    def run(**options):
+        return am.adapt(problem, 10e-3, goal, engine=am.Bisect(), max_nodes=90, **options)
+
+    once = list(run())
+    next(run(store=tmp_path))
+    again = list(run(store=tmp_path))
+    assert numbers_of(again) == numbers_of(once)
+    assert [repr(step.estimate) for step in again] == [repr(step.estimate) for step in once]
+    assert again[0].estimate.corrected == pytest.approx(once[0].estimate.corrected, abs=0)
+
+
 def test_a_load_path_is_kept(tmp_path):
     problem, path = am.cases.greco_bar(), am.LoadPath({"left": [0.5, 1.0]}, default=1.0)
 

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.loop.estimate_file import estimate_from, plain_estimate
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.refinement import Refinement, with_refinement
 from adaptmg.problem import checks
@@ -131,9 +132,7 @@ class LoopStore:
             # bisection goes on from it
             arrays = {part.name: getattr(history, part.name) for part in fields(history)}
             names.append(self._write(f"history_{number:04d}.npz", arrays))
-        names.append(self._write(f"estimate_{number:04d}.npz", {"squares": e.squares}, norm=e.norm,
-                                 indicator=e.indicator, terms=dict(e.terms), value=_plain(e.value),
-                                 signed=_plain(e.signed), energy_error=_plain(e.energy_error)))
+        names.append(self._write(f"estimate_{number:04d}.npz", {"squares": e.squares}, **plain_estimate(e)))
         folder = self.folder / f"path_{number:04d}"
         if step.path is not None:
             # what a process that was killed may have left
@@ -171,7 +170,7 @@ class LoopStore:
             if said["history"]:
                 history = Refinement(**self._arrays(f"history_{number:04d}.npz")[0])
                 result = replace(result, mesh=with_refinement(result.mesh, history))
-            return StoredStep(result, Estimate(**arrays, **meta),
+            return StoredStep(result, estimate_from(arrays["squares"], meta),
                               _levels(said["levels"], number), extra, {name: float(said[name]) for name in _NUMBERS},
                               {name: float(value) for name, value in said["timings"].items()}, path)
         except (*DAMAGES, OSError) as error:
@@ -200,7 +199,3 @@ def _json(file: Path) -> dict[str, Any]:
 
 def _checksum(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def _plain(value: Any) -> float | None:
-    return None if value is None else float(value)
