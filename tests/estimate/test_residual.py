@@ -107,6 +107,18 @@ def test_axisymmetric_stress_is_balanced_where_it_is_homogeneous_and_not_elsewhe
     np.testing.assert_allclose(found, wanted, rtol=3e-2)
 
 
+def test_an_initial_hoop_strain_is_unbalanced_even_in_a_body_at_rest():
+    mesh, material = square(3), am.Axisymmetric(young=1e9, poisson=0.3)
+    young = np.full(len(mesh.elements), 1e9)
+    data = StressData.of(mesh, material, [am.InitialStrain("body", (1e-3, 5e-4, 4e-3))])
+    found = volume_squares(element_stress(mesh, np.zeros(mesh.points.shape), data), [], young)
+    # sigma_rr - sigma_tt = 2 mu times 3e-3, div sigma = that over r
+    away = mesh.points[mesh.elements, 0].min(axis=1) > 0
+    inverse = np.array([_mean_inverse(*mesh.points[cell]) for cell in mesh.elements[away]])
+    wanted = mesh.element_sizes[away]**2 / 1e9 * mesh.volumes[away] * 2 * np.pi * (6e-3 * material.shear_modulus)**2
+    np.testing.assert_allclose(found[away], wanted * inverse, rtol=1e-3)
+
+
 def _mean(a, b, c, function):
     """Mean of a function over a triangle, by a fine rule."""
     n = 60
@@ -172,6 +184,15 @@ def test_tractions_that_nothing_bears():
     t = force / np.maximum(weights, c.weights)[:, None]
     wanted = sum(h / 3 * (t[i] @ t[i] + t[i] @ t[i + 1] + t[i + 1] @ t[i + 1]) for i in (0, 1))
     assert touching.sum() == pytest.approx(h / 1e11 * wanted, rel=1e-12)
+
+
+def test_tractions_in_space():
+    mesh = cube(2)
+    this = made(mesh, loads=(am.Pressure("rest", 3e7),))
+    still = dataclasses.replace(this.result, displacement=np.zeros(mesh.points.shape))
+    free, _ = boundary_squares(dataclasses.replace(this, result=still))
+    area = 0.02**2 / 2
+    assert free.sum() == pytest.approx(5 * 8 * np.sqrt(2 * area) * area * 9e14 / 1e11, rel=1e-12)
 
 
 def test_nothing_is_estimated_where_the_solution_is_exact():
