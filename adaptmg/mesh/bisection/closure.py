@@ -79,7 +79,8 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
     corners = tree.shape[1] - 3
     # the round in which an edge that ends in a node was last cut, -1: never
     stamps = np.full(len(nodes), -1, dtype=np.int32)
-    stamp = 0
+    # of a type: numba would compile what it calls for a literal 0 as well
+    stamp, first = np.int64(0), np.int64(0)
     for e in range(n_cells):
         if marked[e]:
             for i in range(1, corners if every_edge else 2):
@@ -89,7 +90,7 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
     while going:
         stamp += 1
         nodes_before, cells_before = n_nodes, n_cells
-        e = 0
+        e = first
         while e < n_cells:
             # elements made in this round come here for the first time
             if e >= cells_before or _touched(cells, e, corners, stamps, stamp - 1):

@@ -35,7 +35,10 @@ def columns_of_tree(dim: int) -> int:
 def roomier(table):
     """The table with half as much room again."""
     result = np.empty((len(table) + len(table) // 2 + 16, table.shape[1]), table.dtype)
-    result[:len(table)] = table
+    # loops compile ten times as fast as slices
+    for i in range(len(table)):
+        for j in range(table.shape[1]):
+            result[i, j] = table[i, j]
     return result
 
 
@@ -43,7 +46,8 @@ def roomier(table):
 def longer(stamps):
     """The stamps with room for half as many more."""
     result = np.empty(len(stamps) + len(stamps) // 2 + 16, stamps.dtype)
-    result[:len(stamps)] = stamps
+    for i in range(len(stamps)):
+        result[i] = stamps[i]
     return result
 
 
