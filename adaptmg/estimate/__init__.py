@@ -10,5 +10,5 @@ from adaptmg.estimate.remesh_engine import Remesh
 from adaptmg.estimate.residual import Residual
 from adaptmg.estimate.tractions import BoundaryTractions, boundary_tractions
 
-__all__ = ["BoundaryTractions", "Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Remesh", "Residual",
-           "boundary_tractions", "energy_error"]
+__all__ = ["BoundaryTractions", "Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Remesh",
+           "Residual", "boundary_tractions", "energy_error"]
