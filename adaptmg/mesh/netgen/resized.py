@@ -25,7 +25,7 @@ from netgen.occ import OCCGeometry, Solid
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import merged, per_body
 from adaptmg.mesh.build import with_source
-from adaptmg.mesh.netgen.generate import extent, one_mesh
+from adaptmg.mesh.netgen.generate import extent, one_mesh, refine_uniformly
 from adaptmg.mesh.netgen.interruptible import interruptible
 from adaptmg.mesh.netgen.outline import finished
 from adaptmg.mesh.netgen.shape_arrays import check_volume, in_metres, ordered, read_shape
@@ -169,8 +169,7 @@ def _shape(shape: Solid, names: list[str], lower: np.ndarray, scale: float, size
     options = netgen.meshing.MeshingParameters(sizes.options(lower, scale, grading, refinements, steps),
                                                curvaturesafety=CURVATURE / 2 ** (refinements / 2))
     made = interruptible(OCCGeometry(shape).GenerateMesh, mp=options)
-    for _ in range(refinements):
-        interruptible(made.Refine)
+    refine_uniformly(made, refinements)
     unit = read_shape(ngsolve.Mesh(made))
     check_volume(unit, shape.mass)
     return in_metres(unit, names, lower, scale)
