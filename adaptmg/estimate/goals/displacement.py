@@ -52,8 +52,9 @@ class Displacement:
     body: str | None = None
 
     def __post_init__(self) -> None:
-        points = check_arrays.array("points", np.atleast_2d(np.asarray(self.points, dtype=object)).astype(float)
-                                    if np.size(self.points) else [], (None, None))
+        one = np.ndim(self.points) == 1 and len(self.points) and not any(map(np.ndim, self.points))
+        points = [] if not np.size(self.points) else check_arrays.array("points", [self.points] if one else self.points,
+                                                                        (None, None))
         if not len(points) or points.shape[1] not in (2, 3):
             raise ValueError("points must hold at least one point of 2 or 3 coordinates, got shape "
                              f"{np.shape(self.points)}")

@@ -83,6 +83,8 @@ class Goal:
                           "ContactForce(...), Opening(...), or several of these")
         if not self.quantities:
             raise ValueError("quantity is empty: give at least one")
+        if isinstance(self.quantity, list):
+            object.__setattr__(self, "quantity", tuple(self.quantity))
         object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         checks.integer("max_iterations", self.max_iterations, 1)
         checks.integer("direct_below", self.direct_below, 0)
