@@ -1,9 +1,9 @@
 """The loop of a bisection: cut edges of the marked elements, then bisect until no element has a cut edge.
 
-An element with a cut edge is bisected at its own edge, which may cut a further one; so do its children. Whether the
-rest may have a cut edge is asked only of elements two of whose corners were ends of one lately. Each cut edge halves
-elements of some generation, and no element is bisected more than its depth plus that of its neighbours: the loop ends,
-from any conforming mesh (Arnold, Mukherjee, Pouly, theorem 3.1).
+An element with a cut edge is bisected at its own edge, which may cut a further one; so are its children. Whether the
+rest may have a cut edge is asked only of elements two of whose corners were ends of one lately. The loop ends from any
+conforming mesh: triangles, because only edges of the mesh before are cut; tetrahedra, because they are marked alike
+from both sides of a face (Arnold, Mukherjee, Pouly).
 """
 
 from __future__ import annotations
