@@ -44,7 +44,7 @@ def test_plane_problems(case, refinements):
     engine = am.Remesh(growth=2.5, refinements=refinements)
     for _ in range(3):
         estimate = singular(mesh, place)
-        sizes = equilibrated_sizes(mesh, estimate.squares, 2.5 * mesh.n_nodes, growth=0.3 / 2**refinements)
+        sizes = equilibrated_sizes(mesh, estimate.squares, 2.5 * mesh.n_nodes)
         fine = check_mesh(engine.refine(problem, mesh, estimate, None), domain.boundaries)
         assert fine.bodies == mesh.bodies and fine.boundaries == mesh.boundaries
         mesh_before, mesh = mesh, fine
