@@ -48,7 +48,7 @@ _WHERE = {
     "adaptmg.estimate.estimate": ("Estimate",),
     "adaptmg.estimate.loop.adapt": ("adapt",),
     "adaptmg.estimate.loop.step": ("Step",),
-    "adaptmg.estimate.remesh": ("Remesh",),
+    "adaptmg.estimate.remesh_engine": ("Remesh",),
     "adaptmg.estimate.goals": ("ContactForce", "Displacement", "Goal", "GoalEstimate", "MeanDisplacement", "Opening"),
     "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
     "adaptmg.estimate.recovery": ("Recovery",),

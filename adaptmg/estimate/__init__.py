@@ -6,8 +6,9 @@ from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.marking import Doerfler, Maximum
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.estimate.reference_error import EnergyError, Reference, energy_error
+from adaptmg.estimate.remesh_engine import Remesh
 from adaptmg.estimate.residual import Residual
 from adaptmg.estimate.tractions import BoundaryTractions, boundary_tractions
 
-__all__ = ["BoundaryTractions", "Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Residual",
-           "boundary_tractions", "energy_error"]
+__all__ = ["BoundaryTractions", "Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Remesh",
+           "Residual", "boundary_tractions", "energy_error"]

@@ -16,13 +16,20 @@ import numpy as np
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.fields.element_stress import ElementStress
 from adaptmg.estimate.fields.posed import posed
-from adaptmg.estimate.recovery_kernels import difference_energy, elements_of_nodes, mark_boundary, recover
-from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_points, quadrature_rule
+from adaptmg.estimate.recovery_kernels import (
+    axisymmetric_energy,
+    axisymmetric_stresses,
+    difference_energy,
+    elements_of_nodes,
+    mark_boundary,
+    recover,
+)
+from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.result import Result
 
-__all__ = ["RecoveredStress", "Recovery", "recovered_stress"]
+__all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +78,7 @@ class Recovery:
         """
         this = posed(hierarchy, result)
         found = recovered_stress(this.stress, this.neighbours.across)
-        squares = (_axisymmetric_energy if this.stress.axisymmetric else _energy)(this.stress, found)
+        squares = recovered_energy(this.stress, found)
         by_body = np.bincount(this.mesh.element_body, weights=squares, minlength=len(this.mesh.bodies))
         return Estimate(squares=squares, norm=this.norm, indicator="recovered stress",
                         terms=dict(zip(this.mesh.bodies, by_body, strict=True)))
@@ -89,7 +96,7 @@ def recovered_stress(stress: ElementStress, across: np.ndarray) -> RecoveredStre
     mesh = stress.mesh
     cells, points = _apart(mesh)
     centroids = mesh.points[mesh.elements].mean(axis=1)
-    sampled = np.ascontiguousarray(_sampled(stress))
+    sampled = _sampled(stress)
     start, listed = np.zeros(len(points) + 1, dtype=np.int64), np.empty(cells.size, dtype=np.int32)
     elements_of_nodes(cells, start, listed)
     boundary = np.zeros(len(points), dtype=bool)
@@ -123,42 +130,24 @@ def _apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
 
 def _sampled(stress: ElementStress) -> np.ndarray:
     """Stress at the centroids, normal components first."""
-    values = stress.values
+    mesh, data, values = stress.mesh, stress.data, stress.values
     if not stress.axisymmetric:
         return values
-    centre = np.full((1, 3), 1 / 3)
-    return _at_points(stress, centre)[:, 0]
+    sampled = np.empty((len(values), 4))
+    axisymmetric_stresses(mesh.points, mesh.elements, stress.displacement, mesh.element_body, data.lame, data.shear,
+                          data.initial_strain, values, sampled)
+    return sampled
 
 
-def _at_points(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
-    """Stress rr, zz, hoop, rz (n_elements, n_points, 4) of axisymmetric bodies at barycentric points."""
-    mesh, data, values = stress.mesh, stress.data, stress.values
-    lame, shear = data.lame[mesh.element_body], data.shear[mesh.element_body]
-    initial = data.initial_strain[:, 2] if len(data.initial_strain) else np.zeros(len(values))
-    in_plane = (values[:, 0] + values[:, 1] + 2 * lame * initial) / (2 * lame + 2 * shear)
-    hoop = stress.hoop(mesh.elements, rule)
-    added = lame[:, None] * hoop
-    around = (lame * (in_plane - initial) - 2 * shear * initial)[:, None] + (lame + 2 * shear)[:, None] * hoop
-    return np.stack([values[:, 0][:, None] + added, values[:, 1][:, None] + added, around,
-                     np.repeat(values[:, 2][:, None], len(rule), axis=1)], axis=-1)
-
-
-def _energy(stress: ElementStress, found: RecoveredStress) -> np.ndarray:
-    """Squares (n_elements,), N m."""
-    squares, data, mesh = np.empty(len(found.cells)), stress.data, stress.mesh
-    difference_energy(found.cells, mesh.volumes, mesh.element_body, data.lame, data.shear, found.sampled, found.nodal,
-                      squares)
+def recovered_energy(stress: ElementStress, found: RecoveredStress) -> np.ndarray:
+    """Energies (n_elements,) of the recovered stress minus that of the elements, N m."""
+    mesh, data, squares = stress.mesh, stress.data, np.empty(len(found.cells))
+    if stress.axisymmetric:
+        rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
+        axisymmetric_energy(mesh.points, mesh.elements, found.cells, stress.displacement, mesh.volumes,
+                            mesh.element_body, data.lame, data.shear, data.initial_strain, stress.values, found.nodal,
+                            rule, weights, squares)
+    else:
+        difference_energy(found.cells, mesh.volumes, mesh.element_body, data.lame, data.shear, found.sampled,
+                          found.nodal, squares)
     return squares
-
-
-def _axisymmetric_energy(stress: ElementStress, found: RecoveredStress) -> np.ndarray:
-    """Squares (n_elements,), N m, of the full circumference."""
-    mesh, data = stress.mesh, stress.data
-    rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
-    difference = np.einsum("qk,ekc->eqc", rule, found.nodal[found.cells]) - _at_points(stress, rule)
-    lame, shear = (part[mesh.element_body][:, None] for part in (data.lame, data.shear))
-    trace = difference[:, :, :3].sum(axis=2)
-    squared = difference**2 @ np.array([1.0, 1.0, 1.0, 2.0])
-    density = (squared - lame / (3 * lame + 2 * shear) * trace**2) / (2 * shear)
-    radius = quadrature_points(mesh.points, mesh.elements, rule)[:, :, 0]
-    return mesh.volumes * ((2 * np.pi * radius * density) @ weights)

@@ -14,7 +14,8 @@ import numpy as np
 
 from adaptmg.runtime.compiled import inner_kernel, kernel
 
-__all__ = ["difference_energy", "elements_of_nodes", "mark_boundary", "recover"]
+__all__ = ["axisymmetric_energy", "axisymmetric_stresses", "difference_energy", "elements_of_nodes",
+           "mark_boundary", "recover"]
 
 _SINGULAR = 1e-5  # pivots below so much of the number of samples: they lie on a line, or in a plane
 
@@ -167,3 +168,48 @@ def difference_energy(elements, volumes, body, lame, shear, values, nodal, squar
             total += _complementary(one, k - 1, lame[body[e]], shear[body[e]])
         total += _complementary(whole, k - 1, lame[body[e]], shear[body[e]])
         squares[e] = volumes[e] / (k * (k + 1)) * total
+
+
+@inner_kernel
+def _with_hoop(values, hoop, initial, lame, shear, stress):
+    """Write rr, zz, hoop, rz of an axisymmetric element from rr, zz, rz without hoop strain, and that strain."""
+    in_plane = (values[0] + values[1] + 2.0 * lame * initial) / (2.0 * lame + 2.0 * shear)
+    stress[0], stress[1], stress[3] = values[0] + lame * hoop, values[1] + lame * hoop, values[2]
+    stress[2] = lame * (in_plane - initial) - 2.0 * shear * initial + (lame + 2.0 * shear) * hoop
+
+
+@kernel
+def axisymmetric_stresses(points, elements, u, body, lame, shear, initial, values, sampled):
+    """Write rr, zz, hoop, rz (n_elements, 4) at the centroids. ``initial`` (n_elements or 0, 3): initial strains."""
+    for e in range(len(elements)):
+        a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
+        hoop = (u[a, 0] + u[b, 0] + u[c, 0]) / (points[a, 0] + points[b, 0] + points[c, 0])
+        strain = initial[e, 2] if len(initial) > 0 else 0.0
+        _with_hoop(values[e], hoop, strain, lame[body[e]], shear[body[e]], sampled[e])
+
+
+@kernel
+def axisymmetric_energy(points, elements, cells, u, volumes, body, lame, shear, initial, values, nodal, rule, weights,
+                        squares):
+    """Write the energies (n_elements,) of recovered minus element stresses over the full circumference.
+
+    ``rule`` (n_points, 3) and ``weights`` (n_points,): points inside the element; there the element has the hoop
+    strain u_r / r.
+    """
+    stress = np.empty(4)
+    for e in range(len(elements)):
+        k = body[e]
+        strain = initial[e, 2] if len(initial) > 0 else 0.0
+        total = 0.0
+        for q in range(len(weights)):
+            radius, moved = 0.0, 0.0
+            for j in range(3):
+                radius += rule[q, j] * points[elements[e, j], 0]
+                moved += rule[q, j] * u[elements[e, j], 0]
+            _with_hoop(values[e], moved / radius, strain, lame[k], shear[k], stress)
+            for c in range(4):
+                stress[c] = -stress[c]
+                for j in range(3):
+                    stress[c] += rule[q, j] * nodal[cells[e, j], c]
+            total += weights[q] * radius * _complementary(stress, 3, lame[k], shear[k])
+        squares[e] = 2.0 * np.pi * volumes[e] * total

@@ -114,6 +114,20 @@ def test_levels_that_were_put_between_or_given_at_the_start_come_back(tmp_path):
     assert numbers_of(list(run(tmp_path))) == once
 
 
+def test_goals_come_back_with_all_they_say(tmp_path):
+    problem, goal = upset(), am.Goal(am.Displacement((0.0, 0.02), "x"))
+
+    def run(**options):
+        return am.adapt(problem, 10e-3, goal, engine=am.Bisect(), max_nodes=90, **options)
+
+    once = list(run())
+    next(run(store=tmp_path))
+    again = list(run(store=tmp_path))
+    assert numbers_of(again) == numbers_of(once)
+    assert [repr(step.estimate) for step in again] == [repr(step.estimate) for step in once]
+    assert again[0].estimate.corrected == pytest.approx(once[0].estimate.corrected, abs=0)
+
+
 def test_a_load_path_is_kept(tmp_path):
     problem, path = am.cases.greco_bar(), am.LoadPath({"left": [0.5, 1.0]}, default=1.0)
 
@@ -158,6 +172,14 @@ def test_a_damaged_file_is_named_with_what_to_do(copied):
 @pytest.mark.parametrize("text", [b"", b"[]", b"{}", b"\xff", b'{"levels": [], "files": {}}'])
 def test_a_step_that_says_nothing_is_damaged(copied, text):
     (copied / "step_0001.json").write_bytes(text)
+    with pytest.raises(ValueError, match="damaged"):
+        list(loop(copied))
+
+
+@pytest.mark.parametrize("levels", [[[0, 3], [1, -1]], [[0, -2], [1, -1]], [[0, -1]], [[7, -1], [1, -1]], [], "x"])
+def test_levels_that_cannot_be_are_damaged(copied, levels):
+    file = copied / "step_0001.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"levels": levels}))
     with pytest.raises(ValueError, match="damaged"):
         list(loop(copied))
 

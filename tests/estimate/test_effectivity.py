@@ -60,3 +60,15 @@ def test_the_block_in_space():
     residual, recovery = quotients(*solved(am.cases.greco_block(), (2, 4, 8, 16)), (1, 2))
     assert min(residual) > 2.5 and max(residual) < 3.6  # 2.9, 3.2
     assert min(recovery) > 0.8 and max(recovery) < 1.05  # .87, .93
+
+
+@pytest.mark.parametrize(("case", "sizes", "of_residual", "of_recovery"), [
+    ("dovetail", (8e-3, 4e-3, 2e-3, 0.8e-3), (2.4, 3.2), (0.9, 1.05)),  # 2.75, 2.87; .94, .96
+    ("bolted_junction", (12e-3, 6e-3, 3e-3, 1.4e-3), (1.8, 2.8), (0.75, 1.05))])  # 2.22, 2.28; .96, .89
+def test_pairs_of_bodies_plane_and_axisymmetric(case, sizes, of_residual, of_recovery):
+    problem = am.cases.get(case).function()
+    grids = am.Hierarchy.graded(problem, sizes=sizes, contact_ratio=2)
+    reference = Reference.of(grids, am.solve(grids, am.FullMultigrid(rtol=1e-8)))
+    residual, recovery = quotients(grids, reference, (1, 2))
+    assert of_residual[0] < min(residual) and max(residual) < min(of_residual[1], 1.25 * min(residual))
+    assert of_recovery[0] < min(recovery) and max(recovery) < of_recovery[1]

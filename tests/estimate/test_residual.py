@@ -16,6 +16,7 @@ from adaptmg.estimate.fields.element_stress import element_stress
 from adaptmg.estimate.fields.neighbours import neighbours
 from adaptmg.estimate.fields.posed import Posed
 from adaptmg.estimate.terms import jumps as jumps_module
+from adaptmg.estimate.terms import volume as volume_module
 from adaptmg.estimate.terms.boundary import boundary_squares
 from adaptmg.estimate.terms.contact import condition_squares
 from adaptmg.estimate.terms.jumps import jump_squares
@@ -78,6 +79,10 @@ def test_body_forces_are_what_constant_stress_cannot_balance():
     loads = [am.BodyForce((3e3, 0.0)), am.BodyForce((0.0, -4e3), body="body")]
     wanted = mesh.element_sizes**2 * mesh.volumes * 25e6 / 1e9
     np.testing.assert_allclose(volume_squares(stress, loads, young), wanted, rtol=1e-12)
+    # in axisymmetry beside div sigma, here 0, with the weight 2 pi r
+    ring = element_stress(mesh, np.zeros(mesh.points.shape), StressData.of(mesh, am.Axisymmetric(young=1e9, poisson=0)))
+    around = 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1)
+    np.testing.assert_allclose(volume_squares(ring, loads, young), around * wanted, rtol=1e-12)
     # linear forces are integrated exactly
     linear = [am.BodyForce((lambda x: 1e5 * x[:, 0], 0.0))]
     x = mesh.points[mesh.elements, 0]
@@ -85,7 +90,10 @@ def test_body_forces_are_what_constant_stress_cannot_balance():
     np.testing.assert_allclose(volume_squares(stress, linear, young), mesh.element_sizes**2 / 1e9 * squared, rtol=1e-12)
 
 
-def test_axisymmetric_stress_is_balanced_where_it_is_homogeneous_and_not_elsewhere():
+@pytest.mark.parametrize("plain", [False, True], ids=["compiled", "plain"])
+def test_axisymmetric_stress_is_balanced_where_it_is_homogeneous_and_not_elsewhere(plain, monkeypatch):
+    if plain:
+        uncompile(monkeypatch, volume_module)
     mesh, material = square(3), am.Axisymmetric(young=1e9, poisson=0.3)
     data, young = StressData.of(mesh, material), np.full(len(mesh.elements), 1e9)
     r, z = mesh.points.T
@@ -105,6 +113,18 @@ def test_axisymmetric_stress_is_balanced_where_it_is_homogeneous_and_not_elsewhe
                for cell in mesh.elements[away]]
     wanted = mesh.element_sizes[away]**2 / 1e9 * mesh.volumes[away] * 2 * np.pi * 4e-6 * np.array(density)
     np.testing.assert_allclose(found, wanted, rtol=3e-2)
+
+
+def test_an_initial_hoop_strain_is_unbalanced_even_in_a_body_at_rest():
+    mesh, material = square(3), am.Axisymmetric(young=1e9, poisson=0.3)
+    young = np.full(len(mesh.elements), 1e9)
+    data = StressData.of(mesh, material, [am.InitialStrain("body", (1e-3, 5e-4, 4e-3))])
+    found = volume_squares(element_stress(mesh, np.zeros(mesh.points.shape), data), [], young)
+    # sigma_rr - sigma_tt = 2 mu times 3e-3, div sigma = that over r
+    away = mesh.points[mesh.elements, 0].min(axis=1) > 0
+    inverse = np.array([_mean_inverse(*mesh.points[cell]) for cell in mesh.elements[away]])
+    wanted = mesh.element_sizes[away]**2 / 1e9 * mesh.volumes[away] * 2 * np.pi * (6e-3 * material.shear_modulus)**2
+    np.testing.assert_allclose(found[away], wanted * inverse, rtol=1e-3)
 
 
 def _mean(a, b, c, function):
@@ -172,6 +192,15 @@ def test_tractions_that_nothing_bears():
     t = force / np.maximum(weights, c.weights)[:, None]
     wanted = sum(h / 3 * (t[i] @ t[i] + t[i] @ t[i + 1] + t[i + 1] @ t[i + 1]) for i in (0, 1))
     assert touching.sum() == pytest.approx(h / 1e11 * wanted, rel=1e-12)
+
+
+def test_tractions_in_space():
+    mesh = cube(2)
+    this = made(mesh, loads=(am.Pressure("rest", 3e7),))
+    still = dataclasses.replace(this.result, displacement=np.zeros(mesh.points.shape))
+    free, _ = boundary_squares(dataclasses.replace(this, result=still))
+    area = 0.02**2 / 2
+    assert free.sum() == pytest.approx(5 * 8 * np.sqrt(2 * area) * area * 9e14 / 1e11, rel=1e-12)
 
 
 def test_nothing_is_estimated_where_the_solution_is_exact():

@@ -110,7 +110,7 @@ def _parts(problem: ContactProblem, indicator: Any, mark: Any, engine: Any) -> t
         if problem.domain is None:
             from adaptmg.estimate.bisect_engine import Bisect as Default
         else:
-            from adaptmg.estimate.remesh import Remesh as Default
+            from adaptmg.estimate.remesh_engine import Remesh as Default
         engine = Default()
     return Residual() if indicator is None else indicator, Doerfler(0.5) if mark is None else mark, engine
 

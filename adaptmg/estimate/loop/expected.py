@@ -17,7 +17,7 @@ __all__ = ["Limits", "algebraic_tolerance", "expected_estimate", "expected_secon
 #: share of the expected estimate that the algebraic error may have
 SHARE = 0.1
 #: bounds of the tolerances that come from it: coarse meshes are cheap, and what is exact needs no more than this
-LOOSEST, TIGHTEST = 1e-2, 1e-10
+LOOSEST, TIGHTEST = 3e-2, 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ import numpy as np
 from adaptmg.discretisation.initial_strain import body_elements
 from adaptmg.discretisation.loads import load_density
 from adaptmg.estimate.fields.element_stress import ElementStress
+from adaptmg.estimate.terms.volume_kernels import axisymmetric_residual
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_points, quadrature_rule
 from adaptmg.problem.loads import BodyForce, Load
 
@@ -40,34 +41,16 @@ def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarr
     forces = [load for load in loads if isinstance(load, BodyForce)]
     if not forces and not stress.axisymmetric:
         return None
-    mesh = stress.mesh
+    mesh, data = stress.mesh, stress.data
     rule, weights = quadrature_rule(mesh.dim + 1, AXISYMMETRIC_DEGREE if stress.axisymmetric else PLAIN_DEGREE)
-    points = quadrature_points(mesh.points, mesh.elements, rule)
-    density = _divergence(stress, rule, points) if stress.axisymmetric else np.zeros(points.shape)
+    density = np.zeros((len(mesh.elements) if forces else 0, len(weights), mesh.dim))
     for load in forces:
         here = slice(None) if load.body is None else body_elements(mesh, load.body)
-        density[here] += load_density(load, points[here], None)
-    squares = np.einsum("eqd,eqd->eq", density, density)
+        density[here] += load_density(load, quadrature_points(mesh.points, mesh.elements[here], rule), None)
     if stress.axisymmetric:
-        squares *= 2 * np.pi * points[:, :, 0]
-    return mesh.element_sizes**2 / young * mesh.volumes * (squares @ weights)
-
-
-def _divergence(stress: ElementStress, rule: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Div sigma (n_elements, n_points, 2) of axisymmetric bodies."""
-    mesh, u, data = stress.mesh, stress.displacement, stress.data
-    corners, values = mesh.points[mesh.elements], u[mesh.elements, 0]
-    x, du = corners[:, 1:] - corners[:, :1], values[:, 1:] - values[:, :1]
-    twice = x[:, 0, 0] * x[:, 1, 1] - x[:, 0, 1] * x[:, 1, 0]
-    along_r = ((du[:, 0] * x[:, 1, 1] - du[:, 1] * x[:, 0, 1]) / twice)[:, None]
-    along_z = ((du[:, 1] * x[:, 0, 0] - du[:, 0] * x[:, 1, 0]) / twice)[:, None]
-    hoop, r = stress.hoop(mesh.elements, rule), points[:, :, 0]
-    lame, shear = (part[mesh.element_body][:, None] for part in (data.lame, data.shear))
-    # sigma_rr - sigma_tt = 2 mu times the difference of the elastic strains
-    apart = along_r - hoop
-    if len(data.initial_strain):
-        initial = data.initial_strain
-        apart = apart - (initial[:, 0] - initial[:, 2])[:, None]
-    radial = (lame * (along_r - hoop) + 2 * shear * apart) / r
-    axial = (lame * along_z + stress.values[:, 2][:, None]) / r
-    return np.stack([radial, axial], axis=-1)
+        squares = np.empty(len(mesh.elements))
+        axisymmetric_residual(mesh.points, mesh.elements, stress.displacement, mesh.element_body, data.lame, data.shear,
+                              data.initial_strain, stress.values, density, rule, weights, squares)
+    else:
+        squares = mesh.volumes * np.einsum("eqd,eqd,q->e", density, density, weights)
+    return mesh.element_sizes**2 / young * squares

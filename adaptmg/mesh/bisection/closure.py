@@ -8,46 +8,52 @@ from any conforming mesh (Arnold, Mukherjee, Pouly, theorem 3.1).
 
 from __future__ import annotations
 
+import numpy as np
+
 from adaptmg.mesh.bisection.children import write_children
-from adaptmg.mesh.bisection.tables import HIGH, LOW, STAMP, cut_edge, midpoint_of, roomier
+from adaptmg.mesh.bisection.tables import HIGH, LOW, cut_edge, longer, midpoint_of, roomier
 from adaptmg.runtime.compiled import inner_kernel, kernel
 
-__all__ = ["bisected", "midpoints"]
+__all__ = ["bisected", "by_origin", "midpoints"]
 
 
 @inner_kernel
-def _has_cut_edge(cells, e, corners, nodes):
+def _has_cut_edge(cells, e, corners, nodes, stamps):
     """Whether an edge of element e is cut; most have no two corners that ever were ends of one."""
     for i in range(1, corners):
         a = cells[e, i]
-        if nodes[a, STAMP] >= 0:
+        if stamps[a] >= 0:
             for j in range(i):
                 b = cells[e, j]
-                if nodes[b, STAMP] >= 0 and midpoint_of(nodes, a, b) >= 0:
+                if stamps[b] >= 0 and midpoint_of(nodes, a, b) >= 0:
                     return True
     return False
 
 
 @inner_kernel
-def _touched(cells, e, corners, nodes, since):
+def _touched(cells, e, corners, stamps, since):
     """Whether two corners of element e were ends of cut edges since some round."""
     found = 0
     for i in range(corners):
-        found += nodes[cells[e, i], STAMP] >= since
+        found += stamps[cells[e, i]] >= since
     return found > 1
 
 
 @inner_kernel
-def _cut(nodes, n_nodes, a, b, stamp):
-    """Cut the edge (a, b) unless it is cut: its node, the table, which may have grown, and the number of nodes."""
+def _cut(nodes, stamps, n_nodes, a, b, stamp):
+    """Cut the edge (a, b) unless it is cut: its node, the tables, which may have grown, and the number of nodes."""
     p = midpoint_of(nodes, a, b)
     if p < 0:
         if n_nodes == len(nodes):
             nodes = roomier(nodes)
+            stamps = longer(stamps)
         p = n_nodes
         n_nodes += 1
-        cut_edge(nodes, p, a, b, stamp)
-    return p, nodes, n_nodes
+        cut_edge(nodes, p, a, b)
+        stamps[p] = -1
+        stamps[a] = stamp
+        stamps[b] = stamp
+    return p, nodes, stamps, n_nodes
 
 
 @kernel
@@ -71,22 +77,25 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
         The tables, changed or grown.
     """
     corners = tree.shape[1] - 3
-    stamp = 0
+    # the round in which an edge that ends in a node was last cut, -1: never
+    stamps = np.full(len(nodes), -1, dtype=np.int32)
+    # of a type: numba would compile what it calls for a literal 0 as well
+    stamp, first = np.int64(0), np.int64(0)
     for e in range(n_cells):
         if marked[e]:
             for i in range(1, corners if every_edge else 2):
                 for j in range(i):
-                    _, nodes, n_nodes = _cut(nodes, n_nodes, cells[e, i], cells[e, j], stamp)
+                    _, nodes, stamps, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, i], cells[e, j], stamp)
     going = True
     while going:
         stamp += 1
         nodes_before, cells_before = n_nodes, n_cells
-        e = 0
+        e = first
         while e < n_cells:
             # elements made in this round come here for the first time
-            if e >= cells_before or _touched(cells, e, corners, nodes, stamp - 1):
-                while _has_cut_edge(cells, e, corners, nodes):
-                    p, nodes, n_nodes = _cut(nodes, n_nodes, cells[e, 0], cells[e, 1], stamp)
+            if e >= cells_before or _touched(cells, e, corners, stamps, stamp - 1):
+                while _has_cut_edge(cells, e, corners, nodes, stamps):
+                    p, nodes, stamps, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, 0], cells[e, 1], stamp)
                     if n_cells == len(cells):
                         cells = roomier(cells)
                     if n_tree == len(tree):
@@ -97,6 +106,34 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
             e += 1
         going = n_nodes > nodes_before
     return cells, n_cells, tree, n_tree, nodes, n_nodes
+
+
+@kernel
+def by_origin(cells, n_cells, n_origins):
+    """The cells in the order of the elements they come from, which is their last column: neighbours stay near.
+
+    Parameters
+    ----------
+    cells : (n, width) int32 array
+    n_cells, n_origins : int
+
+    Returns
+    -------
+    (n_cells, width) int32 array
+    """
+    last = cells.shape[1] - 1
+    start = np.zeros(n_origins + 1, dtype=np.int64)
+    for e in range(n_cells):
+        start[cells[e, last] + 1] += 1
+    for f in range(n_origins):
+        start[f + 1] += start[f]
+    result = np.empty((n_cells, cells.shape[1]), dtype=cells.dtype)
+    for e in range(n_cells):
+        row = start[cells[e, last]]
+        start[cells[e, last]] += 1
+        for k in range(cells.shape[1]):
+            result[row, k] = cells[e, k]
+    return result
 
 
 @kernel

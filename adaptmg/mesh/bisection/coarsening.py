@@ -126,10 +126,12 @@ def take_back(cells, n_cells, tree, goes):
     old = np.empty(cells.shape[1], dtype=cells.dtype)
     n = 0
     for e in range(n_cells):
-        old[:] = cells[e]
+        for k in range(len(old)):
+            old[k] = cells[e, k]
         row = old[marks + 1]
         if row < 0 or not goes[tree[row, corners + 2]]:
-            cells[n] = old
+            for k in range(len(old)):
+                cells[n, k] = old[k]
             n += 1
             continue
         if place[row] < 0:

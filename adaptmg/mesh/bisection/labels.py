@@ -61,7 +61,8 @@ def first_labels(points, cells, n_cells, corners, even, codes):
     """
     old = np.empty(2 * corners, dtype=np.int32)
     for e in range(n_cells):
-        old[:] = cells[e, :2 * corners]
+        for k in range(2 * corners):
+            old[k] = cells[e, k]
         first, second = 0, 1
         for j in range(1, corners):
             for i in range(j):

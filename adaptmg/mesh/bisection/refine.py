@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.closure import bisected, midpoints
+from adaptmg.mesh.bisection.closure import bisected, by_origin, midpoints
 from adaptmg.mesh.bisection.tabled import Refined, cells_of, mesh_of, nodes_of, parents_of, tree_of
 from adaptmg.mesh.bisection.tables import HIGH, LOW
 
@@ -55,6 +55,6 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     points[:mesh.n_nodes] = mesh.points
     midpoints(points, mesh.n_nodes, nodes)
     parents = np.concatenate([parents_of(mesh), nodes[mesh.n_nodes:n_nodes, [LOW, HIGH]]])
-    cells = cells[:n_cells]
+    cells = by_origin(cells, n_cells, n)
     fine = mesh_of(mesh, points, parents, cells, tree[:n_tree].copy())
     return Refined(mesh=fine, origin=cells[:, 2 * corners + 3].copy(), nodes=np.arange(mesh.n_nodes))

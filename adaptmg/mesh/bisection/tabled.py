@@ -10,7 +10,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.facets import facets_into_cells, facets_of_cells
 from adaptmg.mesh.bisection.labels import CODES, EVEN, first_labels
 from adaptmg.mesh.bisection.refinement import Refinement, with_refinement
-from adaptmg.mesh.bisection.tables import FOREBEAR, HEAD, NODE_COLUMNS, STAMP, columns_of_cells, columns_of_tree
+from adaptmg.mesh.bisection.tables import FOREBEAR, HEAD, NODE_COLUMNS, columns_of_cells, columns_of_tree
 from adaptmg.mesh.on_demand_source import sound_by_construction
 from adaptmg.mesh.topology import element_facets
 
@@ -75,7 +75,6 @@ def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
     n = mesh.n_nodes
     nodes = np.empty((n + int(room * n), NODE_COLUMNS), dtype=np.int32)
     nodes[:n, HEAD] = -1
-    nodes[:n, STAMP] = -1
     return nodes
 
 

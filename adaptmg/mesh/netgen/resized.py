@@ -1,10 +1,14 @@
 r"""resized: a mesh of a domain in one call of Netgen, told the wanted sizes at many points at once.
 
 :func:`adaptmg.mesh.sized` learns a size function by drafts, as it knows nothing of it. Where sizes are known on a mesh
-(adaptive meshes: :mod:`adaptmg.estimate.remesh`) and grow slowly, Netgen follows them at once. Uniform refinement of a
-mesh of twice the sizes, every element cut in four (3D: eight) with new nodes on the curves, is cheaper still: a k-fold
-refinement asks Netgen for :math:`2^k h` and so for :math:`2^{-kd}` of the nodes. Sizes must then grow :math:`2^k` times
-more slowly.
+and grow slowly (adaptive meshes, :mod:`adaptmg.estimate.remesh_engine`), Netgen follows them at once. Uniform
+refinement of a mesh of twice the sizes, every element cut in four (3D: eight) with new nodes on the curves, is cheaper
+still: a k-fold refinement asks Netgen for :math:`2^k h` and so for :math:`2^{-kd}` of the nodes. Sizes must then grow
+:math:`2^k` times more slowly.
+
+Measured on adaptive meshes of the flat punch, by the nodes of the new mesh: 50 us a node and the smallest error without
+refinement; 12 us and 4 % more error with one. A mesh of 4 h bisected down to the sizes takes 10 us, and has 14 % more
+(12 % after its nodes have been smoothed).
 """
 
 from __future__ import annotations
@@ -21,10 +25,11 @@ from netgen.occ import OCCGeometry, Solid
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import merged, per_body
 from adaptmg.mesh.build import with_source
-from adaptmg.mesh.netgen.generate import extent, one_mesh
+from adaptmg.mesh.netgen.generate import extent, one_mesh, refine_uniformly
 from adaptmg.mesh.netgen.interruptible import interruptible
 from adaptmg.mesh.netgen.outline import finished
-from adaptmg.mesh.netgen.solids import CURVATURE, in_metres, ordered, read_shape, scaled_shape
+from adaptmg.mesh.netgen.shape_arrays import check_volume, in_metres, ordered, read_shape
+from adaptmg.mesh.netgen.solids import CURVATURE, scaled_shape
 from adaptmg.mesh.netgen.step import step_shapes
 from adaptmg.problem import checks
 from adaptmg.problem.domains import Assembly, Domain, Outline, SolidDomain, StepFile
@@ -164,6 +169,7 @@ def _shape(shape: Solid, names: list[str], lower: np.ndarray, scale: float, size
     options = netgen.meshing.MeshingParameters(sizes.options(lower, scale, grading, refinements, steps),
                                                curvaturesafety=CURVATURE / 2 ** (refinements / 2))
     made = interruptible(OCCGeometry(shape).GenerateMesh, mp=options)
-    for _ in range(refinements):
-        interruptible(made.Refine)
-    return in_metres(read_shape(ngsolve.Mesh(made), shape.mass), names, lower, scale)
+    refine_uniformly(made, refinements)
+    unit = read_shape(ngsolve.Mesh(made))
+    check_volume(unit, shape.mass)
+    return in_metres(unit, names, lower, scale)

@@ -47,15 +47,15 @@ def test_a_triangle_has_at_most_four_shapes(points):
     assert len(mesh.elements) == 4**5 and shape_classes(mesh) <= 4
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_tetrahedron_has_a_bounded_number_of_shapes(seed):
     mesh = single(np.random.default_rng(seed).random((4, 3)))
     classes, worst = [], []
-    for _ in range(14):
+    for _ in range(12):
         mesh, _ = bisect(mesh, np.ones(len(mesh.elements), dtype=bool), passes=1)
         classes.append(shape_classes(mesh))
         worst.append(quality(mesh).aspect_ratio)
-    assert len(mesh.elements) >= 2**14
+    assert len(mesh.elements) >= 2**12
     # none is new after eight bisections: Arnold, Mukherjee and Pouly, theorem 3.2 with its remark
     assert max(classes) <= 72 and worst[-1] <= max(worst[:8]) * (1 + 1e-9)
 
