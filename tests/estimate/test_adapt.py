@@ -123,7 +123,7 @@ def test_a_loop_that_gains_nothing_ends():
 
 
 def test_an_exact_solution_is_not_refined():
-    found = list(am.adapt(am.cases.two_block_patch(), 0.2, engine=BISECT, max_nodes=100_000))
+    found = list(am.adapt(am.cases.two_block_patch(), 0.03, engine=BISECT, max_nodes=100_000))
     assert len(found) == 1 and "rounding" in found[0].outcome
 
 
