@@ -43,7 +43,15 @@ _WHERE = {
     "adaptmg.solver.result": ("Result",),
     "adaptmg.solver.result.not_converged": ("NotConverged",),
     "adaptmg.solver.result.status": ("Status",),
+    "adaptmg.estimate.bisect_engine": ("Bisect",),
     "adaptmg.estimate.estimate": ("Estimate",),
+    "adaptmg.estimate.loop.adapt": ("adapt",),
+    "adaptmg.estimate.loop.step": ("Step",),
+    "adaptmg.estimate.remesh_engine": ("Remesh",),
+    "adaptmg.estimate.goals": ("ContactForce", "Displacement", "Goal", "GoalEstimate", "MeanDisplacement", "Opening"),
+    "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
+    "adaptmg.estimate.recovery": ("Recovery",),
+    "adaptmg.estimate.residual": ("Residual",),
     "adaptmg.study.study": ("Study",),
 }
 _HOME = {name: module for module, names in _WHERE.items() for name in names}

@@ -1,23 +1,23 @@
-"""Levels and hierarchies: the same contact problem on a family of grids, coarsest first, nested or not."""
+"""Hierarchy: the same contact problem on a family of grids, coarsest first, nested or not."""
 
 from __future__ import annotations
 
 import os
 import time
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.hierarchy_input import check_coarse_to_fine, each, label, limits_of_bisection, need_domain, need_problem
-from adaptmg.level import Level, ratio_to
+from adaptmg.hierarchy_input import each, label, limits_of_bisection, need_domain, need_problem
+from adaptmg.level import Level
+from adaptmg.levels import Levels
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.meshed_levels import meshed_levels
 from adaptmg.problem import ContactProblem, checks
-from adaptmg.runtime.on_demand import OnDemand
 from adaptmg.runtime.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -26,14 +26,15 @@ if TYPE_CHECKING:
 __all__ = ["Hierarchy", "Level"]
 
 
-@dataclass(frozen=True, eq=False)
-class Hierarchy:
+@dataclass(frozen=True, eq=False, repr=False)
+class Hierarchy(Levels):
     """Levels, coarsest first, and how they were made. Printing it shows a table.
 
     ``limits`` says, in words, what more levels of this kind cannot do; it is printed with the table.
 
     Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`,
-    :meth:`from_prolongations`, :meth:`algebraic`, :meth:`single`.
+    :meth:`from_prolongations`, :meth:`algebraic`, :meth:`single`; :meth:`append` and :meth:`without` make more and
+    fewer levels of one.
 
     Attributes
     ----------
@@ -43,66 +44,11 @@ class Hierarchy:
         How they were made, in words.
     timings : dict of str to float
         Wall time of making them by phase, s: "mesh", "assembly", "transfer". They add up to the whole.
+    transfer : Transfer or None
+        What built the prolongations between meshes; None for interpolation, or where there are no meshes.
+    contact_rows : bool
+        Whether the rows of contact nodes were replaced, see :meth:`from_meshes`.
     """
-
-    levels: tuple[Level, ...]
-    problem: ContactProblem | None = None
-    origin: str = "levels"
-    timings: dict[str, float] = field(default_factory=dict)
-    limits: str = ""
-
-    def __post_init__(self) -> None:
-        levels = checks.items("levels", self.levels, Level, "Level(...)")
-        if not levels:
-            raise ValueError("levels is empty: a hierarchy needs at least one level")
-        if self.problem is not None:
-            need_problem(self.problem)
-        for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
-            wanted = (fine.n_nodes, coarse.n_nodes)
-            if coarse.discrete is None and coarse.matrix.blocksize[0] == 1:
-                wanted = (fine.matrix.shape[0], coarse.matrix.shape[0])
-            if fine.prolongation is None or fine.prolongation.shape != wanted:
-                got = None if fine.prolongation is None else fine.prolongation.shape
-                raise ValueError(f"levels[{k}].prolongation must have shape {wanted} (fine, coarse), got {got}")
-            if fine.surface_prolongation is not None and fine.surface_prolongation.shape != wanted:
-                raise ValueError(f"levels[{k}].surface_prolongation must have shape {wanted} (fine, coarse), got "
-                                 f"{fine.surface_prolongation.shape}")
-        if levels[-1].discrete is None:
-            raise ValueError("the finest level has no DiscreteProblem")
-        object.__setattr__(self, "levels", levels)
-
-    def __len__(self) -> int:
-        return len(self.levels)
-
-    def __getitem__(self, index: int) -> Level:
-        return self.levels[index]
-
-    @property
-    def finest(self) -> Level:
-        """The finest level."""
-        return self.levels[-1]
-
-    @property
-    def discretised(self) -> bool:
-        """Whether every level poses the contact problem; if not, only ``Truncated`` without nested start can use it."""
-        return all(level.discrete is not None for level in self.levels)
-
-    def need_discretised(self, what: str) -> None:
-        """ValueError unless every level poses the contact problem."""
-        if not self.discretised:
-            raise ValueError(f"grids: {what} needs the contact problem on every level, but the coarse levels of this "
-                             f"hierarchy ({self.origin}) are only spaces; use am.Multigrid(correction=am.Truncated())")
-
-    def truncated(self, *, coarsest: int = 0, finest: int | None = None) -> Hierarchy:
-        """The levels ``coarsest`` .. ``finest`` (inclusive; default: the last) as a hierarchy of their own."""
-        finest = len(self) - 1 if finest is None else checks.integer("finest", finest)
-        if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
-            raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
-        first, *rest = self.levels[coarsest:finest + 1]
-        first = Level(first.discrete, first.mesh, galerkin=first.galerkin)
-        return Hierarchy((first, *rest), self.problem, self.origin, dict(self.timings), self.limits)
-
-    # -- constructors -------------------------------------------------------------------------------------------
 
     @classmethod
     def single(cls, discrete: DiscreteProblem) -> Hierarchy:
@@ -177,7 +123,12 @@ class Hierarchy:
         Elements away from contact stay as they are on every level, and with them their part of the discretisation
         error: after two or three levels it dominates, and further ones only resolve contact (from 531 to 82 000 nodes
         the error of a recorded example falls from 1.40e-3 to 1.36e-3). Printing the hierarchy says so, with the sizes.
-        Meshes that follow the whole solution come from :meth:`graded` or :meth:`from_meshes`.
+        Meshes that follow the whole solution come from :func:`adaptmg.adapt`, :meth:`graded` or :meth:`from_meshes`.
+
+        Warns
+        -----
+        UserWarning
+            If elements away from contact are more than six times as large as those at it: the last levels hardly help.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import as_mesh, refine_near
@@ -186,7 +137,10 @@ class Hierarchy:
         first = as_mesh(coarsest)
         problem.check_boundaries(first.boundaries)
         meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
-        limits = limits_of_bisection(meshes, problem.pair_boundaries)
+        limits, too_far = limits_of_bisection(meshes, problem.pair_boundaries)
+        if too_far:
+            warnings.warn(f"bisected, levels={levels}: {limits}. Take fewer levels, a finer coarsest mesh, or meshes "
+                          "that follow the whole solution (am.adapt, Hierarchy.graded)", UserWarning, stacklevel=2)
         return cls._build(problem, meshes, None, f"bisected {levels} times near contact", begin, limits=limits)
 
     @classmethod
@@ -266,55 +220,5 @@ class Hierarchy:
     @one_blas_thread()
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
                begin: float, contact_rows: bool = True, limits: str = "") -> Hierarchy:
-        from adaptmg.discretisation.discretise import discretise
-        from adaptmg.transfer import Interpolation
-        from adaptmg.transfer.between_levels import between_levels
-
-        transfer = Interpolation() if transfer is None else transfer
-        checks.offers("transfer", transfer, "build", "a transfer, which offers build(coarse, fine) -> sparse matrix")
-        checks.flag("contact_rows", contact_rows)
-        check_coarse_to_fine(meshes)
-        meshed = time.perf_counter()
-        discretes = [discretise(problem, mesh) for mesh in meshes]
-        assembled = time.perf_counter()
-        levels = [Level(discretes[0], meshes[0])]
-        for k in range(1, len(meshes)):
-            found = between_levels(transfer, meshes[k - 1], meshes[k], discretes[k - 1], discretes[k], contact_rows)
-            ratio = OnDemand(partial(ratio_to, meshes[k - 1]))
-            levels.append(Level(discretes[k], meshes[k], found.prolongation, ratio, surface_prolongation=found.surface))
-        timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
-        return cls(tuple(levels), problem, origin, timings, limits=limits)
-
-    # -- what it is ---------------------------------------------------------------------------------------------
-
-    @property
-    def grid_complexity(self) -> float:
-        """Nodes on all levels over nodes on the finest."""
-        return sum(level.n_nodes for level in self.levels) / self.finest.n_nodes
-
-    @property
-    def operator_complexity(self) -> float:
-        """Nonzeros of the discretised matrices on all levels over those of the finest."""
-        return sum(level.matrix.nnz for level in self.levels) / self.finest.matrix.nnz
-
-    def table(self, *, ratios: bool = True) -> list[dict[str, float]]:
-        """One dict a level: level, nodes, contact_nodes, nonzeros, mesh_ratio (to the next coarser level).
-
-        Mesh ratios take time the first time; ``ratios=False`` leaves those out (NaN) that nobody has asked for.
-        """
-        return [{"level": k, "nodes": level.n_nodes,
-                 "contact_nodes": 0 if level.discrete is None else len(level.discrete.contact),
-                 "nonzeros": level.matrix.nnz, "mesh_ratio": level.mesh_ratio if ratios else level.known_ratio}
-                for k, level in enumerate(self.levels)]
-
-    def __repr__(self) -> str:
-        name = self.problem.name if self.problem is not None else self.finest.discrete.name
-        lines = [f"Hierarchy of {len(self)} levels ({self.origin}) for {name}",
-                 f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11} {'h ratio':>8}"]
-        for row in self.table():
-            ratio = "-" if np.isnan(row["mesh_ratio"]) else f"{row['mesh_ratio']:.2f}"
-            lines.append(f"{row['level']:>5} {row['nodes']:>9} {row['contact_nodes']:>8} {row['nonzeros']:>11} "
-                         f"{ratio:>8}")
-        lines.append(f"grid complexity {self.grid_complexity:.3f}, "
-                     f"operator complexity (discretised) {self.operator_complexity:.3f}")
-        return "\n".join(lines + [self.limits] * bool(self.limits))
+        levels, timings = meshed_levels(problem, meshes, transfer, contact_rows, begin)
+        return cls(levels, problem, origin, timings, limits, transfer, contact_rows)

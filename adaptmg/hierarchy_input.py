@@ -14,8 +14,26 @@ from adaptmg.problem import ContactProblem, checks
 __all__ = ["check_coarse_to_fine", "each", "label", "limits_of_bisection", "need_domain", "need_problem"]
 
 
-def limits_of_bisection(meshes: Sequence[MeshArrays], boundaries: Sequence[str]) -> str:
-    """Words on what bisection near contact leaves: the elements that no level has touched, and what they do."""
+# elements away from contact this many times as large as those at it: about what two halvings more than theirs make
+_FAR_APART = 6
+
+
+def limits_of_bisection(meshes: Sequence[MeshArrays], boundaries: Sequence[str]) -> tuple[str, bool]:
+    """Words on what bisection near contact leaves: the elements that no level has touched, and what they do.
+
+    Parameters
+    ----------
+    meshes : sequence of MeshArrays
+        Coarse to fine.
+    boundaries : sequence of str
+        Contact.
+
+    Returns
+    -------
+    words : str
+    too_far : bool
+        Whether the elements left are so large that further levels hardly help.
+    """
     first, last = meshes[0].element_sizes, meshes[-1]
     contact = np.unique(np.concatenate([last.boundary_nodes(name) for name in boundaries]))
     near = np.isin(last.elements, contact).any(axis=1)
@@ -23,9 +41,8 @@ def limits_of_bisection(meshes: Sequence[MeshArrays], boundaries: Sequence[str])
     kept = float(last.volumes[last.element_sizes >= 0.5 * first.max()].sum() / last.volumes.sum())
     words = (f"limits: only elements at contact are refined (to {fine:.3g} m); away from it {100 * kept:.0f} % of the "
              f"domain keeps elements of up to {bulk:.3g} m")
-    if bulk > 6 * fine:
-        words += ": their part of the error stays, and more levels hardly help"
-    return words
+    too_far = bulk > _FAR_APART * fine
+    return words + (": their part of the error stays, and more levels hardly help" if too_far else ""), too_far
 
 
 def need_problem(problem: ContactProblem) -> None:
@@ -50,7 +67,7 @@ def need_domain(problem: ContactProblem) -> None:
         raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
 
 
-def check_coarse_to_fine(meshes: list[MeshArrays]) -> None:
+def check_coarse_to_fine(meshes: Sequence[MeshArrays]) -> None:
     """ValueError unless each mesh has more nodes than the one before."""
     sizes = [mesh.n_nodes for mesh in meshes]
     if any(a >= b for a, b in pairwise(sizes)):

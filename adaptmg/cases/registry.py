@@ -9,6 +9,7 @@ from types import MappingProxyType
 from adaptmg.cases.block import greco_block
 from adaptmg.cases.bolted_junction import bolted_junction
 from adaptmg.cases.cattaneo import cattaneo
+from adaptmg.cases.coulomb_transition import coulomb_transition
 from adaptmg.cases.curved import curved_obstacle
 from adaptmg.cases.dovetail import dovetail
 from adaptmg.cases.flat_punch import flat_punch
@@ -50,6 +51,7 @@ CASES: Mapping[str, Case] = MappingProxyType({
     "hertz_cylinder": Case(hertz_cylinder, "a cylinder on a block or another cylinder, closed form of Hertz (2D)"),
     "hertz_sphere": Case(hertz_sphere, "a ball on a block or another ball, closed form of Hertz (axisymmetric, 3D)"),
     "cattaneo": Case(cattaneo, "a cylinder pressed on a block, then pulled sideways: partial slip (2D)"),
+    "coulomb_transition": Case(coulomb_transition, "the end of a slip zone, with its exact field r^lambda (2D)"),
     "flat_punch": Case(flat_punch, "a flat rigid punch on a block, frictionless: singular edge (2D)"),
     "incline": Case(incline, "a block on a tilted slab, held by friction alone: two bodies (2D)"),
     "leaning_strut": Case(leaning_strut, "a strut that leans on its foot, friction 0.6: three solutions (2D)"),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["CorrectionName", "LawName", "LinearName", "Shape", "SolverName", "TransferName"]
+__all__ = ["CorrectionName", "EngineName", "IndicatorName", "LawName", "LinearName", "Shape", "SolverName",
+           "TransferName"]
 
 
 class SolverName(StrEnum):
@@ -56,3 +57,17 @@ class LinearName(StrEnum):
 
     DIRECT = "direct"
     AMG = "amg"
+
+
+class EngineName(StrEnum):
+    """What makes the next mesh of an adaptive loop."""
+
+    REMESH = "remesh"
+    BISECT = "bisect"
+
+
+class IndicatorName(StrEnum):
+    """Error indicators."""
+
+    RESIDUAL = "residual"
+    RECOVERY = "recovery"

@@ -1,89 +1,30 @@
-"""The commands and their options, and what is shown on standard error while they work.
-
-What is heavy is imported inside them, so that ``--help`` is instant.
-"""
+"""The commands and their options. What is heavy is imported inside them, so that ``--help`` is instant."""
 
 from __future__ import annotations
 
 import json
-import logging
-import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.logging import RichHandler
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from adaptmg import __version__
-from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
+from adaptmg.cli.choices import (
+    CorrectionName,
+    EngineName,
+    IndicatorName,
+    LawName,
+    LinearName,
+    Shape,
+    SolverName,
+    TransferName,
+)
 from adaptmg.runtime.text import printable
 
-__all__ = ["app", "main", "watched"]
-
-
-Callback = Callable[[dict[str, float]], None]
-
-
-@contextmanager
-def watched(rtol: float) -> Iterator[Callback | None]:
-    """Show log and progress of what happens inside.
-
-    Parameters
-    ----------
-    rtol : float
-        Tolerance of the solver: the bar is full when the error has come down to it.
-
-    Yields
-    ------
-    callable or None
-        Callback for :func:`adaptmg.solve`; None where standard error is no terminal.
-    """
-    console = Console(stderr=True)
-    with _logged(console):
-        if not console.is_terminal:
-            yield None
-            return
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True) as bar:
-            yield _advance(bar, rtol)
-
-
-def _advance(bar: Progress, rtol: float) -> Callback:
-    """Fill the bar by decades of the error."""
-    task = bar.add_task("grids and set-up", total=None)
-    first: list[float] = []
-
-    def callback(row: dict[str, float]) -> None:
-        for error in (row.get("error_estimate", math.nan), row.get("residual", math.nan)):
-            if math.isfinite(error) and error > 0:
-                first.append(error)
-                total = math.log10(max(first[0] / rtol, 10.0))
-                bar.update(task, total=total, completed=min(max(math.log10(first[0] / error), 0.0), total),
-                           description=f"cycle {row['cycle']}, error {error:.1e}")
-                return
-
-    return callback
-
-
-@contextmanager
-def _logged(console: Console) -> Iterator[None]:
-    """Send adaptmg's log from INFO on to the console."""
-    logger = logging.getLogger("adaptmg")
-    handler = RichHandler(console=console, show_time=False, show_level=False, show_path=False)
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
-
+__all__ = ["app", "main"]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False,
                   context_settings={"help_option_names": ["-h", "--help"]},
@@ -153,7 +94,7 @@ def solve(
     """Solve a case and say how it went: exit code 1 if the tolerance was not reached, 2 for bad input."""
     with _told():
         from adaptmg.cli import work
-        from adaptmg.cli.command import watched
+        from adaptmg.cli.progress import watched
 
         folder = None if out is None else work.out_folder(out)
         problem = work.problem_of(case, law, friction, limit)
@@ -170,6 +111,50 @@ def solve(
     if not result.status.ok:
         _say(f"adaptmg: not converged ({result.status.name}): {result.status.value}", err=True)
         raise typer.Exit(1)
+
+
+@app.command(epilog="Example: adaptmg adapt upset_block --max-nodes 20000 --engine bisect --out results/upset")
+def adapt(
+    case: Annotated[str, typer.Argument(help="Name of a case, see 'adaptmg cases'.")],
+    start: Annotated[float | None, typer.Option(
+        show_default="5e-3", help="Element size of the first mesh, m.")] = None,
+    tolerance: Annotated[float | None, typer.Option(
+        help="Stop when the estimate is so small, relative to the energy norm of the displacement.")] = None,
+    max_nodes: Annotated[int | None, typer.Option(
+        show_default="20000 if no limit is given", help="Nodes at most.")] = None,
+    max_seconds: Annotated[float | None, typer.Option(help="Begin no step after so many seconds.")] = None,
+    engine: Annotated[EngineName, typer.Option(
+        help="Meshes made anew by sizes, or marked elements bisected.")] = EngineName.REMESH,
+    indicator: Annotated[IndicatorName, typer.Option(help="What estimates the error.")] = IndicatorName.RESIDUAL,
+    theta: Annotated[float, typer.Option(help="Share of the estimate whose elements are marked (bisect).")] = 0.5,
+    law: Annotated[LawName | None, typer.Option(show_default="that of the case", help="Contact law.")] = None,
+    friction: Annotated[float | None, typer.Option(help="Coefficient of Coulomb friction.")] = None,
+    limit: Annotated[float | None, typer.Option(help="Tresca limit, Pa.")] = None,
+    out: Annotated[Path | None, typer.Option(
+        help="Directory for the last result (.npz), pictures and a .vtu file.")] = None,
+    store: Annotated[Path | None, typer.Option(
+        help="Directory where every step is kept; a loop that was broken off goes on there.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Solve a case on meshes that follow the error, until a limit is reached: a line a step. Exit code 2: bad input."""
+    with _told():
+        from adaptmg.cli import adaptive, work
+        from adaptmg.cli.progress import watched_loop
+
+        folder = None if out is None else work.out_folder(out)
+        problem = work.problem_of(case, law, friction, limit)
+        told: list[str] = []
+        with watched_loop() as progress:
+            # lines would run into the bar: they wait until it has gone
+            say = told.append if as_json or progress is not None else _say
+            steps = adaptive.stepped(problem, 5e-3 if start is None else start, indicator, engine, theta,
+                                     adaptive.limits(tolerance, max_nodes, max_seconds), store, progress, say)
+        files = [] if folder is None else adaptive.write(folder, problem, steps)
+        if as_json:
+            _say(json.dumps(adaptive.summary(steps, files), indent=2, allow_nan=False))
+        else:
+            last = steps[-1]
+            _say("\n".join([*told, last.outcome, "", repr(last.result), *(f"wrote {file}" for file in files)]))
 
 
 @contextmanager

@@ -17,7 +17,8 @@ from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder, write_bytes
 from adaptmg.solver.run import Solver
 
-__all__ = ["hierarchy_of", "out_folder", "problem_of", "solved", "solver_of", "summary", "write"]
+__all__ = ["finite", "hierarchy_of", "out_folder", "problem_of", "save_picture", "solved", "solver_of", "summary",
+           "write"]
 
 #: options, beside rtol and most, that a method takes
 _TAKES = {SolverName.FULL: ("correction", "cycle", "pre", "post", "omega"),
@@ -114,14 +115,15 @@ def summary(result: am.Result, files: list[Path]) -> dict[str, Any]:
            "max_pressure": float(result.contact.pressure.max()),
            "max_displacement": float(np.linalg.norm(result.displacement, axis=1).max()),
            "versions": result.versions, "files": [str(file) for file in files]}
-    return _finite(row)
+    return finite(row)
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Plain values as JSON takes them: numbers that are not finite become None."""
     if isinstance(value, dict):
-        return {key: _finite(v) for key, v in value.items()}
+        return {key: finite(v) for key, v in value.items()}
     if isinstance(value, list):
-        return [_finite(v) for v in value]
+        return [finite(v) for v in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -154,9 +156,13 @@ def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, resu
     if result.path:
         pictures["path"] = lambda: am.plot.path(result)
     for name, draw in pictures.items():
-        figure = draw()
-        files.append(directory / f"{name}.png")
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=200, bbox_inches="tight")
-        write_bytes(files[-1], picture.getvalue())
+        files.append(save_picture(directory / f"{name}.png", draw()))
     return files
+
+
+def save_picture(file: Path, figure: Any) -> Path:
+    """Write a figure of matplotlib as PNG, whole or not at all; returns the file."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=200, bbox_inches="tight")
+    write_bytes(file, picture.getvalue())
+    return file

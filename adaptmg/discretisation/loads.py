@@ -26,7 +26,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Traction
 
-__all__ = ["load_vector"]
+__all__ = ["load_density", "load_vector"]
 
 
 def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | None = None) -> np.ndarray:
@@ -78,12 +78,12 @@ def _add(result: np.ndarray, mesh: MeshArrays, cells: np.ndarray, measures: np.n
     weights = measures[:, None] * weights
     if axisymmetric:
         weights = weights * (2 * np.pi * points[:, :, 0])
-    nodal = np.einsum("cq,qk,cqd->ckd", weights, rule, _density(load, points, normals), optimize=True)
+    nodal = np.einsum("cq,qk,cqd->ckd", weights, rule, load_density(load, points, normals), optimize=True)
     for d in range(mesh.dim):
         result[:, d] += np.bincount(cells.reshape(-1), weights=nodal[:, :, d].reshape(-1), minlength=len(result))
 
 
-def _density(load: BodyForce | Pressure | Traction, points: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
+def load_density(load: BodyForce | Pressure | Traction, points: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
     """Force per volume or area at points (n_cells, n_quadrature, dim), in the same shape."""
     shape, dim = points.shape[:2], points.shape[2]
     flat = points.reshape(-1, dim)

@@ -8,6 +8,7 @@ import numpy as np
 
 from adaptmg.discretisation.facets import named_facets
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import checks
 from adaptmg.problem.loads import Support
 
 __all__ = ["fixed_dofs"]
@@ -32,7 +33,8 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[Support]) -> tuple[np.ndarra
     Raises
     ------
     ValueError
-        For a boundary the mesh does not have, a z component in 2D, or two values for one dof.
+        For a boundary the mesh does not have, a z component in 2D, two values for one dof, or functions of position
+        whose values are not finite numbers, one a node.
     """
     fixed = np.zeros((mesh.n_nodes, mesh.dim), dtype=bool)
     values = np.zeros((mesh.n_nodes, mesh.dim))
@@ -42,12 +44,13 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[Support]) -> tuple[np.ndarra
         for d, value in enumerate(support.components(mesh.dim)):
             if value is None:
                 continue
-            clash = fixed[nodes, d] & (values[nodes, d] != value)
+            wanted = checks.field(f"{'xyz'[d]} of the support on {support.boundary!r}", value, mesh.points[nodes])
+            clash = fixed[nodes, d] & (values[nodes, d] != wanted)
             if clash.any():
-                node = int(nodes[np.argmax(clash)])
+                node, here = int(nodes[np.argmax(clash)]), wanted[np.argmax(clash)]
                 other = supports[origin[node, d]].boundary
                 raise ValueError(f"supports on {other!r} and {support.boundary!r} prescribe different {'xyz'[d]} "
-                                 f"displacements, {values[node, d]:g} and {value:g} m, at their common node {node} "
+                                 f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
                                  f"{tuple(mesh.points[node].tolist())}: give both the same value or free one")
-            fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, value, k
+            fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, wanted, k
     return fixed.reshape(-1), values.reshape(-1)

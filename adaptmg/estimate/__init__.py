@@ -3,5 +3,12 @@
 from __future__ import annotations
 
 from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.marking import Doerfler, Maximum
+from adaptmg.estimate.recovery import Recovery
+from adaptmg.estimate.reference_error import EnergyError, Reference, energy_error
+from adaptmg.estimate.remesh_engine import Remesh
+from adaptmg.estimate.residual import Residual
+from adaptmg.estimate.tractions import BoundaryTractions, boundary_tractions
 
-__all__ = ["Estimate"]
+__all__ = ["BoundaryTractions", "Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Remesh",
+           "Residual", "boundary_tractions", "energy_error"]

@@ -14,15 +14,15 @@ from adaptmg.mesh.checks.check import MeshQuality, check_mesh, quality
 from adaptmg.mesh.size_near import SizeNear
 from adaptmg.mesh.structured import structured
 
-# these modules import ngsolve: they are loaded at the first use of a name (PEP 562)
-_LAZY = {"as_mesh": "user", "bisect": "bisected", "from_gmsh": "files.gmsh", "from_ngsolve": "build",
-         "from_step": "netgen.step", "graded": "netgen.grading", "refine_near": "bisected",
-         "sized": "netgen.grading", "solid_mesh": "netgen.solids", "step_names": "netgen.step",
-         "to_ngsolve": "build", "with_source": "build"}
+# these modules import ngsolve or numba: they are loaded at the first use of a name (PEP 562)
+_LAZY = {"as_mesh": "user", "bisect": "bisected", "coarsen": "bisection.coarsening", "from_gmsh": "files.gmsh",
+         "from_ngsolve": "build", "from_step": "netgen.step", "graded": "netgen.grading",
+         "onto_domain": "bisection.onto_domain", "refine_near": "bisected", "sized": "netgen.grading",
+         "solid_mesh": "netgen.solids", "step_names": "netgen.step", "to_ngsolve": "build", "with_source": "build"}
 
-__all__ = ["MeshArrays", "MeshQuality", "SizeNear", "as_mesh", "bisect", "check_mesh", "from_gmsh", "from_ngsolve",
-           "from_step", "graded", "merged", "quality", "refine_near", "sized", "solid_mesh", "step_names", "structured",
-           "to_ngsolve", "with_source"]
+__all__ = ["MeshArrays", "MeshQuality", "SizeNear", "as_mesh", "bisect", "check_mesh", "coarsen", "from_gmsh",
+           "from_ngsolve", "from_step", "graded", "merged", "onto_domain", "quality", "refine_near", "sized",
+           "solid_mesh", "step_names", "structured", "to_ngsolve", "with_source"]
 
 
 def __getattr__(name: str) -> object:

@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptmg.runtime.on_demand import made_on_demand
 
-__all__ = ["MeshArrays", "trusted"]
+__all__ = ["MeshArrays", "longest_edges", "trusted"]
 
 
 # of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
@@ -65,6 +65,10 @@ class MeshArrays:
     sound : bool
         Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction: the arrays are
         frozen, so that it need not be checked again.
+    refinement : Refinement or None
+        Of a bisected mesh its history, see :class:`adaptmg.mesh.bisection.refinement.Refinement`: further bisection
+        goes on from it, coarsening takes it back. Pickled, but not saved in a result; a mesh made by
+        ``dataclasses.replace`` has none, and is an initial mesh.
     """
 
     points: np.ndarray
@@ -76,6 +80,7 @@ class MeshArrays:
     bodies: tuple[str, ...] = ("body",)
     source: Any = field(default=None, repr=False)
     sound: bool = field(default=False, init=False, repr=False)
+    refinement: Any = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
@@ -89,7 +94,7 @@ class MeshArrays:
     def __reduce__(self) -> tuple[Any, ...]:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
         return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
-                            self.element_body, self.bodies), {"sound": self.sound}
+                            self.element_body, self.bodies), {"sound": self.sound, "refinement": self.refinement}
 
     def __copy__(self) -> MeshArrays:
         # what is frozen needs no second copy, and a source that nobody has asked for yet is built once
@@ -121,10 +126,7 @@ class MeshArrays:
     @cached_property
     def element_sizes(self) -> np.ndarray:
         """Longest edge of each element (n_elements,), m."""
-        corners = self.points[self.elements]
-        k = corners.shape[1]
-        return np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
-                       for i in range(k) for j in range(i)], axis=0)
+        return longest_edges(self.points[self.elements])
 
     @cached_property
     def volumes(self) -> np.ndarray:
@@ -132,6 +134,12 @@ class MeshArrays:
         corners = self.points[self.elements]
         edges = corners[:, 1:] - corners[:, :1]
         return np.linalg.det(edges) / (2 if self.dim == 2 else 6)
+
+
+def longest_edges(corners: np.ndarray) -> np.ndarray:
+    """Longest edge (n,) of each of some simplices, given by their corners (n, dim + 1, dim)."""
+    k = corners.shape[1]
+    return np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)], axis=0)
 
 
 def trusted(mesh: MeshArrays, source: Any, sound: bool = True) -> MeshArrays:

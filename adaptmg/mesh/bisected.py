@@ -1,9 +1,11 @@
-"""bisect and refine_near: nested refinement by NGSolve's marked bisection.
+"""bisect and refine_near: nested refinement by bisection of marked elements.
 
 Marked elements are cut until all their edges are halved (four triangles; at least eight tetrahedra), their neighbours
-as far as conformity asks. The longest edges go first; every new node is the midpoint of its two parents. On the arcs of
-an :class:`~adaptmg.problem.Outline` that midpoint lies on the chord: refined meshes are nested, and keep the shape of
-the first mesh. The curve itself is approached by new meshes (:func:`adaptmg.mesh.graded`) only.
+as far as conformity asks. Of a mesh that was never bisected the longest edges go first; later those opposite the newest
+nodes (triangles), or those that Arnold, Mukherjee and Pouly mark (tetrahedra, see
+:mod:`adaptmg.mesh.bisection.children`): shapes stay within a bounded number of classes. Every new node is the midpoint
+of its two parents. On curved boundaries that midpoint lies on the chord: refined meshes are nested, and keep the shape
+of the first mesh. :func:`adaptmg.mesh.onto_domain` moves new nodes onto the curve.
 """
 
 from __future__ import annotations
@@ -13,16 +15,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import ngsolve_mesh, own_mesh
+from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.checks.check import check_mesh
-from adaptmg.mesh.netgen.generate import MAX_NODES
-from adaptmg.mesh.netgen.interruptible import interruptible
+from adaptmg.mesh.limits import MAX_NODES
 from adaptmg.problem import checks
 
-__all__ = ["bisect", "refine_near"]
+__all__ = ["bisect", "check_marked", "refine_near"]
 
 
-def bisect(mesh: MeshArrays, marked: np.ndarray) -> tuple[MeshArrays, np.ndarray]:
+def bisect(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> tuple[MeshArrays, np.ndarray]:
     """Refine the marked elements.
 
     Parameters
@@ -31,11 +32,15 @@ def bisect(mesh: MeshArrays, marked: np.ndarray) -> tuple[MeshArrays, np.ndarray
         Not changed, nor its source.
     marked : (n_elements,) array of bool
         The elements to refine; at least one.
+    passes : int, optional
+        How often the marked elements are bisected, >= 1: once gives two of each, and adds fewest nodes. By default
+        until all their edges are halved.
 
     Returns
     -------
     fine : MeshArrays
-        Nested in ``mesh``; the old nodes come first and keep their numbers, names and bodies stay.
+        Nested in ``mesh``; the old nodes come first and keep their numbers, names and bodies stay. It carries its
+        history (``fine.refinement``), by which :func:`adaptmg.mesh.coarsen` takes bisections back.
     parents : (n_fine_nodes, 2) array of int
         Node i of ``fine`` is the midpoint of nodes ``parents[i]``, both below i (they may be new nodes themselves);
         of an old node both are i.
@@ -43,24 +48,25 @@ def bisect(mesh: MeshArrays, marked: np.ndarray) -> tuple[MeshArrays, np.ndarray
     Raises
     ------
     TypeError, ValueError
-        If ``marked`` is no mask over the elements, or marks none.
+        If ``marked`` is no mask over the elements, or marks none; if ``passes`` is no integer >= 1.
     """
-    check_mesh(mesh)
+    marked = check_marked(check_mesh(mesh), marked)
+    if not marked.any():
+        raise ValueError("marked marks no element: nothing to refine")
+    fine = refined(mesh, marked, None if passes is None else checks.integer("passes", passes, 1)).mesh
+    parents = np.array(fine.refinement.parents, dtype=np.int64)
+    parents[:mesh.n_nodes] = np.arange(mesh.n_nodes)[:, None]
+    return fine, parents
+
+
+def check_marked(mesh: MeshArrays, marked: np.ndarray) -> np.ndarray:
+    """``marked`` as an array; TypeError or ValueError unless it is a boolean mask over the elements."""
     marked = np.asarray(marked)
     if marked.dtype != bool:
         raise TypeError(f"marked must be a boolean mask over the elements, got {marked.dtype}")
     if marked.shape != (len(mesh.elements),):
         raise ValueError(f"marked must have shape ({len(mesh.elements)},), got {marked.shape}")
-    if not marked.any():
-        raise ValueError("marked marks no element: nothing to refine")
-    # a copy: Refine changes a mesh, and views of it dangle
-    copy = ngsolve_mesh(mesh)
-    copy.SetRefinementFlags(marked.tolist())
-    interruptible(copy.Refine)
-    parents = np.repeat(np.arange(copy.nv), 2).reshape(-1, 2)
-    # NGSolve tells parents node by node only: 0.2 us each, small beside the refinement itself
-    parents[mesh.n_nodes:] = [copy.GetParentVertices(i) for i in range(mesh.n_nodes, copy.nv)]
-    return own_mesh(copy), parents
+    return marked
 
 
 def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int = 1) -> list[MeshArrays]:

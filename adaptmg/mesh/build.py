@@ -14,7 +14,7 @@ from adaptmg.mesh.checks.overlap import check_overlap
 from adaptmg.mesh.files.normalise import normalised
 from adaptmg.runtime.on_demand import OnDemand
 
-__all__ = ["from_ngsolve", "ngsolve_mesh", "own_mesh", "to_ngsolve", "with_source"]
+__all__ = ["from_ngsolve", "ngsolve_mesh", "own_mesh", "raw_mesh", "to_ngsolve", "with_source"]
 
 # Netgen's element types of first and second order
 _TRIANGLES = (10, 12)
@@ -154,6 +154,11 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
 
 def own_mesh(mesh: ngsolve.Mesh) -> MeshArrays:
     """The same for a mesh that Netgen just made for us, which needs no look for bodies that lie over themselves."""
+    return with_source(raw_mesh(mesh))
+
+
+def raw_mesh(mesh: ngsolve.Mesh) -> MeshArrays:
+    """The same, not yet checked and without source: of drafts, and of meshes whose nodes are still to be moved."""
     dim, ngmesh = mesh.dim, mesh.ngmesh
     if dim not in (2, 3):
         raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
@@ -175,7 +180,7 @@ def own_mesh(mesh: ngsolve.Mesh) -> MeshArrays:
     body = volume["index"].astype(np.int64) - 1
     _check_index("the boundary number", label, len(mesh.GetBoundaries()))
     _check_index("the material number", body, len(mesh.GetMaterials()))
-    return with_source(normalised(points, elements, facets, label, mesh.GetBoundaries(), body, mesh.GetMaterials()))
+    return normalised(points, elements, facets, label, mesh.GetBoundaries(), body, mesh.GetMaterials())
 
 
 def _check_index(what: str, index: np.ndarray, size: int) -> None:

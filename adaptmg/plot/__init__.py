@@ -1,4 +1,5 @@
-"""Pictures with matplotlib: what is posed, the grids, the solution, the contact surfaces, the way the solver went.
+"""Pictures with matplotlib: what is posed, the grids, the solution, the contact surfaces, the way the solver went,
+adaptive loops.
 
 Each function draws into a new figure or into given axes and returns the Figure; nothing is shown or saved. Names of
 problems, bodies and boundaries are shown as they are; labels given to a function may hold matplotlib's math text.
@@ -9,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from adaptmg.plot.adaptive_loop import adaptation
     from adaptmg.plot.bodies.deformation import deformation
     from adaptmg.plot.contact_surfaces.contact import contact
     from adaptmg.plot.contact_surfaces.load_history import load_history
@@ -17,11 +19,11 @@ if TYPE_CHECKING:
     from adaptmg.plot.posed.problem import problem
     from adaptmg.plot.way import path
 
-_WHERE = {"contact": "contact_surfaces.contact", "deformation": "bodies.deformation", "grids": "meshes",
-          "history": "convergence", "load_history": "contact_surfaces.load_history", "mesh": "meshes", "path": "way",
-          "problem": "posed.problem"}
+_WHERE = {"adaptation": "adaptive_loop", "contact": "contact_surfaces.contact", "deformation": "bodies.deformation",
+          "grids": "meshes", "history": "convergence", "load_history": "contact_surfaces.load_history",
+          "mesh": "meshes", "path": "way", "problem": "posed.problem"}
 
-__all__ = ["contact", "deformation", "grids", "history", "load_history", "mesh", "path", "problem"]
+__all__ = ["adaptation", "contact", "deformation", "grids", "history", "load_history", "mesh", "path", "problem"]
 
 
 def __getattr__(name: str) -> Any:

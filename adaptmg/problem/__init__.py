@@ -20,6 +20,7 @@ from adaptmg.problem.domains import (
 )
 from adaptmg.problem.laws import Coulomb, Frictionless, Law, Tresca
 from adaptmg.problem.load_path import LoadPath
+from adaptmg.problem.load_step import step_problem
 from adaptmg.problem.loads import BodyForce, InitialStrain, Pressure, Support, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStrain, PlaneStress, Solid
 from adaptmg.problem.obstacles import GapFunction, Plane
@@ -28,4 +29,5 @@ from adaptmg.problem.pairs import ContactPair
 __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Common", "Contact", "ContactPair", "ContactProblem",
            "Coulomb", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless", "Fuse", "GapFunction",
            "InitialStrain", "Law", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain", "PlaneStress", "Polygon",
-           "Pressure", "Rectangle", "Revolution", "Solid", "StepFile", "Support", "Traction", "Tresca"]
+           "Pressure", "Rectangle", "Revolution", "Solid", "StepFile", "Support", "Traction", "Tresca",
+           "step_problem"]

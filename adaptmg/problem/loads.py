@@ -126,25 +126,25 @@ class Support:
     ----------
     boundary : str
         Name of the boundary.
-    x, y, z : float or None
-        Prescribed displacement, m.
+    x, y, z : float, callable or None
+        Prescribed displacement, m; a function of position is taken at the nodes.
     """
 
     boundary: str
-    x: float | None = None
-    y: float | None = None
-    z: float | None = None
+    x: FieldLike | None = None
+    y: FieldLike | None = None
+    z: FieldLike | None = None
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         for name in "xyz":
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, checks.quantity(name, value))
+                object.__setattr__(self, name, _field(name, value))
         if self.x is None and self.y is None and self.z is None:
             raise ValueError(f"support on {self.boundary!r} fixes nothing: give x, y or z a displacement in m")
 
-    def components(self, dim: int) -> tuple[float | None, ...]:
+    def components(self, dim: int) -> tuple[FieldLike | None, ...]:
         """The prescribed components in ``dim`` dimensions."""
         if dim == 2 and self.z is not None:
             raise ValueError(f"support on {self.boundary!r}: z is prescribed in a 2D problem")

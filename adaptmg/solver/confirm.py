@@ -22,6 +22,7 @@ from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.result.result_of import result_of
 from adaptmg.solver.run import Outcome, Run, Solver
 from adaptmg.solver.single_grid import SingleGrid
+from adaptmg.solver.warm import WarmMultigrid
 
 __all__ = ["confirmed_result"]
 
@@ -31,7 +32,8 @@ _LOG = logging.getLogger(__name__)
 _TIMES = 3
 #: tolerances below this are rounding
 _LEAST = 1e-14
-_LIMITS = {Multigrid: "max_cycles", FullMultigrid: "max_cycles", ActiveSet: "max_steps", SingleGrid: "max_sweeps"}
+_LIMITS = {Multigrid: "max_cycles", FullMultigrid: "max_cycles", WarmMultigrid: "max_cycles", ActiveSet: "max_steps",
+           SingleGrid: "max_sweeps"}
 
 
 def confirmed_result(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, solver: Solver,

@@ -17,6 +17,7 @@ import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.runtime.remembered import remembered
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.linear.condensation import condense
 from adaptmg.solver.result.examiner import Examiner
@@ -27,6 +28,7 @@ __all__ = ["critical_friction", "warn_of_large_friction", "warn_of_several_solut
 _SMALL, _SMALL_CONTACT = 1500, 200
 
 
+@remembered
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     """The critical coefficient of each contact node if it touches alone.
 
@@ -54,6 +56,7 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     across = np.linalg.norm(stiffness[:, 0, 1:], axis=1)
     along = np.linalg.eigvalsh(stiffness[:, 1:, 1:])[:, 0]
     result[~held] = np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
+    result.flags.writeable = False
     return result
 
 

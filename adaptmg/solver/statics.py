@@ -24,6 +24,7 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.runtime.remembered import remembered
 from adaptmg.smoother.system import frames_of
 
 __all__ = ["check_statics", "check_statics_of"]
@@ -36,6 +37,7 @@ _SEGMENTS = 8  # of the friction polygon in 3D, which has twice as many sides
 _LIMIT = 1e6  # Tresca limits beyond this multiple of the load count as this: keeps the programme well scaled
 
 
+@remembered
 def check_statics(problem: DiscreteProblem) -> None:
     """Raise ValueError if a rigid motion is left free by the supports and contact cannot hold it.
 

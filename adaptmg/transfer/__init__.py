@@ -20,7 +20,7 @@ from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_ro
 from adaptmg.transfer.galerkin import galerkin_product, is_galerkin
 from adaptmg.transfer.interpolation import Interpolation
 from adaptmg.transfer.location import PointLocator
-from adaptmg.transfer.mesh_ratio import mesh_ratio
+from adaptmg.transfer.mesh_ratio import mesh_ratio, size_ratio
 from adaptmg.transfer.projections.l2 import L2, LumpedL2, PseudoL2, QuasiInterpolation
 from adaptmg.transfer.protocol import Transfer
 from adaptmg.transfer.rows import CLIP
@@ -45,6 +45,7 @@ __all__ = [
     "largest_gap",
     "mesh_ratio",
     "minmod_slip",
+    "size_ratio",
     "smallest_gap",
     "summed_limit",
     "supports",

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, longest_edges
 from adaptmg.problem import checks
 from adaptmg.transfer.location import body_locators
 
-__all__ = ["mesh_ratio"]
+__all__ = ["mesh_ratio", "size_ratio"]
+
+#: elements in which size_ratio is measured: a quantile needs no more
+_SAMPLE = 20_000
 
 
 def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -> float:
@@ -37,3 +40,25 @@ def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -
         found = locator.locate(fine.points[fine.elements[elements]].mean(axis=1))
         ratio[elements] = coarse.element_sizes[found.element] / fine.element_sizes[elements]
     return float(np.quantile(ratio, quantile))
+
+
+def size_ratio(coarse: MeshArrays, fine: MeshArrays, quantile: float = 0.99) -> float:
+    """Local ratio h_coarse / h_fine by which levels of an adaptive hierarchy are kept: at most about 4.
+
+    Parameters
+    ----------
+    coarse, fine : MeshArrays
+    quantile : float
+        See :func:`mesh_ratio`, of which this is the 99 % quantile; of large meshes over every so-manieth element.
+
+    Returns
+    -------
+    float
+    """
+    step, ratios = max(1, len(fine.elements) // _SAMPLE), []
+    for body, locator in body_locators(coarse, fine):
+        elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
+        corners = fine.points[fine.elements[elements[::step]]]
+        found = locator.locate(corners.mean(axis=1))
+        ratios.append(coarse.element_sizes[found.element] / longest_edges(corners))
+    return float(np.quantile(np.concatenate(ratios), quantile))

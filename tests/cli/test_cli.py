@@ -16,7 +16,7 @@ import pytest
 
 import adaptmg as am
 from adaptmg.cli import app
-from adaptmg.cli.command import watched
+from adaptmg.cli.progress import watched
 
 
 @pytest.fixture

@@ -179,6 +179,7 @@ class TestHierarchies:
             contact_ratio={"upper": 2.0, "lower": 3.0})
         self.check(grids)
 
+    @pytest.mark.filterwarnings("ignore:bisected, levels=3")
     def test_bisected(self):
         problem = bar_on_block(am.Coulomb(0.5))
         grids = am.Hierarchy.bisected(problem, structured(problem.domain, {"upper": 3, "lower": (5, 4)}), 3)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -58,10 +59,16 @@ def test_bisections_beyond_the_limit(levels):
     assert time.perf_counter() - begin < 1
 
 
-def test_what_bisection_leaves_is_printed():
+def test_what_bisection_leaves_is_printed_and_warned_of():
     problem = am.cases.greco_bar()
     coarsest = structured(problem.domain, 8)
-    few, many = (repr(am.Hierarchy.bisected(problem, coarsest, levels)) for levels in (1, 4))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        few = repr(am.Hierarchy.bisected(problem, coarsest, 1))
+        am.Hierarchy.bisected(problem, coarsest, 2)
+    with pytest.warns(UserWarning, match=r"levels=4: .*elements of up to 0.00707 m.*hardly help.*fewer levels") as said:
+        many = repr(am.Hierarchy.bisected(problem, coarsest, 4))
+    assert said[0].filename == __file__
     assert "limits: only elements at contact are refined (to 0.00354 m); away from it 84 % of the domain keeps " in few
     assert "more levels hardly help" in many and "hardly" not in few
     assert "limits" not in repr(am.Hierarchy.uniform(problem, (2, 4)))

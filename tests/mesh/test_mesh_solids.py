@@ -11,7 +11,8 @@ import adaptmg.mesh.netgen.solids as module
 from adaptmg.mesh import check_mesh, quality
 from adaptmg.mesh.netgen import occ_shapes
 from adaptmg.mesh.netgen.occ_shapes import occ_shape
-from adaptmg.mesh.netgen.solids import SolidSizes, _check_volume, _left_by_chords, raised, solid_mesh
+from adaptmg.mesh.netgen.shape_arrays import check_volume, left_by_chords
+from adaptmg.mesh.netgen.solids import SolidSizes, raised, solid_mesh
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
 from adaptmg.problem.domains import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
 
@@ -226,13 +227,13 @@ def test_the_volume_check_can_fail(solid):
     volume = occ_shape(solid, solid.lower, scale).mass
     mesh = solid_mesh(solid, 0.5 * scale)
     unit = type(mesh)(mesh.points / scale, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries)
-    bound = _left_by_chords(unit)
+    bound = left_by_chords(unit)
     # far from failing even on the coarsest mesh, and no blank cheque
     assert abs(unit.volumes.sum() - volume) < 0.6 * bound < 0.5 * volume
-    assert _check_volume(unit, volume) is None
+    assert check_volume(unit, volume) is None
     for wrong in (volume + 1.7 * bound, 0.98 * (unit.volumes.sum() - bound)):
         with pytest.raises(ValueError, match="of the volume, chords explain"):
-            _check_volume(unit, wrong)
+            check_volume(unit, wrong)
 
 
 def test_scaling_changes_nothing_and_meshes_repeat():

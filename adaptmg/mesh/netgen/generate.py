@@ -20,19 +20,19 @@ from netgen.occ import Box as OccBox
 from netgen.occ import OCCGeometry, Pnt, X, Y, Z
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import own_mesh, with_source
+from adaptmg.mesh.build import own_mesh, raw_mesh, with_source
 from adaptmg.mesh.geometry import BOX_SIDES
+from adaptmg.mesh.limits import MAX_NODES
 from adaptmg.mesh.netgen.interruptible import interruptible
 from adaptmg.mesh.netgen.outline import onto_outline, plane_measures, spline_geometry, straight_area
 from adaptmg.mesh.netgen.thin import refuse_thin
 from adaptmg.problem.domains import Box, Domain, Outline
 
-__all__ = ["MAX_NODES", "SizeField", "expected_nodes", "guessed_nodes", "netgen_mesh", "refuse_too_many"]
+__all__ = ["SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh", "refine_uniformly",
+           "refuse_too_many"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 
-# what Netgen makes in about a quarter of an hour (0.2 ms a node in 2D, 0.7 ms in 3D)
-MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 # seconds: several times what meshes of that many nodes take
 _LIMIT_S = {2: 20_000.0, 3: 70_000.0}
 _NODES_PER_CELL = {2: 1.15, 3: 1.4}
@@ -69,7 +69,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
     ValueError
         If Netgen fails, or the mesh would have more than 5 million nodes (3D: 2 million).
     """
-    lower, scale = _extent(domain)
+    lower, scale = extent(domain)
     refuse_thin(domain, max_size, side_sizes)
     refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
     mesh = None
@@ -88,7 +88,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
             for (x, y, z), h in zip(places.tolist(), (wanted[small] / scale).tolist(), strict=True):
                 options.RestrictH(x, y, z, h)
         sides = {name: h / scale for name, h in side_sizes.items()}
-        mesh = _generate(domain, lower, scale, sides, options)
+        mesh = one_mesh(domain, lower, scale, sides, options, draft=step < rounds)
     return with_source(mesh)
 
 
@@ -105,7 +105,7 @@ def refuse_too_many(nodes: float, domain: Domain) -> None:
                          "take larger sizes (they are in m) or refine a smaller part")
 
 
-def _extent(domain: Domain) -> tuple[np.ndarray, float]:
+def extent(domain: Domain) -> tuple[np.ndarray, float]:
     """Lowest corner and largest side of the bounding box."""
     return domain.lower, float((domain.upper - domain.lower).max())
 
@@ -130,12 +130,18 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
     return float(_NODES_PER_CELL[domain.dim] * cells)
 
 
-def _generate(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],
-              options: netgen.meshing.MeshingParameters) -> MeshArrays:
-    """One call of Netgen on the scaled domain; the mesh in m, without source."""
+def one_mesh(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],
+             options: netgen.meshing.MeshingParameters, refinements: int = 0, *, draft: bool = False) -> MeshArrays:
+    """One call of Netgen on the scaled domain, all elements then cut in four (3D: eight) ``refinements`` times.
+
+    The mesh in m, without source; see :func:`netgen_mesh` for the names of its boundaries. A ``draft`` is not checked
+    but for its area or volume.
+    """
     try:
         geometry = (_box if isinstance(domain, Box) else spline_geometry)(domain, lower, scale, sides)
-        unit = own_mesh(ngsolve.Mesh(interruptible(geometry.GenerateMesh, mp=options, limit=_LIMIT_S[domain.dim])))
+        made = interruptible(geometry.GenerateMesh, mp=options, limit=_LIMIT_S[domain.dim])
+        refine_uniformly(made, refinements)
+        unit = (raw_mesh if draft else own_mesh)(ngsolve.Mesh(made))
     except (netgen.meshing.NgException, ValueError, RuntimeError) as error:
         raise ValueError(f"Netgen could not mesh {domain!r} ({error}); change the sizes a little or take a smaller "
                          "grading") from error
@@ -146,6 +152,19 @@ def _generate(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, 
         raise ValueError(f"Netgen meshed {mesh.volumes.sum():.9g} instead of {volume:.9g} of {domain!r}; "
                          "change the sizes a little")
     return mesh
+
+
+def refine_uniformly(mesh: netgen.meshing.Mesh, refinements: int) -> None:
+    """Cut every element in four (3D: eight) some times, in place; new nodes go onto the curves of its geometry.
+
+    The tetrahedra inside those that are cut are flat (mean quality .83 of 1 where Netgen's have .88): swapping faces
+    and moving nodes once brings them to .89, at a tenth of the cost of Netgen's own mesh of that size.
+    """
+    for _ in range(refinements):
+        interruptible(mesh.Refine)
+    if refinements and mesh.dim == 3:
+        options = netgen.meshing.MeshingParameters(optimize3d="sm", optsteps3d=1, parallel_meshing=False)
+        interruptible(mesh.OptimizeVolumeMesh, options)
 
 
 def _onto_planes(domain: Domain, mesh: MeshArrays, scale: float) -> MeshArrays:

@@ -22,10 +22,12 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.assembled import boundaries_of, merged, per_body
-from adaptmg.mesh.bisected import bisect
+from adaptmg.mesh.bisection.onto_domain import onto_domain
+from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.bisection.refinement import as_initial
 from adaptmg.mesh.geometry import distance_to_boundaries, require_simple
 from adaptmg.mesh.netgen.generate import SizeField, expected_nodes, guessed_nodes, netgen_mesh, refuse_too_many
-from adaptmg.mesh.netgen.outline import finished, onto_outline
+from adaptmg.mesh.netgen.outline import finished
 from adaptmg.mesh.netgen.solids import solid_mesh
 from adaptmg.mesh.netgen.step import step_mesh
 from adaptmg.mesh.topology import facet_keys, facet_table
@@ -211,17 +213,15 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
 
 def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArrays:
     """Bisect until no element is too large for the field."""
-    curved = isinstance(domain, Outline)
+    mesh = finished(domain, mesh) if isinstance(domain, Outline) else mesh
     for _ in range(_MAX_BISECTIONS):
         wanted = field(mesh.points[mesh.elements].mean(axis=1))
         large = _equilateral_size(mesh.volumes, mesh.dim) > _TOO_LARGE * wanted
         large[_owners_of_large_facets(mesh, field)] = True
         if not large.any():
-            return finished(domain, mesh) if curved else mesh
+            return as_initial(mesh)
         refuse_too_many(expected_nodes(mesh, wanted), domain)
-        mesh = bisect(mesh, large)[0]
-        if curved:
-            mesh = onto_outline(domain, mesh)
+        mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
     raise ValueError(f"the size field cannot be reached: after {_MAX_BISECTIONS} bisections {large.sum()} elements of "
                      f"{domain!r} are still too large; does it tend to zero at a point?")
 

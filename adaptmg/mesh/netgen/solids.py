@@ -5,11 +5,7 @@ The wanted edge length, for a bulk size H, a size function s, sizes :math:`h_b` 
 .. math:: h(x) = \min\bigl(H,\; s(x),\; \min_b (h_b + g\,\mathrm{dist}(x, b))\bigr).
 
 Netgen is asked for it as far as it is not below H/16; what is finer is bisected, with new nodes put onto the curved
-surfaces. Netgen also keeps edges on curved faces below their radius over ``curvature``. Elements are straight: all
-nodes of curved faces lie on them, chords do not. The volume of the mesh therefore differs from OCC's by
-:math:`O(h^2)`; it is compared with the bound :math:`\sum_F \tfrac12 A_F h_F \theta_F` over the boundary triangles F,
-:math:`\theta` being the largest angle to a neighbour on the same face (on a sphere the error is a third to a half of
-it).
+surfaces. Netgen also keeps edges on curved faces below their radius over ``curvature``.
 """
 
 from __future__ import annotations
@@ -25,17 +21,19 @@ from netgen.occ import OCCGeometry, Solid
 from scipy.spatial import cKDTree
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.build import own_mesh, with_source
 from adaptmg.mesh.netgen.generate import expected_nodes, refuse_too_many
 from adaptmg.mesh.netgen.interruptible import interruptible
 from adaptmg.mesh.netgen.occ_shapes import occ_shape
+from adaptmg.mesh.netgen.shape_arrays import Unsound, check_volume, in_metres, ordered, placed, read_shape
 from adaptmg.mesh.netgen.thin import curved_nodes, refuse_thin, refuse_thin_shape
 from adaptmg.mesh.topology import facet_keys, facet_table
 from adaptmg.problem import checks
 from adaptmg.problem.domains import Box, Domain, SolidDomain
 
-__all__ = ["SolidSizes", "shape_mesh", "solid_mesh"]
+__all__ = ["CURVATURE", "SolidSizes", "scaled_shape", "shape_mesh", "solid_mesh"]
 
+CURVATURE = 2.0
+"""On curved faces edges are at most their radius of curvature over this, about."""
 _NETGEN_RATIO = 16.0
 # an element is bisected when its size is this many times the wanted one: then it is not halved below 1 / sqrt(2)
 _TOO_LARGE = math.sqrt(2)
@@ -44,16 +42,9 @@ _MAX_BISECTIONS = 30
 # (which only makes the mesh finer) often helps
 _MAX_GRADING = 0.6
 _ATTEMPTS = (1.0, 0.7, 0.5)
-# of the largest coordinate: what scaling to unit size and back may move a node by
-_FLAT = 1e-9
-_DIGITS = 14
 _ENDLESS = 1e90
 # Netgen's own, and what exceptions of OCC arrive as
 _NETGEN_ERRORS = (netgen.meshing.NgException, RuntimeError)
-
-
-class _Unsound(ValueError):
-    """A mesh with holes, inverted elements or the wrong volume."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +69,7 @@ class SolidSizes:
     boundaries: Mapping[str, float] = field(default_factory=dict)
     grading: float = 0.3
     function: float | Callable[[np.ndarray], np.ndarray] | None = None
-    curvature: float = 2.0
+    curvature: float = CURVATURE
 
     def __post_init__(self) -> None:
         for name in ("size", "grading", "curvature"):
@@ -127,7 +118,7 @@ def raised(size: float, floor: float) -> float:
 
 def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[str, float] | None = None,
                grading: float = 0.3, size_function: float | Callable[[np.ndarray], np.ndarray] | None = None, *,
-               curvature: float = 2.0) -> MeshArrays:
+               curvature: float = CURVATURE) -> MeshArrays:
     """Mesh a solid with straight tetrahedra.
 
     Parameters
@@ -169,17 +160,19 @@ def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[s
                              f"the boundaries are {', '.join(domain.boundaries)}")
     refuse_thin(domain, sizes.size, sizes.boundaries)
     refuse_too_many(curved_nodes(domain, sizes.size, sizes.curvature), domain)
+    shape, names, lower, scale = scaled_shape(domain)
+    return ordered(domain, shape_mesh(shape, names, lower, scale, sizes, domain))
+
+
+def scaled_shape(domain: SolidDomain | Box) -> tuple[Solid, list[str], np.ndarray, float]:
+    """OCC's shape of a solid at about unit size, the names of its faces, where its origin lies and its unit, m."""
     lower = domain.lower
     scale = float((domain.upper - lower).max())
     try:
         shape = interruptible(occ_shape, domain, lower, scale)
     except _NETGEN_ERRORS as error:
         raise ValueError(f"OCC could not build {domain!r} ({error}); change its lengths a little") from error
-    names = [face.name for face in shape.faces]
-    mesh = shape_mesh(shape, names, lower, scale, sizes, domain)
-    order = tuple(name for name in domain.boundaries if name in mesh.boundaries)
-    labels = np.array([order.index(name) for name in mesh.boundaries])[mesh.facet_labels]
-    return with_source(replace(mesh, facet_labels=labels, boundaries=order, source=None))
+    return shape, [face.name for face in shape.faces], lower, scale
 
 
 def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, sizes: SolidSizes, domain: Domain
@@ -226,31 +219,14 @@ def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, 
         try:
             curved = _netgen_mesh(shape, lower, scale, slower, groups, domain)
             unit = _bisected(curved, lower, scale, sizes, groups, domain)
-            _check_volume(unit, shape.mass)
+            check_volume(unit, shape.mass)
             break
-        except (*_NETGEN_ERRORS, _Unsound) as error:
+        except (*_NETGEN_ERRORS, Unsound) as error:
             why = error
     else:
         raise ValueError(f"Netgen could not mesh {domain!r} ({why}); change the sizes a little or take a smaller "
                          "grading") from why
-    mesh = _in_planes(_placed(unit, lower, scale))
-    order = tuple(dict.fromkeys(names))
-    faces = np.array([order.index(names[int(face)]) for face in mesh.boundaries])
-    return replace(mesh, facet_labels=faces[mesh.facet_labels], boundaries=order, bodies=("body",),
-                   source=None)
-
-
-def _read(mesh: ngsolve.Mesh) -> MeshArrays:
-    """The checked arrays of a scaled mesh."""
-    try:
-        return own_mesh(mesh)
-    except ValueError as error:
-        raise _Unsound(error) from error
-
-
-def _placed(unit: MeshArrays, lower: np.ndarray, scale: float) -> MeshArrays:
-    """The mesh in m, without source."""
-    return replace(unit, points=lower + scale * unit.points, source=None)
+    return in_metres(unit, names, lower, scale)
 
 
 def _netgen_mesh(shape: Solid, lower: np.ndarray, scale: float, sizes: SolidSizes, groups: dict[str, list[str]],
@@ -267,7 +243,7 @@ def _netgen_mesh(shape: Solid, lower: np.ndarray, scale: float, sizes: SolidSize
             # only its sizes matter: optimising takes most of the time
             options = netgen.meshing.MeshingParameters(options, optsteps3d=0)
         if mesh is not None:
-            arrays = _placed(_read(mesh), lower, scale)
+            arrays = placed(read_shape(mesh), lower, scale)
             centroids = arrays.points[arrays.elements].mean(axis=1)
             # before Netgen works for minutes on a mesh that bisection would then find too large
             refuse_too_many(expected_nodes(arrays, sizes.field(centroids, arrays, groups)), domain)
@@ -284,59 +260,23 @@ def _bisected(mesh: ngsolve.Mesh, lower: np.ndarray, scale: float, sizes: SolidS
               domain: Domain) -> MeshArrays:
     """The arrays, still scaled, after bisection until no element is too large; ``mesh`` is changed."""
     for _ in range(_MAX_BISECTIONS):
-        unit = _read(mesh)
+        unit = read_shape(mesh)
         if sizes.function is None and not groups:
             return unit
-        placed = _placed(unit, lower, scale)
-        wanted = sizes.field(placed.points[placed.elements].mean(axis=1), placed, groups)
-        large = np.cbrt(placed.volumes * 6 * math.sqrt(2)) > _TOO_LARGE * wanted
-        corners = placed.points[placed.facets]
+        in_place = placed(unit, lower, scale)
+        wanted = sizes.field(in_place.points[in_place.elements].mean(axis=1), in_place, groups)
+        large = np.cbrt(in_place.volumes * 6 * math.sqrt(2)) > _TOO_LARGE * wanted
+        corners = in_place.points[in_place.facets]
         areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        on_boundary = np.sqrt(areas * 4 / math.sqrt(3)) > _TOO_LARGE * sizes.field(corners.mean(axis=1), placed, groups)
+        at_facets = sizes.field(corners.mean(axis=1), in_place, groups)
+        on_boundary = np.sqrt(areas * 4 / math.sqrt(3)) > _TOO_LARGE * at_facets
         table = facet_table(unit.elements, unit.n_nodes)
         large[table.first[table.find(facet_keys(unit.facets[on_boundary], unit.n_nodes))]] = True
         if not large.any():
             return unit
-        refuse_too_many(expected_nodes(placed, wanted), domain)
+        refuse_too_many(expected_nodes(in_place, wanted), domain)
         # on the mesh with its geometry, so that new nodes go onto the surfaces
         mesh.SetRefinementFlags(large.tolist())
         interruptible(mesh.Refine)
     raise ValueError(f"the size field cannot be reached: after {_MAX_BISECTIONS} bisections {large.sum()} elements of "
                      f"{domain!r} are still too large; does it tend to zero at a point?")
-
-
-def _check_volume(mesh: MeshArrays, volume: float) -> None:
-    """Raise _Unsound unless the volume is right but for the chords of curved faces."""
-    bound, meshed = _left_by_chords(mesh) + 1e-5 * volume, float(mesh.volumes.sum())
-    if not abs(meshed - volume) <= bound:
-        raise _Unsound(f"the mesh fills {meshed / volume:.6g} of the volume, chords explain a deviation of "
-                       f"{bound / volume:.2g}")
-
-
-def _left_by_chords(mesh: MeshArrays) -> float:
-    """Bound of the volume between curved faces and the mesh (module docstring)."""
-    a, b, c = (mesh.points[mesh.facets[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    areas = 0.5 * np.linalg.norm(normals, axis=1)
-    normals /= 2 * areas[:, None]
-    longest = np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], axis=0)
-    edges = facet_table(mesh.facets, mesh.n_nodes)
-    first, second = edges.first, edges.second
-    angles = np.arccos(np.clip(np.sum(normals[first] * normals[second], axis=1), -1.0, 1.0))
-    angles[mesh.facet_labels[first] != mesh.facet_labels[second]] = 0.0
-    turn = np.zeros(len(areas))
-    np.maximum.at(turn, first, angles)
-    np.maximum.at(turn, second, angles)
-    return 0.5 * float(np.sum(areas * longest * turn))
-
-
-def _in_planes(mesh: MeshArrays) -> MeshArrays:
-    """Nodes of plane faces normal to an axis at one coordinate, free of the rounding of scaling."""
-    points = mesh.points.copy()
-    reach = float(np.abs(points).max())
-    digits = _DIGITS - math.ceil(math.log10(reach))
-    for face in mesh.boundaries:
-        nodes = mesh.boundary_nodes(face)
-        for axis in np.flatnonzero(np.ptp(points[nodes], axis=0) < _FLAT * reach):
-            points[nodes, axis] = round(float(np.median(points[nodes, axis])), digits) + 0.0
-    return replace(mesh, points=points, source=None)

@@ -22,7 +22,7 @@ from adaptmg.mesh.netgen.step_check import check_step
 from adaptmg.problem import checks
 from adaptmg.problem.domains import StepFile
 
-__all__ = ["from_step", "step_mesh", "step_names"]
+__all__ = ["from_step", "step_mesh", "step_names", "step_shapes"]
 
 Sizes = float | Mapping[str, float]
 
@@ -102,6 +102,16 @@ def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float]
         mesh = shape_mesh(shape, list(faces), domain.unit * lower, domain.unit * scale, sizes, domain)
         meshes[body] = with_source(mesh)
     return merged(meshes)
+
+
+def step_shapes(domain: StepFile) -> dict[str, tuple[Solid, list[str], np.ndarray, float]]:
+    """By the name of each solid: its shape at unit size, the names of its faces, where its origin lies, its unit, m."""
+    solids, contents = _read(domain)
+    result = {}
+    for (body, faces), solid in zip(contents.items(), solids, strict=True):
+        shape, lower, scale = _unit_sized(solid)
+        result[body] = (shape, list(faces), domain.unit * lower, domain.unit * scale)
+    return result
 
 
 def step_names(path: str | Path | StepFile) -> dict[str, tuple[str, ...]]:

@@ -37,7 +37,7 @@ def support_text(support: Support, dim: int, axes: Sequence[str] = "xyz") -> str
     lines: dict[str, list[str]] = {}
     for axis, value in zip(axes, support.components(dim), strict=False):
         if value is not None:
-            lines.setdefault("0" if value == 0 else _quantity(value, "m"), []).append(f"$u_{axis}$")
+            lines.setdefault("0" if value == 0 else _parameter(value, "m"), []).append(f"$u_{axis}$")
     return "\n".join(f"{' = '.join(names)} = {value}" for value, names in lines.items())
 
 

@@ -25,7 +25,7 @@ from adaptmg.solver.result import Result
 from adaptmg.solver.result.labels import label
 from adaptmg.solver.run import Solver
 
-__all__ = ["PathStore", "fingerprint"]
+__all__ = ["PathStore", "differences", "fingerprint"]
 
 _TOLERANCE = 1e-8
 
@@ -71,7 +71,7 @@ class PathStore:
             raise ValueError(f"{self.folder} was written by PathResult.save, which does not know what it was "
                              "solved for: give another folder as store")
         # as it comes back from JSON
-        different = _differences(self._head.fingerprint, json.loads(json.dumps(mark)))
+        different = differences(self._head.fingerprint, json.loads(json.dumps(mark)))
         if different:
             raise ValueError(f"the store {self.folder} belongs to another run: {', '.join(different)} differ"
                              f"{'s' if len(different) == 1 else ''}; give another folder, or remove this one")
@@ -110,7 +110,8 @@ def _sums(values: np.ndarray) -> list[float]:
             float(np.einsum("i,i->", flat, np.cos(np.arange(flat.size))))]
 
 
-def _differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """Names under which two fingerprints differ, numbers by more than rounding."""
     return [name for name in wanted if not _same(stored.get(name, ...), wanted[name])]
 
 

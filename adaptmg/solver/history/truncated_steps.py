@@ -97,9 +97,9 @@ class KeptMultigrid(TruncatedMultigrid):
         self.run.start_work_units = self.run.work_units
         return result
 
-    def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
+    def finish(self, unknowns: np.ndarray, cold: bool, rate: float | None = None) -> Outcome:
         """See :class:`TruncatedMultigrid`."""
-        outcome = super().finish(unknowns, cold)
+        outcome = super().finish(unknowns, cold, rate)
         self.spent = bool(self.run.fallback)
         return outcome
 

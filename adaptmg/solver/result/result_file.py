@@ -2,6 +2,9 @@
 
 Whatever is read is checked in full, as if a stranger had written it: shapes against each other, numbers of nodes and
 boundaries against what they point into, names and states against what there is.
+
+The history of a bisected mesh (``mesh.refinement``) is not kept: the mesh that is read is an initial mesh, which can be
+bisected, but not coarsened. Whoever needs it keeps :func:`adaptmg.mesh.bisection.history.history_arrays` beside it.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from adaptmg.solver.result.status import Status
 from adaptmg.solver.sizes import Sizes
 from adaptmg.solver.stop_test import StopTest
 
-__all__ = ["EnergyTest", "StartTest"]
+__all__ = ["EnergyTest", "StartTest", "WarmTest"]
 
 
 class EnergyTest(StopTest):
@@ -161,3 +161,25 @@ class StartTest(EnergyTest):
     def enough(self, cycles: int) -> bool:
         """Whether the next level may begin after so many cycles."""
         return cycles >= self._most or (cycles >= self._wanted and self.residual <= self.TRUSTED)
+
+
+class WarmTest(EnergyTest):
+    """For a start that is nearly solved: a rate is taken for known before one is measured, so that a cycle may do.
+
+    Parameters
+    ----------
+    problem, rtol, limit, certificate
+        See :class:`EnergyTest`.
+    rate : float
+        Of the first cycle.
+    """
+
+    def __init__(self, problem: DiscreteProblem, rtol: float, limit: float, certificate: Callable[[float], float],
+                 rate: float) -> None:
+        super().__init__(problem, rtol, limit, certificate)
+        self._known = rate
+
+    @property
+    def safe_rate(self) -> float:
+        """See :class:`~adaptmg.solver.stop_test.StopTest`; after one cycle the rate that is known."""
+        return self._known if len(self.changes) == 1 else super().safe_rate

@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.multigrid.truncated.step import TruncatedStep
+from adaptmg.multigrid.truncated.step import StepState, TruncatedStep
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Run
 from adaptmg.solver.stop_test import true_error
 from adaptmg.solver.truncated.energy_test import EnergyTest, StartTest
 
-__all__ = ["StartIteration", "TruncatedIteration"]
+__all__ = ["StartIteration", "TruncatedIteration", "WarmIteration"]
 
 
 class TruncatedIteration:
@@ -56,7 +56,7 @@ class TruncatedIteration:
     def measure(self, stop: EnergyTest) -> None:
         """What the smoothing leaves behind."""
         stop.measure_size(self.runner, self.cycles)
-        state = self.runner.truncate(safe=self.safe > 0)
+        state = self._truncate(stop)
         self.changed = state.changed
         self.safe = self.safe - 1 if self.safe > 0 and state.changed else 0
         unknowns, early = self.runner.unknowns, self.cycles < 2
@@ -65,6 +65,9 @@ class TruncatedIteration:
         forces = stop.sizes.forces(unknowns, state.reactions)
         idle = stop.idle(forces, floor, unknowns)
         stop.take_residual(state.residual, forces, floor if early or idle else 0.0, idle)
+
+    def _truncate(self, stop: EnergyTest) -> StepState:
+        return self.runner.truncate(safe=self.safe > 0)
 
     def row(self, stop: EnergyTest) -> dict[str, float]:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
@@ -90,6 +93,14 @@ class TruncatedIteration:
             stop.take_discretisation_error(self.runner.distance(self.from_nested))
         self.runner.smooth()
         return None
+
+
+class WarmIteration(TruncatedIteration):
+    """The cycles from a start that is nearly solved; frozen ones as long as the residual belies that."""
+
+    def _truncate(self, stop: EnergyTest) -> StepState:
+        trusted = StartTest.TRUSTED * stop.sizes.forces(self.runner.unknowns, 0.0)
+        return self.runner.truncate(safe=self.safe > 0, trusted=trusted)
 
 
 class StartIteration(TruncatedIteration):

@@ -26,9 +26,9 @@ from adaptmg.solver.method import MultigridOptions
 from adaptmg.solver.newton.active_set import ActiveSet
 from adaptmg.solver.result.status import Status
 from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.truncated.energy_test import EnergyTest, StartTest
+from adaptmg.solver.truncated.energy_test import EnergyTest, StartTest, WarmTest
 from adaptmg.solver.truncated.fallback import Fallback
-from adaptmg.solver.truncated.iteration import StartIteration, TruncatedIteration
+from adaptmg.solver.truncated.iteration import StartIteration, TruncatedIteration, WarmIteration
 
 __all__ = ["TruncatedMultigrid", "lifted_load"]
 
@@ -70,10 +70,18 @@ class TruncatedMultigrid:
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
         """See :class:`~adaptmg.solver.method.Method`."""
+        return self.finish(self._lifted(start), cold=True)
+
+    def from_warm(self, start: np.ndarray, rate: float) -> Outcome:
+        """Solve from a displacement that is nearly solved; see :class:`~adaptmg.solver.warm.WarmMultigrid`."""
+        return self.finish(self._lifted(start), cold=False, rate=rate)
+
+    def _lifted(self, start: np.ndarray | None) -> np.ndarray:
+        """A displacement, or none, as unknowns of the finest level (n_dofs,)."""
         problem = self.problems[-1]
         unknowns = np.zeros(problem.n_dofs) if start is None else start.reshape(-1) - problem.fixed_values
         unknowns[problem.fixed] = 0.0
-        return self.finish(unknowns, cold=True)
+        return unknowns
 
     def from_nested(self, start: NestedStart) -> Outcome:
         """See :class:`~adaptmg.solver.method.Method`."""
@@ -97,7 +105,7 @@ class TruncatedMultigrid:
         self.run.start_work_units = self.run.work_units
         return unknowns
 
-    def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
+    def finish(self, unknowns: np.ndarray, cold: bool, rate: float | None = None) -> Outcome:
         """Cycles on the finest level.
 
         Parameters
@@ -106,6 +114,8 @@ class TruncatedMultigrid:
             Start, Cartesian, from the prescribed values.
         cold : bool
             Whether the contact status of the start means nothing.
+        rate : float, optional
+            Of the first cycle, where it is known.
         """
         o, problem = self.options, self.problems[-1]
         start = unknowns.copy() if o.rtol == "discretisation" else None
@@ -117,9 +127,11 @@ class TruncatedMultigrid:
             return self.run.shortfall(runner.unknowns + problem.fixed_values, rtol)
 
         with self.run.phase("cycles"):
-            stop = EnergyTest(problem, o.rtol, o.max_cycles, shortfall)
-            cycles = TruncatedIteration(runner, o.correction.safe_cycles, cold, self.run, problem, start,
-                                        hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
+            stop = (EnergyTest(problem, o.rtol, o.max_cycles, shortfall) if rate is None
+                    else WarmTest(problem, o.rtol, o.max_cycles, shortfall, rate))
+            kind = TruncatedIteration if rate is None else WarmIteration
+            cycles = kind(runner, o.correction.safe_cycles, cold, self.run, problem, start,
+                          hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
             status = iterate(cycles, stop, self.run)
         displacement = (runner.unknowns + problem.fixed_values).reshape(-1, problem.dim)
         outcome = Outcome(displacement, status, cycles.cycles, stop.rtol, stop.error_estimate, stop.rate)

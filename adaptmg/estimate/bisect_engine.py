@@ -1,0 +1,135 @@
+"""Bisect: the next mesh of an adaptive loop by bisection of the marked elements, and coarsening where little is left.
+
+Each marked element is bisected, its neighbours as far as conformity asks; new nodes of curved boundaries are moved
+onto :attr:`ContactProblem.domain <adaptmg.ContactProblem>`. Elements that together hold less than a given part of the
+sum of squares may go back to the element they came from, never below the first mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg.estimate.estimate import Estimate
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.bisected import check_marked
+from adaptmg.mesh.bisection.coarsening import coarsened
+from adaptmg.mesh.bisection.onto_domain import onto_domain
+from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.checks.check import check_mesh
+from adaptmg.problem import ContactProblem, checks
+
+__all__ = ["Bisect"]
+
+# how often fewer elements are marked until the mesh is small enough; which part of the room must be used, and is
+# aimed at; the growth of nodes with marks that is first assumed
+_TRIES = 12
+_ENOUGH, _AIM = 0.9, 0.95
+_POWER = 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bisect:
+    """Engine of :func:`adaptmg.adapt`: bisection.
+
+    Parameters
+    ----------
+    coarsen : float or False
+        Part of the sum of squares, above 0 and below 1, that the elements hold which may become coarser, those with the
+        smallest squares; .01 to .05 are sensible. False: nothing becomes coarser, and meshes are nested (but for nodes
+        moved onto curves).
+    passes : int, optional
+        How often a marked element is bisected, >= 1. By default until all its edges are halved: 4 triangles, at least
+        8 tetrahedra. With 1 meshes grow least, and the loop takes more steps.
+
+    Examples
+    --------
+    >>> Bisect(passes=1)
+    Bisect(coarsen=False, passes=1)
+    """
+
+    coarsen: float = False
+    passes: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.coarsen is not False:
+            if isinstance(self.coarsen, bool):
+                raise TypeError("coarsen must be a part of the sum of squares (.01 to .05 are sensible) or False, got "
+                                "True")
+            object.__setattr__(self, "coarsen", checks.positive("coarsen", self.coarsen))
+            if not self.coarsen < 1:
+                raise ValueError(f"coarsen must be below 1, got {self.coarsen!r}")
+        if self.passes is not None:
+            object.__setattr__(self, "passes", checks.integer("passes", self.passes, 1))
+
+    def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: np.ndarray,
+               max_nodes: int | None = None) -> MeshArrays:
+        """The next mesh.
+
+        Parameters
+        ----------
+        problem : ContactProblem
+            Its domain, if it has one, says where curved boundaries lie (:func:`adaptmg.mesh.onto_domain`).
+        mesh : MeshArrays
+            Not changed. Where it carries a history, bisection goes on from it.
+        estimate : Estimate
+            Of ``mesh``.
+        marked : (n_elements,) array of bool
+            The elements to refine.
+        max_nodes : int, optional
+            The mesh is to have no more nodes; if it would, only the marked elements with the largest squares are
+            refined.
+
+        Returns
+        -------
+        MeshArrays
+            Sound, with its history. The same object where nothing is marked, or ``max_nodes`` leaves no room.
+        """
+        marked = check_marked(check_mesh(mesh), marked)
+        squares = checks.instance("estimate", estimate, Estimate, "an Estimate").squares
+        if squares.shape != marked.shape:
+            raise ValueError(f"estimate is of {len(squares)} elements, but mesh has {len(marked)}")
+        limit = np.inf if max_nodes is None else checks.integer("max_nodes", max_nodes, 1)
+        if not marked.any():
+            return mesh
+        start = mesh
+        if self.coarsen is not False:
+            smaller = coarsened(mesh, _least(squares, self.coarsen) & ~marked, 1)
+            start, marked, squares = smaller.mesh, marked[smaller.origin], squares[smaller.origin]
+        fine = self._within(start, squares, marked, limit)
+        return mesh if fine is None else onto_domain(problem.domain, fine, start.n_nodes)
+
+    def _within(self, mesh: MeshArrays, squares: np.ndarray, marked: np.ndarray, limit: float) -> MeshArrays | None:
+        """Refined, with fewer elements marked until the nodes are within the limit; None if not even one is."""
+        order = np.flatnonzero(marked)
+        order = order[np.argsort(-squares[order], kind="stable")]
+        room, most, fits, best = limit - mesh.n_nodes, len(order) + 1, 0, None
+        count, tried = len(order), (0, 0)
+        for attempt in range(_TRIES if room > 0 else 0):
+            chosen = np.zeros(len(marked), dtype=bool)
+            chosen[order[:count]] = True
+            fine = refined(mesh, chosen, self.passes).mesh
+            added = fine.n_nodes - mesh.n_nodes
+            if added <= room:
+                fits, best = count, fine
+            else:
+                most = count
+            if most <= fits + 1 or _ENOUGH * room <= added <= room:
+                break
+            # the closure makes the first marks cost most: nodes grow like a power of their number, which two tries tell
+            power = (np.log(added / tried[1]) / np.log(count / tried[0])) if attempt and added != tried[1] else _POWER
+            wanted = count * (_AIM * room / added) ** (1 / np.clip(power, 0.2, 1.5))
+            if best is None and attempt > 2:
+                wanted = min(wanted, count / 4)
+            tried = count, added
+            count = int(min(max(wanted, fits + 1), most - 1))
+        return best
+
+
+def _least(squares: np.ndarray, part: float) -> np.ndarray:
+    """Mask of the elements with the smallest squares that together hold no more than a part of their sum."""
+    order = np.argsort(squares, kind="stable")
+    least = np.zeros(len(squares), dtype=bool)
+    least[order] = np.cumsum(squares[order]) <= part * squares.sum()
+    return least

@@ -1,0 +1,1 @@
+"""What estimates are made of: stresses, who lies beside whom, tractions on boundaries. Arrays in, arrays out."""

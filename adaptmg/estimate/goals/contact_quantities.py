@@ -1,0 +1,179 @@
+r"""ContactForce and Opening: the force through a contact boundary or pair, and the gap that is left there.
+
+With nodal directions d_i at the contact nodes of a boundary (the normal against the body, the tangent, or an axis) and
+the residual of the equilibrium,
+
+.. math:: J(u) = \sum_i d_i \cdot (A u - b)_i, \qquad J(v) = (A d) \cdot v,
+
+so that the load drops out of the derivative. Tangents that a support holds are left out: there the force of contact
+cannot be told from that of the support. The gap is :math:`g_0 - u_n`, u_n between bodies relative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg.discretisation.facets import area_vectors, named_facets, shape_integrals
+from adaptmg.estimate.goals.displacement import axis_number
+from adaptmg.estimate.goals.view import Functional, GoalView
+from adaptmg.problem import check_arrays, checks
+
+__all__ = ["ContactForce", "Opening"]
+
+
+def _contact_index(view: GoalView, name: str) -> tuple[np.ndarray, float]:
+    """Which contact nodes belong to a boundary, and the sign: -1 where it is the master of a pair."""
+    contact = view.posed.result.contact
+    masters = contact.masters or ("",) * len(contact.names)
+    if name == "contact":
+        return np.ones(len(contact.node), dtype=bool), 1.0
+    if name in contact.names:
+        return contact.boundary == contact.names.index(name), 1.0
+    pairs = [k for k, master in enumerate(masters) if master == name]
+    labels = [f"{slave} on {master}" if master else slave for slave, master in zip(contact.names, masters, strict=True)]
+    if name in labels:
+        return contact.boundary == labels.index(name), 1.0
+    if not pairs:
+        known = ("contact", *contact.names, *filter(None, masters))
+        raise ValueError(f"there is no contact on boundary {name!r}{checks.suggestion(name, known)}; contact is on "
+                         f"{', '.join(map(repr, labels))}")
+    return np.isin(contact.boundary, pairs), -1.0
+
+
+@dataclass(frozen=True)
+class ContactForce:
+    """Force through a contact boundary.
+
+    Parameters
+    ----------
+    boundary : str
+        A contact boundary, the slave, the master or the name ("slave on master") of a pair, or "contact" for all.
+    direction : str or int
+        "normal": the sum of the compressive nodal forces; "tangential" (2D): that of the tangential forces on the
+        slave, along the normal turned by +90 degrees; 0, 1, 2 or "x", "y", "z": the component of the force on the body
+        of this boundary.
+    """
+
+    boundary: str = "contact"
+    direction: int | str = "normal"
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+        if self.direction not in ("normal", "tangential"):
+            axis_number("direction", self.direction)
+
+    def functionals(self, view: GoalView) -> list[Functional]:
+        """One functional."""
+        posed, contact = view.posed, view.contact
+        mine, sign = _contact_index(view, self.boundary)
+        dim, discrete = posed.mesh.dim, posed.discrete
+        local = np.zeros((len(mine), dim))
+        if self.direction == "normal":
+            local[mine, 0] = -1.0
+        elif self.direction == "tangential":
+            if dim == 3:
+                raise ValueError("direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2")
+            local[mine, 1] = 1.0
+        else:
+            local[mine] = sign * contact.frames[mine, :, axis_number("direction", self.direction, dim)]
+        if discrete.exchange is not None:
+            # forces on the node that was posed are those of the equations over sigma
+            local = local / self._factors(discrete.exchange.sigma)[:, None]
+        vector = np.zeros((discrete.n_nodes, dim))
+        vector[contact.nodes] = np.einsum("nij,ni->nj", contact.frames, local)
+        flat = vector.reshape(-1)
+        # where a support holds, the force of contact cannot be told from its own
+        flat[discrete.fixed] = 0.0
+        action = view.bubbles.actions(posed.problem, discrete.physical(flat)[None])[1][0]
+        name = f"{self.direction if isinstance(self.direction, str) else 'xyz'[self.direction]} force on "
+        return [Functional(name + repr(self.boundary), float(flat @ contact.residual), "N", discrete.matrix @ flat,
+                           action)]
+
+    def _factors(self, sigma: np.ndarray) -> np.ndarray:
+        return np.abs(sigma) if self.direction in ("normal", "tangential") else sigma
+
+
+@dataclass(frozen=True)
+class Opening:
+    """The gap at a point of a contact boundary, or its mean over the boundary.
+
+    Parameters
+    ----------
+    boundary : str
+        A contact boundary, or the slave or name ("slave on master") of a pair.
+    point : (dim,) array-like, optional
+        On the boundary, m. Default: the mean, weighted with the lumped masses of the contact nodes.
+    """
+
+    boundary: str = "contact"
+    point: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+        if self.point is not None:
+            point = check_arrays.array("point", self.point, (None,))
+            object.__setattr__(self, "point", tuple(float(c) for c in point))
+
+    def functionals(self, view: GoalView) -> list[Functional]:
+        """One functional."""
+        contact, result, mesh = view.contact, view.posed.result.contact, view.posed.mesh
+        mine, sign = _contact_index(view, self.boundary)
+        if sign < 0:
+            raise ValueError(f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps")
+        facets = np.concatenate([named_facets(mesh, name) for k, name in enumerate(result.names)
+                                 if (result.boundary[mine] == k).any()])
+        if self.point is None:
+            weights = np.where(mine, result.weights, 0.0)
+            weights = weights / weights.sum()
+            areas = np.linalg.norm(area_vectors(mesh.points, facets), axis=1)
+            size = (areas[:, None] * shape_integrals(mesh.points, facets, view.bubbles.axisymmetric)).sum()
+            bubbles = view.bubbles.boundary_work(facets, np.ones((*facets.shape, 1)))[:, 0] / size
+            name = f"mean opening of {self.boundary!r}"
+        else:
+            weights, bubbles = self._at_point(view, facets)
+            name = f"opening of {self.boundary!r} at ({', '.join(f'{c:g}' for c in self.point)})"
+        sigma = 1.0 if view.posed.discrete.exchange is None else np.abs(view.posed.discrete.exchange.sigma)
+        vector = np.zeros((view.posed.discrete.n_nodes, mesh.dim))
+        vector[contact.nodes] = -(weights * sigma)[:, None] * contact.frames[:, 0]
+        normals = np.zeros((mesh.n_nodes, mesh.dim))
+        normals[result.node] = result.frames[:, 0]
+        along = normals[view.bubbles.edges].sum(axis=1)
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        along = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+        return [Functional(name, float(weights @ result.gap), "m", vector.reshape(-1), -bubbles[:, None] * along)]
+
+    def _at_point(self, view: GoalView, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of the contact nodes (n_contact,) and of the edges (n_edges,) at the point."""
+        mesh, point = view.posed.mesh, np.array(self.point)
+        if len(point) != mesh.dim:
+            raise ValueError(f"point has {len(point)} coordinates in a {mesh.dim}D problem")
+        k, shape = _nearest_facet(mesh.points, facets, point)
+        distance = np.linalg.norm(shape @ mesh.points[facets[k]] - point)
+        if distance > 1e-6 * np.ptp(mesh.points[facets[k]], axis=0).max():
+            raise ValueError(f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}")
+        weights, bubbles = np.zeros(len(view.contact.nodes)), np.zeros(len(view.bubbles.edges))
+        place = {node: i for i, node in enumerate(view.posed.result.contact.node)}
+        for corner, share in zip(facets[k], shape, strict=True):
+            if corner in place:
+                weights[place[corner]] += share
+            elif share > 1e-9:
+                raise ValueError(f"point {self.point}: node {corner} beside it carries no contact condition")
+        pairs = [(0, 1)] if mesh.dim == 2 else [(0, 1), (1, 2), (2, 0)]
+        for edge, (a, b) in zip(view.bubbles.of_facets(facets[k:k + 1])[0], pairs, strict=True):
+            bubbles[edge] += 4 * shape[a] * shape[b]
+        return weights, bubbles
+
+
+def _nearest_facet(points: np.ndarray, facets: np.ndarray, x: np.ndarray) -> tuple[int, np.ndarray]:
+    """The facet that holds x best, and the barycentric weights (dim,) there, clipped to the facet."""
+    corners = points[facets]
+    sides = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    inner = np.einsum("nij,nj->ni", np.linalg.pinv(sides), x - corners[:, 0])
+    shape = np.maximum(np.column_stack([1 - inner.sum(axis=1), inner]), 0.0)
+    shape /= shape.sum(axis=1, keepdims=True)
+    distance = np.linalg.norm(np.einsum("nc,ncd->nd", shape, corners) - x, axis=1)
+    k = int(np.argmin(distance))
+    return k, shape[k]

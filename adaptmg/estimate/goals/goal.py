@@ -1,0 +1,188 @@
+r"""Goal: the error of single quantities of a contact solution, by dual-weighted residuals.
+
+With the dual field z of a quantity J (:mod:`adaptmg.estimate.goals.adjoint`) and edge bubbles b_E,
+
+.. math:: J(u) - J(u_h) \approx \sum_E \rho^*_E(d_E), \qquad \eta_E = |\rho^*_E(d^0_E)|
+
+(:mod:`adaptmg.estimate.goals.bubble_solve`). The signed sum is quoted; its parts by absolute value say where to refine,
+and overestimate the error several times (10 times on meshes by Netgen, where errors cancel).
+
+R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and friction linearised at
+the solution as in the semismooth Newton method. That the contact zones end elsewhere than in the discrete solution is
+not seen by the sum; both fields being singular at the ends of the zones, the marks refine there all the same. Nodes
+where the state changes can be given a part of their own (``transitions``,
+:mod:`adaptmg.estimate.goals.transitions`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.fields.posed import posed
+from adaptmg.estimate.goals.adjoint import AdjointSolution, adjoint_system
+from adaptmg.estimate.goals.bubble_solve import BubbleError, bubble_error
+from adaptmg.estimate.goals.bubble_spaces import bubble_spaces
+from adaptmg.estimate.goals.bubbles import edge_bubbles
+from adaptmg.estimate.goals.contact_state import linearised_contact
+from adaptmg.estimate.goals.goal_estimate import GoalEstimate
+from adaptmg.estimate.goals.master_loads import master_work
+from adaptmg.estimate.goals.transitions import transition_changes
+from adaptmg.estimate.goals.view import Functional, GoalView
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem import checks
+from adaptmg.solver.result import Result
+
+__all__ = ["Goal", "Quantity"]
+
+
+class Quantity(Protocol):
+    """What a goal may ask for: one's own is any object with this method."""
+
+    def functionals(self, view: GoalView) -> list[Functional]:
+        """The quantity, or several, of a solution."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """The error of a quantity, or of several at once.
+
+    Parameters
+    ----------
+    quantity : Displacement, MeanDisplacement, ContactForce, Opening, or a sequence of these
+        Of several (also several points of one Displacement) everything is relative to their values: the squares are
+        sums of relative parts, ``value`` is 1 and ``signed`` the relative error of that with the largest.
+    rtol : float
+        Relative residual of the adjoint problems.
+    max_iterations : int
+        Of GMRES, for each.
+    direct_below : int
+        Up to so many dofs, and where there is one level only, the adjoint problems are solved directly.
+    transitions : float
+        Weight, >= 0, with which the change of the quantity counts among the squares if the contact zones ended one node
+        further or sooner; a term "transitions". On the GRECO bar it gained nothing.
+
+    Notes
+    -----
+    Errors of the algebraic solution are not seen: its equations count as met.
+    """
+
+    quantity: Quantity | Sequence[Quantity]
+    rtol: float = 1e-4
+    max_iterations: int = 100
+    direct_below: int = 3000
+    transitions: float = 0.0
+
+    def __post_init__(self) -> None:
+        for item in self.quantities:
+            checks.offers("quantity", item, "functionals", "Displacement(...), MeanDisplacement(...), "
+                          "ContactForce(...), Opening(...), or several of these")
+        if not self.quantities:
+            raise ValueError("quantity is empty: give at least one")
+        if isinstance(self.quantity, list):
+            object.__setattr__(self, "quantity", tuple(self.quantity))
+        object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
+        checks.integer("max_iterations", self.max_iterations, 1)
+        checks.integer("direct_below", self.direct_below, 0)
+        object.__setattr__(self, "transitions", checks.nonnegative("transitions", self.transitions))
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """All of them."""
+        return tuple(self.quantity) if isinstance(self.quantity, (list, tuple)) else (self.quantity,)
+
+    def indicate(self, hierarchy: Hierarchy, result: Result) -> GoalEstimate:
+        """Estimate the error on the finest mesh.
+
+        Parameters
+        ----------
+        hierarchy : Hierarchy
+            Of a ContactProblem.
+        result : Result
+            Of :func:`adaptmg.solve` on it.
+
+        Returns
+        -------
+        GoalEstimate
+            Terms: the sums of squares of each quantity by name, and "transitions".
+
+        Raises
+        ------
+        TypeError, ValueError
+            As of :func:`adaptmg.estimate.fields.posed.posed`; where a point, boundary or pair of a quantity does not
+            exist, or of several quantities one is zero.
+        numpy.linalg.LinAlgError
+            If the adjoint matrix is singular.
+        """
+        this = posed(hierarchy, result)
+        view = GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
+        wanted = [functional for item in self.quantities for functional in item.functionals(view)]
+        if len({functional.name for functional in wanted}) < len(wanted):
+            raise ValueError(f"quantity: one is given twice, {', '.join(functional.name for functional in wanted)}")
+        return self.of_functionals(hierarchy, view, wanted)
+
+    def of_functionals(self, hierarchy: Hierarchy, view: GoalView, wanted: list[Functional]) -> GoalEstimate:
+        """The same for functionals at hand."""
+        sizes = _sizes(wanted)
+        duals = self._duals(hierarchy, view, [functional.vector for functional in wanted])
+        error, weighted = _bubbles(view, wanted, duals)
+        parts = np.abs(np.einsum("gnd,nd->gn", weighted, error.alone)) / sizes[:, None]
+        signed = np.einsum("gnd,nd->g", weighted, error.together)
+        squares = {functional.name: view.bubbles.on_elements(part)
+                   for functional, part in zip(wanted, parts, strict=True)}
+        if self.transitions > 0:
+            squares["transitions"] = self.transitions * sum(
+                transition_changes(view, functional, dual.field) / size
+                for functional, dual, size in zip(wanted, duals, sizes, strict=True))
+        values = np.array([functional.value for functional in wanted])
+        worst = int(np.argmax(np.abs(signed / sizes)))
+        several, norm = len(wanted) > 1, view.posed.norm
+        whole = Estimate(squares=sum(squares.values()), norm=norm, indicator="dual-weighted residuals for "
+                         + _names(wanted), terms={name: part.sum() for name, part in squares.items()},
+                         value=1.0 if several else values[0],
+                         signed=float(signed[worst] / sizes[worst]),
+                         energy_error=error.energy / norm if norm > 0 else 0.0)
+        return GoalEstimate(**vars(whole), names=tuple(f.name for f in wanted), units=tuple(f.unit for f in wanted),
+                            values=values, errors=signed, residuals=np.array([dual.residual for dual in duals]),
+                            iterations=sum(dual.iterations for dual in duals),
+                            converged=all(dual.converged for dual in duals))
+
+    def _duals(self, hierarchy: Hierarchy, view: GoalView, functionals: list[np.ndarray]) -> list[AdjointSolution]:
+        system = adjoint_system(view.contact)
+        if len(hierarchy) == 1 or view.posed.discrete.n_dofs <= self.direct_below:
+            return system.direct(functionals)
+        return system.multigrid(hierarchy, functionals, self.rtol, self.max_iterations)
+
+
+def _bubbles(view: GoalView, wanted: list[Functional], duals: list[AdjointSolution]
+             ) -> tuple[BubbleError, np.ndarray]:
+    """The error in the bubbles, and the dual residuals (n_goals, n_edges, dim)."""
+    this, bubbles = view.posed, view.bubbles
+    spaces = bubble_spaces(this.problem, bubbles, view.contact)
+    fields = [this.result.displacement, *(this.discrete.physical(dual.field) for dual in duals)]
+    blocks, actions = bubbles.actions(this.problem, np.array(fields))
+    reactions = [view.contact.residual, *(this.discrete.matrix @ dual.field - functional.vector
+                                          for dual, functional in zip(duals, wanted, strict=True))]
+    loads = [bubbles.load(this.problem), *(functional.bubbles for functional in wanted)]
+    residuals = np.array([load - action + master_work(view, reaction)
+                          for load, action, reaction in zip(loads, actions, reactions, strict=True)])
+    return bubble_error(this.problem, bubbles, spaces, blocks, residuals[0]), residuals[1:]
+
+
+def _sizes(wanted: list[Functional]) -> np.ndarray:
+    """What each quantity is related to: 1 of a single one, else the size of its value."""
+    if len(wanted) == 1:
+        return np.ones(1)
+    sizes = np.array([abs(functional.value) for functional in wanted])
+    if not sizes.min() > 0:
+        raise ValueError(f"quantity: {wanted[int(np.argmin(sizes))].name} is zero, and several quantities are taken "
+                         "relative to their values: estimate it alone")
+    return sizes
+
+
+def _names(wanted: list[Functional]) -> str:
+    return wanted[0].name + (f" and {len(wanted) - 1} more" if len(wanted) > 1 else "")

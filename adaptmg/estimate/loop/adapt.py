@@ -1,0 +1,145 @@
+r"""adapt: solve, estimate, mark, refine, and solve again on the grids that are left behind.
+
+Every mesh becomes the finest level of the hierarchy of those before it; the solution before, carried to it, is the
+start, and cycles go on until the algebraic error is a tenth of the error that the mesh is expected to have. So the
+solves of all meshes together cost little more than that on the last: with meshes that grow by a factor g the nodes of
+all are :math:`1/(1 - 1/g)` times those of the last.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from adaptmg.estimate.loop.expected import Limits
+from adaptmg.estimate.loop.fingerprint import loop_fingerprint
+from adaptmg.estimate.loop.step import Step
+from adaptmg.estimate.loop.store import LoopStore
+from adaptmg.estimate.loop.walk import AdaptiveWalk, Parts
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem import ContactProblem, LoadPath, checks
+
+if TYPE_CHECKING:
+    from adaptmg.solver.run import Solver
+    from adaptmg.transfer import Transfer
+
+__all__ = ["adapt"]
+
+
+def adapt(problem: ContactProblem, start: Any = 5e-3, indicator: Any = None, mark: Any = None, engine: Any = None, *,
+          tolerance: float | None = None, max_nodes: int | None = None, max_seconds: float | None = None,
+          store: str | os.PathLike[str] | None = None, transfer: Transfer | None = None, solver: Solver | None = None,
+          load_path: LoadPath | None = None, adapt_on: str = "last",
+          progress: Callable[[dict[str, Any]], None] | None = None) -> Iterator[Step]:
+    """Solve on meshes that follow the error, one finer than the other, until a limit is reached.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    start : float, MeshArrays, ngsolve.Mesh, path of a mesh file or Hierarchy
+        The first mesh, or its element size in m. Of a hierarchy, which stays as it is, the finest.
+    indicator : Residual, Recovery, Goal or one's own, optional
+        Anything with ``indicate(hierarchy, result) -> Estimate``. Default ``Residual()``.
+    mark : Doerfler, Maximum or one's own, optional
+        Anything with ``mark(estimate) -> mask of elements``. Default ``Doerfler(0.5)``.
+    engine : Remesh, Bisect or one's own, optional
+        Anything with ``refine(problem, mesh, estimate, marked, max_nodes=None) -> MeshArrays``, and perhaps
+        ``intermediate(problem, coarse, fine) -> MeshArrays``, where sizes fall too much for neighbouring levels.
+        Default ``Remesh()``, and ``Bisect()`` for a problem without a domain.
+    tolerance : float, optional
+        Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity).
+    max_nodes : int, optional
+        No mesh has more.
+    max_seconds : float, optional
+        No step is begun after so many, meshes included.
+    store : path, optional
+        A folder where every step is kept at once. A loop that was interrupted, or killed, goes on after its last
+        complete step, and ends with the same numbers; steps that are there are yielded again. A folder with steps of
+        another problem or other options is refused; limits may change.
+    transfer : Transfer, optional
+        Between the meshes; default :class:`adaptmg.transfer.Interpolation`, or that of the hierarchy ``start``.
+    solver : Solver, optional
+        One's own choice for every step; it starts from the step before unless it is a FullMultigrid. Default: truncated
+        multigrid from the step before, until the estimated algebraic error is a tenth of the expected estimate.
+    load_path : LoadPath, optional
+        Every mesh goes along the whole path; by default with ``FullMultigrid(rtol="discretisation")``.
+    adapt_on : {"last", "worst"}
+        With a load path: refine for its last load step, or for the one with the largest estimate.
+    progress : callable, optional
+        Called with a dict before each phase of a step, and after it: step, phase, nodes, estimate (of the step before),
+        seconds, expected_seconds (of the whole loop, roughly).
+
+    Yields
+    ------
+    Step
+        The generator may be broken off at any step. After the last one ``step.outcome`` says why there are no more.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Bad arguments, at once; no limit at all; a store of something else.
+    NotConverged
+        If a step cannot be solved.
+
+    Examples
+    --------
+    >>> for step in am.adapt(am.cases.upset_block(), max_nodes=20_000):
+    ...     print(step)
+    """
+    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+    limits = Limits(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds)
+    parts = Parts(*_parts(problem, indicator, mark, engine), solver, load_path, adapt_on)
+    _check(parts)
+    checks.optional_callable("progress", progress, "what is being done")
+    first = _first(problem, start, transfer)
+    kept = None
+    if store is not None:
+        options = {"indicator": parts.indicator, "mark": parts.mark, "engine": parts.engine, "solver": parts.solver,
+                   "transfer": first.transfer, "contact_rows": first.contact_rows, "adapt_on": parts.adapt_on}
+        kept = LoopStore(store, loop_fingerprint(first, options, load_path))
+    return AdaptiveWalk(first, parts, limits, kept, progress).steps()
+
+
+def _parts(problem: ContactProblem, indicator: Any, mark: Any, engine: Any) -> tuple[Any, Any, Any]:
+    """What is given, and the defaults for the rest."""
+    from adaptmg.estimate.marking import Doerfler
+    from adaptmg.estimate.residual import Residual
+
+    if engine is None:
+        if problem.domain is None:
+            from adaptmg.estimate.bisect_engine import Bisect as Default
+        else:
+            from adaptmg.estimate.remesh_engine import Remesh as Default
+        engine = Default()
+    return Residual() if indicator is None else indicator, Doerfler(0.5) if mark is None else mark, engine
+
+
+def _check(parts: Parts) -> None:
+    checks.offers("indicator", parts.indicator, "indicate",
+                  "Residual(), Recovery(), Goal(...) or offer indicate(hierarchy, result) -> Estimate")
+    checks.offers("mark", parts.mark, "mark", "Doerfler(...), Maximum(...) or offer mark(estimate) -> mask")
+    checks.offers("engine", parts.engine, "refine",
+                  "Remesh(), Bisect() or offer refine(problem, mesh, estimate, marked, max_nodes) -> MeshArrays")
+    if parts.solver is not None:
+        checks.offers("solver", parts.solver, "run", "Multigrid(), ActiveSet(), ... or offer run()")
+    if parts.load_path is not None:
+        checks.instance("load_path", parts.load_path, LoadPath, "a LoadPath")
+    checks.choice("adapt_on", parts.adapt_on, ("last", "worst"))
+
+
+def _first(problem: ContactProblem, start: Any, transfer: Transfer | None) -> Hierarchy:
+    """The hierarchy that the loop begins with."""
+    if isinstance(start, Hierarchy):
+        if start.problem is not problem:
+            raise ValueError(f"start is a hierarchy for another problem ({start.problem and start.problem.name}): make "
+                             "it for the one that is given, or give a mesh")
+        if transfer is not None:
+            raise ValueError("transfer: the hierarchy that is given as start has its own; make it with that transfer")
+        without = [k for k, level in enumerate(start.levels) if level.mesh is None]
+        if without:
+            raise ValueError(f"start: levels {without} of the hierarchy have no mesh; make it from meshes")
+        return start
+    if isinstance(start, (int, float)) or hasattr(start, "__float__"):
+        return Hierarchy.graded(problem, (checks.positive("start", start),), transfer=transfer)
+    return Hierarchy.from_meshes(problem, (start,), transfer)

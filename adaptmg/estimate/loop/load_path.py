@@ -1,0 +1,48 @@
+"""Adapting with a load path: every mesh goes along the whole path, and is refined by one of the load steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from adaptmg.discretisation.load_steps import load_steps
+from adaptmg.estimate.estimate import Estimate
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem import LoadPath, step_problem
+from adaptmg.solver.history.path_result import PathResult
+
+__all__ = ["estimated_step", "posed_at"]
+
+
+def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
+    """The hierarchy with the problem of load step ``k`` on the finest level, slips counted from the step before.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+        Of the problem as it is posed.
+    path : LoadPath
+    results : PathResult
+        Of the finest level.
+    k : int
+    """
+    problem, finest = hierarchy.problem, hierarchy.finest
+    factors = {name: float(values[k]) for name, values in path.resolved(problem).items()}
+    loads, discrete = load_steps(problem, finest.mesh, finest.discrete.coupling), finest.discrete
+    reference = discrete.contact.slip_reference
+    if k > 0:
+        reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
+    posed = finest.posing(discrete.with_step(loads.load(factors), loads.fixed_values(factors), reference))
+    return replace(hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors))
+
+
+def estimated_step(hierarchy: Hierarchy, path: LoadPath, results: PathResult, adapt_on: str,
+                   indicate: Callable[[Hierarchy, Any], Estimate]) -> tuple[int, Estimate]:
+    """By which load step to refine, and its estimate: the last, or the one with the largest sum of squares."""
+    steps = range(len(results)) if adapt_on == "worst" else (len(results) - 1,)
+    found = [(k, indicate(posed_at(hierarchy, path, results, k), results[k])) for k in steps
+             if adapt_on == "last" or results[k].displacement.any()]
+    if not found:
+        raise ValueError("load_path: nothing moves in any of its steps, so there is nothing to refine for")
+    return max(found, key=lambda pair: float(pair[1].squares.sum()))

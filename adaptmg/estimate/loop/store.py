@@ -1,0 +1,207 @@
+"""LoopStore: the finished steps of an adaptive loop in a folder, so that a loop that was killed goes on where it was.
+
+``loop.json`` says what the steps belong to. A step is a Result (``step_0003.npz``, its mesh inside), an estimate
+(``estimate_0003.npz``), of a bisected mesh its history (``history_0003.npz``), meshes that were put between levels
+(``mesh_0003_0.npz``), and at last ``step_0003.json``, which makes it complete: it names the levels, and the checksum of
+each file. Every file is written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.loop.estimate_file import estimate_from, plain_estimate
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.bisection.history import history_arrays, with_history
+from adaptmg.problem import checks
+from adaptmg.runtime.atomic import make_folder, write_bytes
+from adaptmg.solver.history.path_result import PathResult
+from adaptmg.solver.history.store import differences
+from adaptmg.solver.result import Result
+from adaptmg.solver.result.archive import DAMAGES, read_arrays
+
+__all__ = ["LoopStore", "StoredStep"]
+
+_HEAD, _FORMAT = "loop.json", 1
+_MESH = ("points", "elements", "facets", "facet_labels", "element_body")
+_NUMBERS = ("total_seconds", "work_units", "total_work_units")
+_AGAIN = "remove it and the steps after it to have them made again"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredStep:
+    """What a folder keeps of a step.
+
+    Attributes
+    ----------
+    result : Result
+    estimate : Estimate
+    levels : list of (int, int)
+        Step and place of each mesh, coarsest first; place -1 is the mesh of the result, others are ``extra``.
+    extra : list of MeshArrays
+        Meshes that came with this step beside its own.
+    numbers : dict
+        total_seconds, work_units, total_work_units.
+    timings : dict of str to float
+    path : PathResult or None
+        Of a loop with a load path; in a folder ``path_0003``.
+    """
+
+    result: Result
+    estimate: Estimate
+    levels: list[tuple[int, int]]
+    extra: list[MeshArrays]
+    numbers: dict[str, float]
+    timings: dict[str, float]
+    path: PathResult | None = None
+
+
+class LoopStore:
+    """A folder with finished steps.
+
+    Parameters
+    ----------
+    folder : path
+        Made where missing.
+    mark : mapping
+        The fingerprint of the loop.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds steps of something else; the message says what differs.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], mark: Mapping[str, Any]) -> None:
+        self.folder = checks.file_path("store", folder)
+        if self.folder.exists() and not self.folder.is_dir():
+            raise ValueError(f"store must be a folder, {self.folder} is a file")
+        make_folder("store", self.folder)
+        # as it comes back from JSON
+        wanted, head = json.loads(json.dumps(mark)), self.folder / _HEAD
+        if not head.exists():
+            if any(self.folder.glob("step_*")):
+                raise ValueError(f"store: {self.folder} holds steps of something else, there is no {_HEAD}; give "
+                                 "another folder")
+            write_bytes(head, json.dumps({"format": _FORMAT, "fingerprint": wanted}, indent=1).encode())
+        said = _json(head)
+        if said.get("format") != _FORMAT:
+            raise ValueError(f"{self.folder} was written by another version of adaptmg; begin anew in another folder")
+        different = differences(said.get("fingerprint", {}), wanted)
+        if different:
+            raise ValueError(f"the store {self.folder} belongs to another loop: {', '.join(different)} "
+                             f"differ{'s' if len(different) == 1 else ''}; give another folder, or remove this one")
+
+    def steps(self) -> list[StoredStep]:
+        """The finished steps, from the first on.
+
+        Raises
+        ------
+        ValueError
+            If one is missing before others, or a file is damaged.
+        """
+        found = sorted(int(match[1]) for name in os.listdir(self.folder)
+                       if (match := re.fullmatch(r"step_(\d+)\.json", name)))
+        if found != list(range(len(found))):
+            raise ValueError(f"{self.folder} has the steps {found}: one is missing; put it back, or remove those after "
+                             "it")
+        steps = [self._read(k) for k in found]
+        for k, step in enumerate(steps):
+            for number, place in step.levels:
+                if not -1 <= place < len(steps[number].extra):
+                    raise ValueError(f"{self._file(k, 'step', 'json')} is damaged (it names a mesh that is not there): "
+                                     f"{_AGAIN}")
+        return steps
+
+    def put(self, number: int, step: StoredStep) -> None:
+        """Keep a finished step; its ``.json`` comes last."""
+        step.result.save(self._file(number, "step", "npz"))
+        names = [self._file(number, "step", "npz").name]
+        for k, mesh in enumerate(step.extra):
+            arrays = {name: getattr(mesh, name) for name in _MESH}
+            names.append(self._write(f"mesh_{number:04d}_{k}.npz", arrays, boundaries=mesh.boundaries,
+                                     bodies=mesh.bodies))
+        history = history_arrays(step.result.mesh)
+        if history:
+            # bisection goes on from it
+            names.append(self._write(f"history_{number:04d}.npz", history))
+        names.append(self._write(f"estimate_{number:04d}.npz", {"squares": step.estimate.squares},
+                                 **plain_estimate(step.estimate)))
+        folder = self.folder / f"path_{number:04d}"
+        if step.path is not None:
+            # what a process that was killed may have left
+            shutil.rmtree(folder, ignore_errors=True)
+            step.path.save(folder)
+        said = {"levels": step.levels, "extra": len(step.extra), "history": bool(history),
+                "path": step.path is not None, "timings": step.timings, **step.numbers,
+                "files": {name: _checksum(self.folder / name) for name in names}}
+        write_bytes(self._file(number, "step", "json"), json.dumps(said, indent=1).encode())
+
+    def _file(self, number: int, kind: str, ending: str) -> Path:
+        return self.folder / f"{kind}_{number:04d}.{ending}"
+
+    def _write(self, name: str, arrays: Mapping[str, np.ndarray], **said: Any) -> str:
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **arrays, meta=np.frombuffer(json.dumps(said).encode(), dtype=np.uint8))
+        write_bytes(self.folder / name, buffer.getvalue())
+        return name
+
+    def _arrays(self, name: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        arrays = read_arrays(self.folder / name)
+        return arrays, json.loads(arrays.pop("meta").tobytes())
+
+    def _read(self, number: int) -> StoredStep:
+        file = self._file(number, "step", "json")
+        said = _json(file)
+        try:
+            for name, checksum in said["files"].items():
+                if _checksum(self.folder / Path(name).name) != checksum:
+                    raise ValueError(f"{name} is not what was written")
+            extra = [self._mesh(f"mesh_{number:04d}_{k}.npz") for k in range(said["extra"])]
+            arrays, meta = self._arrays(f"estimate_{number:04d}.npz")
+            path = PathResult.load(self.folder / f"path_{number:04d}") if said["path"] else None
+            result = Result.load(self._file(number, "step", "npz"))
+            if said["history"]:
+                history, _ = self._arrays(f"history_{number:04d}.npz")
+                result = replace(result, mesh=with_history(result.mesh, history))
+            return StoredStep(result, estimate_from(arrays["squares"], meta),
+                              _levels(said["levels"], number), extra, {name: float(said[name]) for name in _NUMBERS},
+                              {name: float(value) for name, value in said["timings"].items()}, path)
+        except (*DAMAGES, OSError) as error:
+            raise ValueError(f"{file} is damaged, or a file beside it ({error or type(error).__name__}): {_AGAIN}"
+                             ) from error
+
+    def _mesh(self, name: str) -> MeshArrays:
+        arrays, meta = self._arrays(name)
+        return MeshArrays(**{key: arrays[key] for key in _MESH}, boundaries=tuple(meta["boundaries"]),
+                          bodies=tuple(meta["bodies"]))
+
+
+def _levels(said: Sequence[Any], number: int) -> list[tuple[int, int]]:
+    levels = [(checks.integer("the step of a level", step, maximum=number), int(place)) for step, place in said]
+    if not levels or levels[-1] != (number, -1):
+        raise ValueError("its levels do not end with its own mesh")
+    return levels
+
+
+def _json(file: Path) -> dict[str, Any]:
+    try:
+        return checks.instance("its text", json.loads(file.read_bytes()), dict, "an object")
+    except (*DAMAGES, OSError) as error:
+        raise ValueError(f"{file} is damaged ({error or type(error).__name__}): {_AGAIN}") from error
+
+
+def _checksum(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -1,0 +1,244 @@
+"""AdaptiveWalk: from mesh to mesh: mark, refine, carry over, solve, estimate, keep."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.loop.expected import Limits, expected_seconds
+from adaptmg.estimate.loop.levels import appended, carried, thinned
+from adaptmg.estimate.loop.load_path import estimated_step
+from adaptmg.estimate.loop.resume import Meshes
+from adaptmg.estimate.loop.solving import solved, takes
+from adaptmg.estimate.loop.step import Step
+from adaptmg.estimate.loop.store import LoopStore, StoredStep
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import LoadPath, checks
+from adaptmg.runtime.threads import one_blas_thread
+from adaptmg.solver.history.load_path import solve_path
+from adaptmg.solver.history.path_result import PathResult
+from adaptmg.solver.multigrid import FullMultigrid
+from adaptmg.solver.result import Result
+from adaptmg.solver.run import Solver
+
+__all__ = ["AdaptiveWalk", "Parts"]
+
+_LOG = logging.getLogger(__name__)
+
+Progress = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What the loop is made of; :func:`adaptmg.adapt` says what each is."""
+
+    indicator: Any
+    mark: Any
+    engine: Any
+    solver: Solver | None = None
+    load_path: LoadPath | None = None
+    adapt_on: str = "last"
+
+
+@dataclass
+class _Clock:
+    """Seconds by phase."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+
+    def take(self) -> dict[str, float]:
+        taken, self.seconds = self.seconds, {}
+        return taken
+
+
+class AdaptiveWalk:
+    """One run of the adaptive loop.
+
+    Parameters
+    ----------
+    start : Hierarchy
+        Its finest mesh is the first.
+    parts : Parts
+    limits : Limits
+    store : LoopStore or None
+    progress : callable or None
+    """
+
+    #: nodes of the next mesh over those of the last, below which it is not worth making
+    LEAST_GROWTH = 1.3
+    #: relative estimates that are rounding, as of solutions which are linear
+    EXACT = 1e-8
+    #: times that an engine is asked for a mesh that is not too large
+    ATTEMPTS = 3
+    #: the estimate must fall by this factor over meshes of twice the nodes, or the loop has come to an end
+    PROGRESS = 0.95
+
+    def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: LoopStore | None,
+                 progress: Progress | None) -> None:
+        self.first, self.parts, self.limits, self.store, self.progress = start, parts, limits, store, progress
+        self.clock, self.meshes = _Clock(), Meshes(start)
+        self.clock.seconds |= start.timings
+        self.done: list[Step] = []
+
+    def steps(self) -> Iterator[Step]:
+        """The steps, those of the store first."""
+        for number, kept in enumerate(() if self.store is None else self.store.steps()):
+            self.clock.take()
+            self._remember(self._again(number, kept))
+            yield self.done[-1]
+        if not self.done:
+            yield self._next(self.first, None)
+        while True:
+            last = self.done[-1]
+            reason = self._reached(last)
+            if not reason:
+                mesh, reason = self._finer(last)
+            if reason:
+                last.ending.words = reason
+                _LOG.debug("the adaptive loop ends: %s", reason)
+                return
+            yield self._next(*self._grown(last, mesh))
+
+    def _reached(self, last: Step) -> str:
+        """Which limit a step has reached, in words; empty if none."""
+        limits, relative = self.limits, last.estimate.relative
+        if limits.tolerance is not None and relative <= limits.tolerance:
+            return f"tolerance met: the estimate is {relative:.3g}, {limits.tolerance:g} was asked for"
+        if last.estimate.relative_energy <= self.EXACT or not last.estimate.squares.any():
+            return "no progress: the indicator finds no error beyond rounding"
+        if limits.max_nodes is not None and last.nodes * self.LEAST_GROWTH > limits.max_nodes:
+            return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"
+        if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
+            return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
+        for before in reversed(self.done[:-2]):
+            if last.nodes >= 2 * before.nodes:
+                falls = np.sqrt(last.estimate.squares.sum() / before.estimate.squares.sum())
+                if falls > self.PROGRESS:
+                    return (f"no progress: from {before.nodes} to {last.nodes} nodes the estimate falls by "
+                            f"{1 - falls:.1%} only")
+                break
+        return ""
+
+    @one_blas_thread()
+    def _finer(self, last: Step) -> tuple[MeshArrays | None, str]:
+        """The next mesh; or why there is none."""
+        self._tell("mesh", last.nodes)
+        most = self.limits.max_nodes
+        with self.clock.phase("mesh"):
+            mesh = last.hierarchy.finest.mesh
+            marked = self.parts.mark.mark(last.estimate)
+            if not np.any(marked):
+                return None, "no progress: the marking chooses no element"
+            asked = most
+            for _ in range(self.ATTEMPTS):
+                finer = self.parts.engine.refine(self.first.problem, mesh, last.estimate, marked, max_nodes=asked)
+                if finer is None or finer.n_nodes <= mesh.n_nodes:
+                    return None, f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes"
+                if most is None or finer.n_nodes <= most:
+                    return finer, ""
+                # sizes are met roughly only: ask for as much less
+                asked = int(0.98 * asked * most / finer.n_nodes)
+        return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {most} are allowed"
+
+    @one_blas_thread()
+    def _grown(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, np.ndarray]:
+        """The hierarchy with the next mesh, and the displacement of the last step on it."""
+        self._tell("assembly", mesh.n_nodes)
+        with self.clock.phase("levels"):
+            before = last.hierarchy
+            grown = appended(before, mesh, self.parts.engine)
+            start = carried(grown, len(before) - 1, last.result.displacement)
+            grown = thinned(grown)
+        made = {name: grown.timings[name] - before.timings.get(name, 0.0) for name in grown.timings}
+        for name, seconds in made.items():
+            # adding up: what the hierarchy spent is no part of choosing levels
+            self.clock.seconds[name] = self.clock.seconds.get(name, 0.0) + seconds
+            self.clock.seconds["levels"] -= seconds
+        return grown, start
+
+    @one_blas_thread()
+    def _next(self, hierarchy: Hierarchy, start: np.ndarray | None) -> Step:
+        """Solve, estimate and keep a step."""
+        number, last = len(self.done), self.done[-1] if self.done else None
+        self._tell("solve", hierarchy.finest.n_nodes)
+        with self.clock.phase("solve"):
+            result, path = self._solved(hierarchy, last, start)
+        self._tell("estimate", hierarchy.finest.n_nodes)
+        with self.clock.phase("estimate"):
+            result, estimate = self._estimated(hierarchy, result, path)
+        work = result.work_units if path is None else sum(one.work_units for one in path)
+        nonzeros, timings = hierarchy.finest.matrix.nnz, self.clock.take()
+        before = 0.0 if last is None else last.total_work_units * last.hierarchy.finest.matrix.nnz / nonzeros
+        step = Step(number, hierarchy, result, estimate, timings,
+                    sum(timings.values()) + (0.0 if last is None else last.total_seconds), work, work + before, path)
+        with self.clock.phase("store"):
+            keys, extra = self.meshes.note(number, hierarchy)
+            if self.store is not None:
+                numbers = {"total_seconds": step.total_seconds, "work_units": step.work_units,
+                           "total_work_units": step.total_work_units}
+                self.store.put(number, StoredStep(result, estimate, keys, extra, numbers, timings, path))
+        self._remember(step)
+        return step
+
+    def _solved(self, hierarchy: Hierarchy, last: Step | None, start: np.ndarray | None
+                ) -> tuple[Result | None, PathResult | None]:
+        if self.parts.load_path is None:
+            return solved(hierarchy, self.parts.solver, last, start), None
+        solver = self.parts.solver
+        if solver is None and len(hierarchy) > 1:
+            solver = FullMultigrid(rtol="discretisation")
+        elif solver is not None and not takes(solver, hierarchy):
+            solver = None
+        return None, solve_path(hierarchy, self.parts.load_path, solver)
+
+    def _estimated(self, hierarchy: Hierarchy, result: Result | None, path: PathResult | None
+                   ) -> tuple[Result, Estimate]:
+        indicate = self.parts.indicator.indicate
+        if path is None:
+            estimate = indicate(hierarchy, result)
+        else:
+            k, estimate = estimated_step(hierarchy, self.parts.load_path, path, self.parts.adapt_on, indicate)
+            result = path[k]
+        checks.instance(f"what the indicator {checks.shown(self.parts.indicator)} returns", estimate, Estimate)
+        if len(estimate.squares) != len(hierarchy.finest.mesh.elements):
+            raise ValueError(f"the indicator {checks.shown(self.parts.indicator)} returns an estimate of "
+                             f"{len(estimate.squares)} elements for a mesh of {len(hierarchy.finest.mesh.elements)}")
+        return result, estimate
+
+    def _again(self, number: int, kept: StoredStep) -> Step:
+        """A step from the store."""
+        hierarchy = self.meshes.take(number, kept.result.mesh, kept.extra, kept.levels)
+        # one mesh for both, with its source
+        result = replace(kept.result, mesh=hierarchy.finest.mesh)
+        return Step(number, hierarchy, result, kept.estimate, kept.timings, path=kept.path, **kept.numbers)
+
+    def _remember(self, step: Step) -> None:
+        self.done.append(step)
+        self._tell("done", step.nodes)
+        _LOG.debug("%s", step)
+
+    def _tell(self, phase: str, nodes: int) -> None:
+        """Report what is being done."""
+        if self.progress is None:
+            return
+        last = self.done[-1] if self.done else None
+        done = sum(self.clock.seconds.values()) + (0.0 if last is None else last.total_seconds)
+        self.progress({"step": len(self.done) - (phase == "done"), "phase": phase, "nodes": nodes, "seconds": done,
+                       "estimate": float("nan") if last is None else last.estimate.relative,
+                       "expected_seconds": float("nan") if last is None else expected_seconds(self.done, self.limits)})

@@ -1,0 +1,102 @@
+r"""How one element is bisected: its two children, their order of corners and their marks.
+
+The edge between the first two corners is halved, at the new node p, which is the last corner of both children.
+
+Triangles (a, b, c), newest-vertex bisection: children (c, a, p) and (b, c, p).
+
+Tetrahedra, after D. N. Arnold, A. Mukherjee, L. Pouly (SIAM J. Sci. Comput. 22, 2000,
+doi:10.1137/S1064827597323373). Of each face one edge is marked; of the two that hold the halved edge it is that edge,
+the other two are (1, 2, 3) and (0, 2, 3), whose marks are coded 0, 1, 2: to corner 2, to corner 3, the edge (2, 3).
+A child's edge to be halved next is the mark of the face it inherits; the cut faces are marked opposite p, the new face
+(p, 2, 3) too, unless all marks of the parent lie in one plane and it is flagged: then from p to the next edge. Children
+of an unflagged plane one are flagged. From any tetrahedron this makes a bounded number of similarity classes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adaptmg.runtime.compiled import inner_kernel
+
+__all__ = ["FLAG", "marks_code", "write_children"]
+
+# what a flagged element has its marks raised by
+FLAG = 9
+
+
+def marks_code(first: int, second: int) -> int:
+    """Marks of the faces opposite the first and the second corner in one number, unflagged."""
+    return 3 * first + second
+
+
+@inner_kernel
+def _triangle(cells, e, n, p):
+    """The children of triangle e: the first in its place, the second in row n."""
+    a, b, c = cells[e, 0], cells[e, 1], cells[e, 2]
+    fa, fb, fc = cells[e, 3], cells[e, 4], cells[e, 5]
+    cells[e, 0], cells[e, 1], cells[e, 2] = c, a, p
+    cells[e, 3], cells[e, 4], cells[e, 5] = fc, -1, fb
+    cells[n, 0], cells[n, 1], cells[n, 2] = b, c, p
+    cells[n, 3], cells[n, 4], cells[n, 5] = -1, fc, fa
+
+
+@inner_kernel
+def _place(cells, row, corners, sides, order, marks):
+    """A tetrahedron with its corners in another, even order."""
+    for j in range(4):
+        cells[row, j] = corners[order[j]]
+        cells[row, 4 + j] = sides[order[j]]
+    cells[row, 8] = marks
+
+
+@inner_kernel
+def _tetrahedron(cells, e, n, p):
+    """The children of tetrahedron e: the first in its place, the second in row n."""
+    # of one type, so that the tuples can be indexed
+    p = np.int64(p)
+    v0, v1, v2, v3 = np.int64(cells[e, 0]), np.int64(cells[e, 1]), np.int64(cells[e, 2]), np.int64(cells[e, 3])
+    f0, f1, f2, f3 = np.int64(cells[e, 4]), np.int64(cells[e, 5]), np.int64(cells[e, 6]), np.int64(cells[e, 7])
+    flagged = cells[e, 8] >= FLAG
+    marks = cells[e, 8] - FLAG if flagged else cells[e, 8]
+    first, second = marks // 3, marks % 3
+    plane = first == second and first < 2
+    # the mark of the new face is the edge (2, 3), code 0, or from p to the edge that is halved next, code 1
+    to_new = 1 if plane and flagged else 0
+    flag = FLAG if plane and not flagged else 0
+    # the first child keeps corner 0: p stands for corner 1
+    corners, sides = (v0, p, v2, v3), (-1, f1, f2, f3)
+    if second == 0:
+        _place(cells, e, corners, sides, (0, 2, 3, 1), flag + 3 * to_new)
+    elif second == 1:
+        _place(cells, e, corners, sides, (3, 0, 2, 1), flag + to_new)
+    else:
+        _place(cells, e, corners, sides, (2, 3, 0, 1), flag)
+    corners, sides = (p, v1, v2, v3), (f0, -1, f2, f3)
+    if first == 0:
+        _place(cells, n, corners, sides, (2, 1, 3, 0), flag + to_new)
+    elif first == 1:
+        _place(cells, n, corners, sides, (1, 3, 2, 0), flag + 3 * to_new)
+    else:
+        _place(cells, n, corners, sides, (3, 2, 1, 0), flag)
+
+
+@inner_kernel
+def write_children(cells, e, n, tree, m, p):
+    """Bisect element e at node p: children into rows e and n of the cells, itself into row m of the tree."""
+    corners = tree.shape[1] - 3
+    marks = 2 * corners
+    for j in range(corners):
+        tree[m, j] = cells[e, j]
+    tree[m, corners] = cells[e, marks]
+    tree[m, corners + 1] = cells[e, marks + 1]
+    tree[m, corners + 2] = p
+    if corners == 3:
+        _triangle(cells, e, n, p)
+        cells[n, marks] = 0
+    else:
+        _tetrahedron(cells, e, n, p)
+    cells[e, marks + 1] = m
+    cells[n, marks + 1] = m
+    cells[e, marks + 2] += 1
+    cells[n, marks + 2] = cells[e, marks + 2]
+    cells[n, marks + 3] = cells[e, marks + 3]

@@ -1,0 +1,94 @@
+"""``adaptmg adapt``: a line a step, JSON, files, a store to go on from; bad input is a line and exit code 2."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+
+import pytest
+
+import adaptmg as am
+from adaptmg.cli import app
+from adaptmg.cli.progress import watched_loop
+
+SMALL = ("adapt", "upset_block", "--start", "8e-3", "--engine", "bisect", "--max-nodes", "120")
+
+
+@pytest.fixture
+def command(capsys, monkeypatch):
+    """Run the command in this process: exit code, standard output, standard error."""
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as end:
+            app(list(arguments), prog_name="adaptmg")
+        out, err = capsys.readouterr()
+        return end.value.code or 0, out, err
+
+    return run
+
+
+def test_its_help_has_an_example(command):
+    code, out, _ = command("adapt", "--help")
+    assert code == 0 and "Example: adaptmg adapt" in out
+
+
+def test_a_line_a_step(command):
+    code, out, err = command(*SMALL)
+    lines = out.splitlines()
+    assert (code, err) == (0, "") and lines[0] == am.Step.HEADER
+    numbers = [int(line.split()[0]) for line in lines[1:lines.index("")] if line.split()[0].isdigit()]
+    assert numbers == list(range(len(numbers))) and len(numbers) > 1
+    assert "max_nodes" in out and "CONVERGED" in out
+
+
+@pytest.mark.parametrize("options", [("--engine", "remesh"), ("--indicator", "recovery"), ("--theta", "0.3"),
+                                     ("--friction", "0.2"), ("--max-seconds", "0.001")])
+def test_json_says_what_the_loop_did(command, options):
+    code, out, _ = command(*SMALL, *options, "--json")
+    said = json.loads(out)
+    assert code == 0 and said["outcome"] and said["steps"][0]["step"] == 0
+    assert all(row["estimate"] > 0 and row["levels"][-1] == row["nodes"] for row in said["steps"])
+    assert said["result"]["status"] == "CONVERGED"
+    assert sum(said["steps"][0]["terms"].values()) == pytest.approx(said["steps"][0]["estimate_total"] ** 2)
+
+
+def test_a_tolerance_ends_it(command):
+    said = json.loads(command(*SMALL[:-2], "--tolerance", "0.1", "--json")[1])
+    assert said["steps"][-1]["estimate"] <= 0.1 and "tolerance" in said["outcome"]
+
+
+def test_files_are_written_and_a_store_is_gone_on_from(command, tmp_path):
+    store = ("--store", str(tmp_path / "store"))
+    first = json.loads(command(*SMALL, *store, "--json")[1])
+    code, out, _ = command(*SMALL, *store, "--out", str(tmp_path / "out"), "--json")
+    again = json.loads(out)
+    assert code == 0 and again["steps"] == first["steps"]
+    names = {file.name for file in (tmp_path / "out").iterdir()}
+    assert {"adaptation.png", "result.npz", "result.vtu"} <= names
+    code, _, err = command(*SMALL, *store, "--theta", "0.3")
+    assert code == 2 and "another loop: mark differs" in err
+
+
+@pytest.mark.parametrize("options, words", [(("--max-nodes", "0"), "max_nodes"), (("--start", "-1"), "start"),
+                                            (("--theta", "2"), "theta"), (("--tolerance", "nan"), "tolerance"),
+                                            (("--limit", "3", "--friction", "1"), "limit")])
+def test_bad_input_is_a_line(command, options, words):
+    code, out, err = command(*SMALL, *options)
+    assert (code, out) == (2, "") and words in err and len(err.splitlines()) == 1
+
+
+def test_on_a_terminal_a_bar_tells_nodes_estimate_and_end(monkeypatch):
+    screen = io.StringIO()
+    screen.isatty = lambda: True
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr("sys.stderr", screen)
+    with watched_loop() as progress:
+        progress({"step": 0, "phase": "solve", "nodes": 50, "estimate": math.nan, "seconds": 1.0,
+                  "expected_seconds": math.nan})
+        progress({"step": 1, "phase": "mesh", "nodes": 123, "estimate": 0.25, "seconds": 1.0,
+                  "expected_seconds": 31.0})
+    text = screen.getvalue()
+    assert "123 nodes" in text and "25.00%" in text and "30 s more" in text

@@ -1,0 +1,114 @@
+"""Dual fields: the sensitivity of quantities to forces, for every law, one body and pairs; multigrid against LU."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.estimate.fields.posed import posed
+from adaptmg.estimate.goals.adjoint import adjoint_system
+from adaptmg.estimate.goals.bubbles import edge_bubbles
+from adaptmg.estimate.goals.contact_state import linearised_contact
+from adaptmg.estimate.goals.view import GoalView
+
+EXACT = am.ActiveSet(rtol=1e-13)
+
+CASES = {
+    "bar": (lambda: am.cases.greco_bar(), {"sizes": (8e-3,)}),
+    "bar, Tresca": (lambda: am.cases.greco_bar(law=am.Tresca(3e7)), {"sizes": (8e-3,)}),
+    "frictionless": (lambda: am.cases.curved_obstacle(), {"sizes": (8e-3,)}),
+    "block": (lambda: am.cases.greco_block(), {"sizes": (15e-3,)}),
+    "block, Tresca": (lambda: am.cases.greco_block(law=am.Tresca(3e7)), {"sizes": (15e-3,)}),
+    "dovetail": (lambda: am.cases.dovetail(), {"sizes": (8e-3,)}),
+    "junction": (lambda: am.cases.bolted_junction(), {"sizes": (12e-3,)}),
+}
+
+
+@cache
+def solved(name):
+    make, parameters = CASES[name]
+    problem = make()
+    hierarchy = am.Hierarchy.graded(problem, **parameters)
+    return hierarchy, am.solve(hierarchy, EXACT)
+
+
+def view_of(hierarchy, result):
+    this = posed(hierarchy, result)
+    return GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
+
+
+def quantities(hierarchy):
+    dim, first = hierarchy.problem.dim, hierarchy.problem.contact_boundaries[0]
+    at = hierarchy.finest.mesh.points[hierarchy.finest.discrete.contact.nodes[-1]]
+    return [am.Displacement(at, 0), am.ContactForce(first, 0), am.ContactForce(), am.Opening(first),
+            am.MeanDisplacement(first, dim - 1)]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_dual_field_is_the_sensitivity_to_a_load(name):
+    hierarchy, result = solved(name)
+    discrete, view = hierarchy.finest.discrete, view_of(*solved(name))
+    functionals = [f for item in quantities(hierarchy) for f in item.functionals(view)]
+    duals = adjoint_system(view.contact).direct([f.vector for f in functionals])
+    # forces in the unknowns of the problem, not on contact nodes (those are part of the conditions there)
+    force = np.random.default_rng(0).standard_normal((discrete.n_nodes, discrete.dim))
+    force[discrete.contact.nodes] = 0.0
+    force = np.where(discrete.fixed, 0.0, force.reshape(-1))
+    force *= 1e-6 * np.linalg.norm(discrete.load) / np.linalg.norm(force)
+    changed = {}
+    for sign in (1, -1):
+        other = dataclasses.replace(discrete, load=discrete.load + sign * force)
+        grids = dataclasses.replace(hierarchy, levels=(dataclasses.replace(hierarchy.finest, discrete=other),))
+        moved = am.solve(grids, EXACT, start=result.displacement)
+        np.testing.assert_array_equal(moved.contact.state, result.contact.state)
+        there = view_of(grids, moved)
+        changed[sign] = np.array([f.value for item in quantities(hierarchy) for f in item.functionals(there)])
+    found = (changed[1] - changed[-1]) / 2
+    wanted = np.array([dual.field @ force for dual in duals])
+    scale = np.array([np.linalg.norm(dual.field) * np.linalg.norm(force) for dual in duals])
+    assert (np.abs(wanted) > 1e-3 * scale).any()
+    # where all nodes touch, their mean opening does not depend on anything
+    assert (np.abs(found - wanted) <= 1e-6 * scale + 1e-20).all(), (found - wanted) / scale
+
+
+@pytest.mark.parametrize("name", ["bar", "block", "dovetail"])
+def test_errors_that_keep_the_state_meet_the_functional(name):
+    view = view_of(*solved(name))
+    discrete, system = view.posed.discrete, adjoint_system(view.contact)
+    functional = am.ContactForce(direction=0).functionals(view)[0].vector
+    z = system.direct([functional])[0].field
+    v = view.contact.cartesian(np.where(system.trial, np.random.default_rng(0).standard_normal(len(z)), 0.0))
+    action = discrete.matrix @ v
+    bent = view.contact.local(v).reshape(-1, discrete.dim)[view.contact.nodes, 1:]
+    dual = view.contact.local(z).reshape(-1, discrete.dim)[view.contact.nodes, 1:]
+    curved = np.einsum("ni,nij,nj->", dual, view.contact.hessian, bent)
+    assert z @ action + curved == pytest.approx(functional @ v, rel=1e-9)
+
+
+@pytest.mark.parametrize(("make", "sizes"), [(am.cases.greco_bar, (8e-3, 4e-3, 2e-3)),
+                                             (am.cases.dovetail, (8e-3, 4e-3, 2e-3)),
+                                             (am.cases.greco_block, (20e-3, 12e-3, 9e-3))])
+def test_multigrid_on_the_transpose_equals_the_direct_solution(make, sizes):
+    hierarchy = am.Hierarchy.graded(make(), sizes)
+    result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6))
+    view = view_of(hierarchy, result)
+    system = adjoint_system(view.contact)
+    vectors = [f.vector for item in quantities(hierarchy)[:3] for f in item.functionals(view)]
+    direct, iterated = system.direct(vectors), system.multigrid(hierarchy, vectors, 1e-9, 60)
+    for a, b in zip(direct, iterated, strict=True):
+        assert b.converged and b.iterations <= 20
+        np.testing.assert_allclose(b.field, a.field, atol=1e-6 * np.abs(a.field).max())
+
+
+def test_an_adjoint_that_is_not_solved_says_so():
+    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), (8e-3, 4e-3))
+    result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6))
+    estimate = am.Goal(am.Displacement((0.0, 0.0), "x"), rtol=1e-12, max_iterations=2, direct_below=0).indicate(
+        hierarchy, result)
+    assert not estimate.converged and estimate.residuals.max() > 1e-12
+    assert "not solved" in repr(estimate)
+    assert am.Goal(am.Displacement((0.0, 0.0), "x"), direct_below=0).indicate(hierarchy, result).converged

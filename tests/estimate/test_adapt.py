@@ -1,0 +1,267 @@
+"""am.adapt: each step is solved as far as its mesh deserves, limits end it with a reason, parts may be one's own."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from adaptive_loop import Constant, numbers_of, upset
+
+import adaptmg as am
+from adaptmg.estimate.loop import solving
+from adaptmg.estimate.loop.load_path import posed_at
+from adaptmg.mesh import structured
+
+BISECT = am.Bisect()
+COARSE = 8e-3
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[am.Step]:
+    return list(am.adapt(upset(), COARSE, engine=BISECT, max_nodes=1500))
+
+
+@pytest.fixture(scope="module")
+def pair() -> list[am.Step]:
+    return list(am.adapt(am.cases.dovetail(), COARSE, engine=BISECT, max_nodes=1500))
+
+
+@pytest.mark.parametrize("loop", ["steps", "pair"])
+def test_each_step_is_as_exact_as_a_tenth_of_its_estimate(loop, request):
+    for step in request.getfixturevalue(loop)[1:]:
+        discrete = step.hierarchy.finest.discrete
+        exact = am.solve(step.hierarchy, am.ActiveSet(rtol=1e-12)).displacement
+        error = discrete.relative(step.result.displacement - exact).reshape(-1)
+        norm = float(np.sqrt(error @ (discrete.matrix @ error)))
+        # the certificate errs by a factor of two, and an estimate is expected, not known
+        assert norm <= 2.5 * 0.1 * step.estimate.total
+
+
+def test_the_tolerance_is_a_tenth_of_what_is_expected(steps):
+    for before, step in itertools.pairwise(steps):
+        expected = before.estimate.relative * (before.nodes / step.nodes) ** 0.5
+        assert step.result.rtol == pytest.approx(min(0.1 * expected, 3e-2))
+        # a few elements at a singularity gain more than their number
+        assert expected == pytest.approx(step.estimate.relative, rel=0.3 if step.number > 2 else 0.5)
+
+
+def test_levels_that_are_close_are_dropped():
+    found = list(am.adapt(upset(), COARSE, engine=BISECT, mark=am.Doerfler(0.2), max_nodes=400))
+    last = found[-1].hierarchy
+    assert len(last) < len(found) and last.operator_complexity < 2.6
+    assert all(am.transfer.size_ratio(a.mesh, b.mesh) <= 4.0 + 1e-9 for a, b in itertools.pairwise(last.levels))
+
+
+def test_meshes_grow_and_the_estimate_falls(steps):
+    nodes = [step.nodes for step in steps]
+    assert all(a < b for a, b in itertools.pairwise(nodes)) and nodes[-1] <= 1500
+    assert steps[-1].estimate.relative < 0.3 * steps[0].estimate.relative
+    assert [step.number for step in steps] == list(range(len(steps)))
+
+
+def test_one_body_needs_one_cycle_a_step(steps, pair):
+    assert all(step.result.cycles <= 1 for step in steps[1:])
+    assert np.mean([step.result.cycles for step in pair[2:]]) <= 4
+
+
+def test_work_adds_up_in_units_of_the_finest_matrix(steps):
+    matrices = [step.hierarchy.finest.matrix.nnz for step in steps]
+    total = sum(step.work_units * nonzeros for step, nonzeros in zip(steps, matrices, strict=True))
+    assert steps[-1].total_work_units == pytest.approx(total / matrices[-1])
+    alone = am.solve(steps[-1].hierarchy, am.FullMultigrid(rtol="discretisation"))
+    assert steps[-1].total_work_units <= 1.3 * alone.work_units
+
+
+def test_seconds_add_up(steps):
+    assert steps[-1].total_seconds == pytest.approx(sum(step.seconds for step in steps))
+    assert {"solve", "estimate"} <= set(steps[-1].timings) and all(s >= 0 for s in steps[-1].timings.values())
+
+
+def test_only_the_last_step_has_an_outcome(steps):
+    assert [bool(step.outcome) for step in steps] == [False] * (len(steps) - 1) + [True]
+    assert "max_nodes" in steps[-1].outcome and steps[-1].outcome in repr(steps[-1])
+
+
+def test_a_step_prints_a_line_under_its_heading(steps):
+    for step in steps[:-1]:
+        assert "\n" not in repr(step) and len(repr(step)) == len(am.Step.HEADER)
+
+
+def test_the_same_loop_gives_the_same_numbers(steps):
+    assert numbers_of(list(am.adapt(upset(), COARSE, engine=BISECT, max_nodes=1500))) == numbers_of(steps)
+
+
+def test_a_tolerance_ends_the_loop():
+    found = list(am.adapt(upset(), COARSE, engine=BISECT, tolerance=0.06))
+    assert found[-1].estimate.relative <= 0.06 < found[-2].estimate.relative
+    assert "tolerance" in found[-1].outcome
+
+
+def test_seconds_end_the_loop():
+    found = list(am.adapt(upset(), COARSE, engine=BISECT, max_seconds=1e-6))
+    assert len(found) == 1 and "max_seconds" in found[0].outcome
+
+
+def test_a_first_mesh_beyond_the_limit_is_solved_all_the_same():
+    found = list(am.adapt(upset(), COARSE, engine=BISECT, max_nodes=5))
+    assert len(found) == 1 and found[0].result.status.ok and "max_nodes" in found[0].outcome
+
+
+def test_the_generator_may_be_broken_off():
+    loop = am.adapt(upset(), COARSE, engine=BISECT, max_nodes=10_000)
+    first = next(loop)
+    second = next(loop)
+    loop.close()
+    assert first.outcome == second.outcome == "" and second.nodes > first.nodes
+    assert next(loop, None) is None
+
+
+def test_a_loop_that_gains_nothing_ends():
+    found = list(am.adapt(upset(), COARSE, Constant(), engine=BISECT, max_nodes=100_000))
+    assert "no progress" in found[-1].outcome and found[-1].nodes < 5000
+
+
+def test_an_exact_solution_is_not_refined():
+    found = list(am.adapt(am.cases.two_block_patch(), 0.03, engine=BISECT, max_nodes=100_000))
+    assert len(found) == 1 and "rounding" in found[0].outcome
+
+
+@pytest.mark.parametrize("squares, words", [(0.0, "no error"), (1e-4, "no finer mesh")])
+def test_nothing_to_refine_ends_the_loop(squares, words):
+    class Stuck:
+        def refine(self, problem, mesh, estimate, marked, max_nodes=None):
+            return mesh
+
+    found = list(am.adapt(upset(), COARSE, Constant(squares), engine=Stuck(), max_nodes=1000))
+    assert len(found) == 1 and "no progress" in found[0].outcome and words in found[0].outcome
+
+
+def test_a_marking_that_chooses_nothing_ends_the_loop():
+    class Nobody:
+        def mark(self, estimate):
+            return np.zeros(len(estimate.squares), dtype=bool)
+
+    found = list(am.adapt(upset(), COARSE, mark=Nobody(), engine=BISECT, max_nodes=1000))
+    assert len(found) == 1 and "marking" in found[0].outcome
+
+
+def test_an_engine_that_overshoots_is_asked_for_less():
+    class Generous:
+        asked: list[int] = []  # noqa: RUF012
+
+        def refine(self, problem, mesh, estimate, marked, max_nodes=None):
+            self.asked.append(max_nodes)
+            return BISECT.refine(problem, mesh, estimate, marked, max_nodes=int(1.2 * max_nodes))
+
+    found = list(am.adapt(upset(), COARSE, engine=Generous(), max_nodes=300))
+    assert found[-1].nodes <= 300 and min(Generous.asked) < 300
+
+
+def test_it_starts_from_a_size_a_mesh_or_a_hierarchy():
+    problem = upset()
+    mesh = structured(problem.domain, 5)
+    by_mesh = list(am.adapt(problem, mesh, engine=BISECT, max_nodes=120))
+    assert by_mesh[0].hierarchy.finest.mesh is mesh
+    grids = am.Hierarchy.uniform(problem, (4, 8))
+    by_grids = list(am.adapt(problem, grids, engine=BISECT, max_nodes=200))
+    assert by_grids[0].hierarchy is grids and by_grids[1].hierarchy[0].n_nodes == 25
+
+
+def test_one_s_own_solver_and_transfer_are_used():
+    problem, solver = upset(), am.Multigrid(rtol=1e-9)
+    found = list(am.adapt(problem, am.Hierarchy.uniform(problem, (3, 6)), engine=BISECT, solver=solver,
+                          max_nodes=150))
+    assert all(step.result.rtol == 1e-9 for step in found)
+    full = list(am.adapt(problem, am.Hierarchy.uniform(problem, (3, 6)), engine=BISECT,
+                         solver=am.FullMultigrid(rtol=1e-6), max_nodes=100))
+    assert all(step.result.rtol == 1e-6 for step in full)
+    transfer = am.PseudoL2()
+    found = list(am.adapt(problem, COARSE, engine=BISECT, transfer=transfer, max_nodes=100))
+    assert found[-1].hierarchy.transfer is transfer
+
+
+def test_a_multigrid_of_one_s_own_begins_with_the_second_mesh():
+    found = list(am.adapt(upset(), COARSE, engine=BISECT, solver=am.FullMultigrid(rtol=1e-6), max_nodes=60))
+    assert [step.result.rtol for step in found[1:]] == [1e-6] * (len(found) - 1) and found[0].result.rtol <= 1e-6
+
+
+def test_a_warm_start_that_fails_is_replaced_and_its_work_counted(monkeypatch):
+    monkeypatch.setattr(solving, "WarmMultigrid", lambda **options: am.Multigrid(rtol=1e-12, max_cycles=1))
+    found = list(am.adapt(upset(), COARSE, engine=BISECT, max_nodes=60))
+    assert all(step.result.status.ok and "FullMultigrid" in step.result.solver_name for step in found[1:])
+    alone = am.solve(found[-1].hierarchy, am.FullMultigrid(rtol=found[-1].result.rtol))
+    assert found[-1].work_units > alone.work_units
+
+
+def test_progress_is_told():
+    rows = []
+    list(am.adapt(upset(), COARSE, engine=BISECT, max_nodes=200, progress=rows.append))
+    assert {row["phase"] for row in rows} == {"mesh", "assembly", "solve", "estimate", "done"}
+    assert all(row.keys() == rows[0].keys() for row in rows)
+    assert rows[-1]["seconds"] > 0 and np.isfinite(rows[-1]["expected_seconds"])
+
+
+def test_a_load_path_is_followed_on_every_mesh():
+    problem = am.cases.greco_bar()
+    path = am.LoadPath({"left": [0.5, 1.0, 0.2]}, default=1.0)
+    by_last = list(am.adapt(problem, 10e-3, engine=BISECT, load_path=path, max_nodes=90))
+    by_worst = list(am.adapt(problem, 10e-3, engine=BISECT, load_path=path, adapt_on="worst", max_nodes=90))
+    for step in (*by_last, *by_worst):
+        assert len(step.path) == 3 and step.path.complete
+    assert by_last[0].result is by_last[0].path[2]
+    assert by_worst[0].estimate.total >= by_last[0].estimate.total
+    one = am.LoadPath({"left": [1.0]}, default=1.0)
+    plain = next(am.adapt(problem, 10e-3, engine=BISECT, max_nodes=90))
+    single = next(am.adapt(problem, 10e-3, engine=BISECT, load_path=one, max_nodes=90))
+    np.testing.assert_allclose(single.estimate.squares, plain.estimate.squares, rtol=1e-6)
+
+
+def test_what_is_posed_in_a_load_step_is_what_its_result_solves():
+    problem, path = am.cases.greco_bar(), am.LoadPath({"left": [0.5, 1.0, 0.2]}, default=1.0)
+    grids = am.Hierarchy.uniform(problem, (4, 8))
+    results = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-11))
+    for k in range(3):
+        posed = posed_at(grids, path, results, k)
+        alone = am.solve(posed, am.ActiveSet(rtol=1e-12)).displacement
+        np.testing.assert_allclose(results[k].displacement, alone, atol=1e-9 * np.abs(alone).max())
+        assert posed.problem.loads[-1].value == path.factors["left"][k] * problem.loads[-1].value
+
+
+@pytest.mark.parametrize("options, words", [
+    ({}, "at least one"), ({"max_nodes": 0}, "max_nodes"), ({"max_nodes": 1.5}, "max_nodes"),
+    ({"tolerance": 0.0}, "tolerance"), ({"tolerance": float("nan")}, "tolerance"), ({"max_seconds": -1}, "max_seconds"),
+    ({"indicator": 3, "max_nodes": 9}, "indicator"), ({"mark": None, "engine": "bisect", "max_nodes": 9}, "engine"),
+    ({"mark": "half", "max_nodes": 9}, "mark"), ({"solver": am.Direct(), "max_nodes": 9}, "solver"),
+    ({"adapt_on": "best", "max_nodes": 9}, "adapt_on"), ({"load_path": [1], "max_nodes": 9}, "load_path"),
+    ({"start": -1.0, "max_nodes": 9}, "start"), ({"progress": 1, "max_nodes": 9}, "progress")])
+def test_bad_arguments_are_refused_at_once(options, words):
+    with pytest.raises((ValueError, TypeError), match=words):
+        am.adapt(upset(), **{"start": COARSE, "engine": BISECT} | options)
+
+
+def test_a_hierarchy_of_something_else_is_refused():
+    problem = upset()
+    with pytest.raises(ValueError, match="another problem"):
+        am.adapt(upset(), am.Hierarchy.uniform(problem, (3, 6)), engine=BISECT, max_nodes=9)
+    grids = am.Hierarchy.uniform(problem, (3, 6))
+    with pytest.raises(ValueError, match="transfer"):
+        am.adapt(problem, grids, engine=BISECT, transfer=am.L2(), max_nodes=9)
+    with pytest.raises(TypeError, match="problem"):
+        am.adapt(grids, max_nodes=9)
+
+
+@pytest.mark.parametrize("returned", [None, "elements"])
+def test_an_indicator_that_returns_something_else_is_named(returned):
+    class Wrong:
+        def indicate(self, hierarchy, result):
+            return None if returned is None else am.Estimate(squares=[1.0], norm=1.0)
+
+    with pytest.raises((TypeError, ValueError), match=r"the indicator .* returns"):
+        next(am.adapt(upset(), COARSE, Wrong(), engine=BISECT, max_nodes=900))
+
+
+def test_a_step_that_cannot_be_solved_says_so():
+    loop = am.adapt(upset(), COARSE, engine=BISECT, solver=am.SingleGrid(max_sweeps=1), max_nodes=900)
+    with pytest.raises(am.NotConverged):
+        next(loop)

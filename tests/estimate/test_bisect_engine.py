@@ -1,0 +1,129 @@
+"""Bisect refines what is marked within its limits, goes onto arcs, and takes back where little is left."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from bisected_meshes import SQUARE, as_sets, cube, random_mask, verified
+
+import adaptmg as am
+from adaptmg.mesh import bisect, graded, structured
+from adaptmg.problem import Outline
+
+PROBLEM = am.cases.greco_bar()
+MESH = structured(PROBLEM.domain, 8)
+RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("a", "out", "b", "in"),
+               arcs={1: (0, 0), 3: (0, 0)})
+
+
+def estimate_of(mesh, towards=(0.0, 0.0)):
+    """Squares that fall with the distance from a point."""
+    middle = mesh.points[mesh.elements].mean(axis=1)
+    far = np.linalg.norm(middle - np.array(towards), axis=1) / np.ptp(mesh.points[:, 0])
+    return am.Estimate(squares=1 / (1e-3 + far) ** 3, norm=1.0)
+
+
+def largest(estimate, part):
+    return estimate.squares >= np.quantile(estimate.squares, 1 - part)
+
+
+def test_it_bisects_what_is_marked():
+    estimate = estimate_of(MESH)
+    marked = largest(estimate, 0.2)
+    for passes in (None, 1):
+        fine = verified(am.Bisect(passes=passes).refine(PROBLEM, MESH, estimate, marked))
+        assert as_sets(fine) == as_sets(bisect(MESH, marked, passes)[0])
+    assert am.Bisect().refine(PROBLEM, MESH, estimate, ~np.ones_like(marked)) is MESH
+
+
+@pytest.mark.parametrize("mesh", [MESH, cube(4)], ids=["2D", "3D"])
+@pytest.mark.parametrize("room", [1.02, 1.1, 1.5, 2.5])
+@pytest.mark.parametrize("engine", [am.Bisect(), am.Bisect(passes=1)])
+def test_a_limit_is_kept_and_used(mesh, room, engine):
+    estimate = estimate_of(mesh, mesh.points[0])
+    limit = int(room * mesh.n_nodes)
+    marked = np.ones(len(mesh.elements), dtype=bool)
+    free = engine.refine(PROBLEM, mesh, estimate, marked).n_nodes
+    bound = engine.refine(PROBLEM, mesh, estimate, marked, max_nodes=limit)
+    assert min(free, limit) >= bound.n_nodes >= 0.85 * min(free, limit)
+    if mesh.n_nodes < bound.n_nodes < free:
+        # the largest squares are served first
+        fine = bound.element_sizes < 0.99 * mesh.element_sizes.max()
+        far = np.linalg.norm(bound.points[bound.elements].mean(axis=1) - mesh.points[0], axis=1)
+        assert far[fine].mean() < far[~fine].mean()
+
+
+@pytest.mark.parametrize("part", [0.02, 0.1, 0.3, 0.6, 0.9])
+def test_a_limit_is_used_where_marks_are_scattered(part):
+    # the closure around the first marks makes half the nodes
+    mesh = cube(6)
+    estimate = am.Estimate(squares=np.ones(len(mesh.elements)), norm=1.0)
+    marked = random_mask(mesh, 0.3, 4)
+    most = am.Bisect().refine(PROBLEM, mesh, estimate, marked).n_nodes
+    limit = int(mesh.n_nodes + part * (most - mesh.n_nodes))
+    fine = am.Bisect().refine(PROBLEM, mesh, estimate, marked, max_nodes=limit)
+    assert 0.7 * (limit - mesh.n_nodes) < fine.n_nodes - mesh.n_nodes <= limit - mesh.n_nodes
+
+
+def test_no_room_is_the_same_mesh():
+    estimate = estimate_of(MESH)
+    marked = largest(estimate, 0.5)
+    for limit in (1, MESH.n_nodes - 1, MESH.n_nodes):
+        for engine in (am.Bisect(), am.Bisect(coarsen=0.05)):
+            assert engine.refine(PROBLEM, MESH, estimate, marked, max_nodes=limit) is MESH
+
+
+def test_nodes_go_onto_the_arcs_of_the_domain():
+    problem, mesh = SimpleNamespace(domain=RING), graded(RING, 0.5)
+    bare = SimpleNamespace(domain=None)
+    for _ in range(3):
+        estimate = estimate_of(mesh, (1.0, 0.0))
+        mesh = verified(am.Bisect().refine(problem, mesh, estimate, largest(estimate, 0.3)))
+    np.testing.assert_allclose(np.linalg.norm(mesh.points[mesh.boundary_nodes("in")], axis=1), 1, rtol=1e-14)
+    estimate = estimate_of(mesh, (1.0, 0.0))
+    chords = am.Bisect().refine(bare, mesh, estimate, largest(estimate, 0.3))
+    assert np.linalg.norm(chords.points[chords.boundary_nodes("in")], axis=1).min() < 1 - 1e-6
+
+
+def test_coarsening_follows_a_moving_front():
+    mesh, plain = MESH, MESH
+    size = np.ptp(MESH.points[:, 0])
+    for k in range(8):
+        for engine in (am.Bisect(coarsen=0.02), am.Bisect()):
+            old = mesh if engine.coarsen else plain
+            estimate = estimate_of(old, (size * k / 7, 0.0))
+            new = verified(engine.refine(PROBLEM, old, estimate, largest(estimate, 0.05)))
+            mesh, plain = (new, plain) if engine.coarsen else (mesh, new)
+    assert MESH.n_nodes < mesh.n_nodes < 0.8 * plain.n_nodes
+    assert mesh.volumes.sum() == pytest.approx(MESH.volumes.sum(), rel=1e-12)
+    # what is marked is never taken back
+    estimate = am.Estimate(squares=np.ones(len(mesh.elements)), norm=1.0)
+    marked = random_mask(mesh, 0.9, 1)
+    both = [e.refine(PROBLEM, mesh, estimate, marked).n_nodes for e in (am.Bisect(coarsen=0.5), am.Bisect())]
+    assert both[0] > mesh.n_nodes and both[0] <= both[1]
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), [
+    ({"coarsen": True}, TypeError, "coarsen must be a part of the sum of squares"),
+    ({"coarsen": 1.0}, ValueError, "coarsen must be below 1"),
+    ({"coarsen": -0.1}, ValueError, "coarsen must be > 0"),
+    ({"coarsen": float("nan")}, ValueError, "coarsen"),
+    ({"passes": 0}, ValueError, "passes must be >= 1"),
+    ({"passes": 1.5}, TypeError, "passes"),
+])
+def test_bad_options(arguments, error, message):
+    with pytest.raises(error, match=message):
+        am.Bisect(**arguments)
+
+
+def test_bad_arguments():
+    estimate, engine = estimate_of(SQUARE), am.Bisect()
+    marked = np.ones(len(SQUARE.elements), dtype=bool)
+    with pytest.raises(ValueError, match="estimate is of 18 elements, but mesh has 128"):
+        engine.refine(PROBLEM, MESH, estimate, np.ones(128, dtype=bool))
+    with pytest.raises(TypeError, match="estimate must be an Estimate"):
+        engine.refine(PROBLEM, SQUARE, marked, marked)
+    with pytest.raises(TypeError, match="boolean mask"):
+        engine.refine(PROBLEM, SQUARE, estimate, np.arange(18))
+    with pytest.raises(ValueError, match="max_nodes must be >= 1"):
+        engine.refine(PROBLEM, SQUARE, estimate, marked, max_nodes=0)

@@ -1,0 +1,84 @@
+"""Boundary tractions: uniform on both sides of a patch test, in balance, zero where nothing touches."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made import result_on, square
+
+import adaptmg as am
+from adaptmg.discretisation.measures import StressData
+from adaptmg.estimate import boundary_tractions
+
+
+@pytest.mark.parametrize("options", [{"slope": 20.0, "side_pressure": 3e7}, {"dim": 3}])
+def test_both_sides_of_a_patch_bear_the_same_traction(options):
+    problem = am.cases.two_block_patch(**options)
+    grids = am.Hierarchy.from_meshes(problem, [am.cases.patch_mesh(problem, n) for n in (2, 4)])
+    result = am.solve(grids, am.FullMultigrid(rtol=1e-11))
+    slave, master = (boundary_tractions(result, name) for name in problem.pair_boundaries)
+    for side in (slave, master):
+        np.testing.assert_allclose(side.pressure, problem.reference["pressure"], rtol=1e-8)
+        np.testing.assert_allclose(side.stress_pressure, problem.reference["pressure"], rtol=1e-8)
+        np.testing.assert_allclose(np.linalg.norm(side.tangential, axis=1), problem.reference["traction"],
+                                   rtol=1e-7, atol=1e-1)
+    np.testing.assert_allclose(slave.contact.mean(axis=0), -master.contact.mean(axis=0), rtol=1e-7, atol=1.0)
+
+
+def test_signs_and_where_nothing_touches():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
+    result = am.solve(grids, am.FullMultigrid(rtol=1e-10))
+    bottom, top = (boundary_tractions(result, name) for name in ("bottom", "top"))
+    np.testing.assert_array_equal(bottom.nodes, result.contact.node)
+    np.testing.assert_allclose(bottom.pressure, result.contact.pressure, rtol=1e-12)
+    np.testing.assert_allclose(bottom.contact[:, 0], result.contact.traction[:, 0], rtol=1e-12)
+    # the bar is pushed in +x, friction on it acts in -x, the plane pushes it up
+    assert bottom.contact[5:10, 0].max() < 0 < bottom.contact[5:10, 1].min()
+    np.testing.assert_array_equal(bottom.normals, np.tile([0.0, -1.0], (17, 1)))
+    assert (top.contact == 0).all()
+    np.testing.assert_allclose(top.stress_pressure, 5e7, rtol=0.5)
+
+
+def test_stress_and_contact_forces_agree_to_first_order():
+    found = []
+    for n in (16, 32):
+        grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, n))
+        bottom = boundary_tractions(am.solve(grids, am.FullMultigrid(rtol=1e-10)), "bottom")
+        np.testing.assert_allclose(bottom.centres[:, 0], bottom.points[:-1, 0] + 0.02 / n, rtol=1e-12)
+        between = 0.5 * (bottom.pressure[1:] + bottom.pressure[:-1])
+        found.append(np.sqrt(np.mean((bottom.stress_pressure - between)**2)) / 5e7)
+    assert found[1] < 0.7 * found[0] < 0.2
+
+
+def test_a_contact_boundary_cut_in_two_bears_what_it_bears_whole():
+    whole = am.cases.greco_bar()
+    size = 40e-3
+    cut = am.Polygon(vertices=((0, 0), (size / 2, 0), (size, 0), (size, size), (0, size)),
+                     boundaries=("first", "second", "right", "top", "left"))
+    floor = am.Plane((0, 0), (0, 1))
+    two = dataclasses.replace(whole, domain=cut, contact=(am.Contact("first", floor), am.Contact("second", floor)),
+                              reference={})
+    mesh = am.mesh.graded(cut, 4e-3, ("first", "second"), 1.0)
+    labels = np.where(mesh.facet_labels == 1, 0, mesh.facet_labels)
+    joined = dataclasses.replace(mesh, facet_labels=labels, boundaries=("bottom", "unused", "right", "top", "left"))
+    posed = dataclasses.replace(whole, domain=None)
+    estimates = []
+    for problem, used in ((two, mesh), (posed, joined)):
+        grids = am.Hierarchy.from_meshes(problem, [used])
+        estimates.append(am.Residual().indicate(grids, am.solve(grids, am.ActiveSet(rtol=1e-11))))
+    np.testing.assert_allclose(estimates[0].squares, estimates[1].squares, rtol=1e-6,
+                               atol=1e-9 * estimates[1].squares.max())
+
+
+def test_unknown_boundaries_and_bare_results_are_refused():
+    mesh = square(2)
+    result = result_on(mesh, stress_data=StressData.of(mesh, am.PlaneStrain(young=1e9, poisson=0.3)))
+    assert boundary_tractions(result, "bottom").pressure.max() > 0
+    with pytest.raises(ValueError, match="boundary 'roof' does not exist"):
+        boundary_tractions(result, "roof")
+    with pytest.raises(ValueError, match="knows no mesh or no materials"):
+        boundary_tractions(result_on(mesh), "bottom")
+    with pytest.raises(TypeError, match="result must be"):
+        boundary_tractions(None, "bottom")

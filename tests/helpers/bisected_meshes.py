@@ -1,0 +1,72 @@
+"""Meshes for tests of bisection, and what is asked of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from adaptmg.mesh import MeshArrays, check_mesh, structured
+from adaptmg.problem import Box, Rectangle
+
+__all__ = ["SQUARE", "as_sets", "crooked", "cube", "random_mask", "shape_classes", "single", "verified"]
+
+SQUARE = structured(Rectangle(width=1, height=1), 3)
+
+
+def cube(divisions: int = 1) -> MeshArrays:
+    return structured(Box(width=1, depth=1, height=1), divisions)
+
+
+def crooked(mesh: MeshArrays, by: float = 0.2, seed: int = 3) -> MeshArrays:
+    """A mesh of a unit square or cube with its inner nodes moved: longest edges anyhow."""
+    points = mesh.points.copy()
+    inner = ((points > 1e-9) & (points < 1 - 1e-9)).all(axis=1)
+    h = np.diff(np.unique(points[:, 0])).min()
+    points[inner] += by * h * np.random.default_rng(seed).uniform(-1, 1, (inner.sum(), mesh.dim))
+    return check_mesh(replace(mesh, points=points, source=None))
+
+
+def single(points: np.ndarray) -> MeshArrays:
+    """One triangle or tetrahedron."""
+    points = np.array(points, dtype=float)
+    corners = np.arange(len(points))
+    if np.linalg.det(points[1:] - points[0]) < 0:
+        points[[0, 1]] = points[[1, 0]]
+    facets = {3: [[1, 2], [2, 0], [0, 1]], 4: [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]}[len(points)]
+    names = tuple(f"side{k}" for k in corners)
+    return check_mesh(MeshArrays(points, corners[None], np.array(facets), corners, names))
+
+
+def random_mask(mesh: MeshArrays, part: float, seed: int) -> np.ndarray:
+    marked = np.random.default_rng(seed).random(len(mesh.elements)) < part
+    marked[0] = True
+    return marked
+
+
+def verified(mesh: MeshArrays) -> MeshArrays:
+    """The mesh, which claims to be sound, checked as if it did not."""
+    assert mesh.sound
+    check_mesh(replace(mesh, source=None), mesh.boundaries)
+    return mesh
+
+
+def as_sets(mesh: MeshArrays) -> tuple[set, set, set]:
+    """Nodes, elements and labelled facets by places, whatever their numbers and order."""
+    places = [tuple(x) for x in mesh.points.tolist()]
+    elements = [(body, frozenset(places[i] for i in nodes))
+                for nodes, body in zip(mesh.elements.tolist(), mesh.element_body.tolist(), strict=True)]
+    facets = [(label, frozenset(places[i] for i in nodes))
+              for nodes, label in zip(mesh.facets.tolist(), mesh.facet_labels.tolist(), strict=True)]
+    found = set(places), set(elements), set(facets)
+    assert [len(x) for x in found] == [mesh.n_nodes, len(elements), len(facets)]
+    return found
+
+
+def shape_classes(mesh: MeshArrays) -> int:
+    """How many elements there are that are not similar to each other."""
+    corners = mesh.points[mesh.elements]
+    k = corners.shape[1]
+    lengths = np.sort([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)],
+                      axis=0)
+    return len(np.unique(np.round(lengths / lengths[-1], 6).T, axis=0))

@@ -1,0 +1,219 @@
+"""Bisection: conforming from any mesh, bounded shapes at any depth, labels and bodies follow, with the JIT off too."""
+
+import os
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bisected_meshes import SQUARE, crooked, cube, random_mask, shape_classes, single, verified
+
+import adaptmg as am
+from adaptmg.mesh import bisect, quality, structured
+from adaptmg.mesh.bisection.closure import bisected
+from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.bisection.tabled import cells_of, nodes_of, tree_of
+from adaptmg.problem import Assembly, Box, Outline, Rectangle
+
+HELPERS = Path(__file__).parents[2] / "helpers"
+MESHES = {"2D": SQUARE, "2D crooked": crooked(SQUARE), "3D": cube(), "3D crooked": crooked(cube(3))}
+
+
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+@pytest.mark.parametrize("passes", [None, 1, 2])
+def test_random_marks_again_and_again_stay_conforming(mesh, passes):
+    for k in range(20):
+        before = mesh
+        marked = random_mask(mesh, 0.1, k)
+        mesh, parents = bisect(mesh, marked, passes)
+        verified(mesh)
+        np.testing.assert_array_equal(mesh.points, mesh.points[parents].mean(axis=1))
+        assert mesh.volumes.sum() == pytest.approx(1, rel=1e-12)
+        refinement = mesh.refinement
+        assert mesh.n_nodes > before.n_nodes and len(refinement.tree) > 0
+        assert len(refinement.parents) == mesh.n_nodes and refinement.generation.max() < 100
+        if mesh.n_nodes > 20_000:
+            break
+    assert k >= 2
+
+
+@pytest.mark.parametrize("points", [[[0, 0], [1, 0], [0.3, 0.6]], [[0, 0], [1, 0], [0.02, 0.1]]])
+def test_a_triangle_has_at_most_four_shapes(points):
+    mesh = single(points)
+    for _ in range(5):
+        mesh, _ = bisect(mesh, np.ones(len(mesh.elements), dtype=bool))
+    assert len(mesh.elements) == 4**5 and shape_classes(mesh) <= 4
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_tetrahedron_has_a_bounded_number_of_shapes(seed):
+    mesh = single(np.random.default_rng(seed).random((4, 3)))
+    classes, worst = [], []
+    for _ in range(12):
+        mesh, _ = bisect(mesh, np.ones(len(mesh.elements), dtype=bool), passes=1)
+        classes.append(shape_classes(mesh))
+        worst.append(quality(mesh).aspect_ratio)
+    assert len(mesh.elements) >= 2**12
+    # none is new after eight bisections: Arnold, Mukherjee and Pouly, theorem 3.2 with its remark
+    assert max(classes) <= 72 and worst[-1] <= max(worst[:8]) * (1 + 1e-9)
+
+
+def test_all_kinds_of_marked_tetrahedra_are_met():
+    marks = {int(cells_of(single(np.random.default_rng(seed).random((4, 3))))[0, 8]) for seed in range(60)}
+    # codes of both faces: plane 00 11, adjacent 01 10, opposite 22, mixed 02 20 12 21
+    assert marks == {0, 4, 1, 3, 8, 2, 6, 5, 7}
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_shapes_at_a_corner_far_down(dim):
+    mesh = crooked(SQUARE if dim == 2 else cube(2))
+    worst = []
+    for _ in range(24 if dim == 2 else 30):
+        at_corner = (mesh.elements == 0).any(axis=1)
+        mesh, _ = bisect(mesh, at_corner, passes=1)
+        worst.append(quality(mesh).aspect_ratio)
+    assert mesh.element_sizes.min() < 1e-3 and verified(mesh)
+    assert worst[-1] <= max(worst[:12]) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+def test_marked_elements_have_all_edges_halved_and_passes_count(mesh):
+    marked = random_mask(mesh, 0.15, 5)
+    full = refined(mesh, marked)
+    children = np.bincount(full.origin, minlength=len(mesh.elements))
+    assert (children[marked] >= 2**mesh.dim).all() and (children >= 1).all()
+    np.testing.assert_allclose(np.bincount(full.origin, full.mesh.volumes), mesh.volumes, rtol=1e-12)
+    # half an edge, or less where a face was cut twice
+    old_edges = mesh.elements[marked][:, [0, 1]]
+    halved = {tuple(sorted(p)) for p in full.mesh.refinement.parents[mesh.n_nodes:].tolist()}
+    assert {tuple(sorted(edge)) for edge in old_edges.tolist()} <= halved
+    for passes in (1, 2, 3):
+        some = refined(mesh, marked, passes)
+        assert (some.mesh.refinement.generation[marked[some.origin]] >= passes).all()
+        few = np.bincount(some.origin, minlength=len(mesh.elements))[marked]
+        assert few.min() >= 2**passes and some.mesh.n_nodes > mesh.n_nodes
+    once = refined(mesh, marked, 1).mesh
+    assert once.n_nodes < full.mesh.n_nodes
+
+
+def test_uniform_bisection_of_a_structured_mesh_makes_the_next_structured_one():
+    for mesh, next_one in ((structured(Rectangle(width=1, height=1), n) for n in (4, 8)), (cube(1), cube(2))):
+        fine, _ = bisect(mesh, np.ones(len(mesh.elements), dtype=bool))
+        assert fine.n_nodes == next_one.n_nodes and len(fine.elements) == len(next_one.elements)
+        np.testing.assert_array_equal(np.unique(fine.points, axis=0), np.unique(next_one.points, axis=0))
+
+
+@pytest.mark.parametrize("mesh", [SQUARE, cube(2)], ids=["2D", "3D"])
+def test_facets_keep_their_labels_and_their_order(mesh):
+    fine, _ = bisect(mesh, random_mask(mesh, 0.3, 1))
+    sides = {"left": (0, 0), "right": (0, 1), "bottom": (-1, 0), "top": (-1, 1)}
+    for name, (axis, value) in sides.items():
+        assert (fine.points[fine.boundary_nodes(name), axis] == value).all()
+    # those of one old facet lie one after another, in the order of the old ones
+    assert (np.diff(fine.facet_labels) >= 0).all() == (np.diff(mesh.facet_labels) >= 0).all()
+
+
+def test_bodies_stay_apart_and_are_closed_each_for_itself():
+    domain = Assembly(parts={"lower": Rectangle(width=1, height=1), "upper": Rectangle(width=1, height=1,
+                                                                                       origin=(0, 1))})
+    mesh = structured(domain, {"lower": 2, "upper": 3})
+    for k in range(4):
+        mesh, _ = bisect(mesh, random_mask(mesh, 0.2, k))
+    verified(mesh)
+    first, second = (np.unique(mesh.elements[mesh.element_body == k]) for k in (0, 1))
+    assert not np.intersect1d(first, second).size
+    assert (mesh.points[first, 1] <= 1).all() and (mesh.points[second, 1] >= 1).all()
+
+
+def test_the_history_is_pickled_and_frozen_but_not_kept_with_other_arrays():
+    fine, _ = bisect(SQUARE, random_mask(SQUARE, 0.3, 1))
+    back = pickle.loads(pickle.dumps(fine))
+    for name in ("parents", "marks", "generation", "forebear", "tree"):
+        array = getattr(back.refinement, name)
+        np.testing.assert_array_equal(array, getattr(fine.refinement, name))
+        assert not array.flags.writeable and not getattr(fine.refinement, name).flags.writeable
+    again = [as_arrays(bisect(m, random_mask(fine, 0.5, 2))[0]) for m in (fine, back)]
+    for a, b in zip(*again, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert SQUARE.refinement is None and replace(fine, source=None).refinement is None
+
+
+def test_a_graded_mesh_is_an_initial_one_that_keeps_its_labels():
+    ring = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("a", "out", "b", "in"),
+                   arcs={1: (0, 0), 3: (0, 0)})
+    mesh = am.mesh.graded(ring, 0.3, "in", 100)
+    assert len(mesh.refinement.tree) == 0 and (mesh.refinement.generation == 0).all()
+    assert am.mesh.coarsen(mesh, np.ones(len(mesh.elements), dtype=bool)) is mesh
+
+
+def as_arrays(mesh):
+    return mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.element_body
+
+
+SCRIPT = """
+import sys
+sys.path[:0] = sys.argv[1:3]
+from test_bisection_refine import results
+import numpy as np
+assert "ngsolve" not in sys.modules and "netgen" not in sys.modules
+np.savez(sys.argv[3], **results())
+"""
+
+
+def results():
+    """Every kernel on small input."""
+    found = {}
+    for name, mesh in (("2D", crooked(SQUARE)), ("3D", crooked(cube(2)))):
+        fine = mesh
+        for k, passes in enumerate((None, 1, 2)):
+            fine, _ = bisect(fine, random_mask(fine, 0.2, k), passes)
+        coarse = am.mesh.coarsen(fine, random_mask(fine, 0.8, 7), passes=2)
+        assert coarse.n_nodes < fine.n_nodes
+        for what, one in (("fine", fine), ("coarse", coarse)):
+            for k, array in enumerate(as_arrays(one)):
+                found[f"{name} {what} {k}"] = array
+    return found
+
+
+def test_without_jit_and_without_ngsolve(tmp_path):
+    path = tmp_path / "results.npz"
+    subprocess.run([sys.executable, "-W", "error::RuntimeWarning", "-c", SCRIPT, Path(__file__).parent, HELPERS, path],
+                   env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, check=True)
+    compiled, plain = results(), np.load(path)
+    assert set(compiled) == set(plain)
+    for key, value in compiled.items():
+        np.testing.assert_array_equal(plain[key], value, err_msg=key)
+
+
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+@pytest.mark.parametrize("every_edge", [True, False])
+def test_tables_that_grow_hold_the_same_as_those_with_room(mesh, every_edge):
+    fine, _ = bisect(mesh, random_mask(mesh, 0.2, 1))
+    marked, n = random_mask(fine, 0.3, 2), len(fine.elements)
+    tree = tree_of(fine)
+    found = []
+    for room in (0.0, 20.0):
+        more = np.empty((len(tree) + int(room * n), tree.shape[1]), dtype=np.int32)
+        more[:len(tree)] = tree
+        cells, n_cells, more, n_tree, nodes, n_nodes = bisected(
+            cells_of(fine, room), n, more, len(tree), nodes_of(fine, room), fine.n_nodes, marked, every_edge)
+        found.append((cells[:n_cells], more[:n_tree], nodes[fine.n_nodes:n_nodes]))
+    for tight, roomy in zip(*found, strict=True):
+        np.testing.assert_array_equal(tight, roomy)
+
+
+@pytest.mark.parametrize("passes", [0, -1, 1.5, True, "all"])
+def test_bad_passes(passes):
+    with pytest.raises((TypeError, ValueError), match="passes"):
+        bisect(SQUARE, np.ones(len(SQUARE.elements), dtype=bool), passes)
+
+
+def test_a_flat_box_and_a_needle_end():
+    for domain in (Box(width=1, depth=1, height=1e-3), Box(width=1, depth=1e-3, height=1e-3)):
+        mesh = structured(domain, 1)
+        for _ in range(3):
+            mesh, _ = bisect(mesh, (mesh.elements == 0).any(axis=1))
+        verified(mesh)

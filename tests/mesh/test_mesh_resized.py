@@ -1,0 +1,145 @@
+"""Meshes by sizes at points: sizes are followed, domains met, the same arguments give the same arrays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from netgen.occ import Box as OccBox
+from netgen.occ import Compound, Pnt
+
+import adaptmg as am
+import adaptmg.mesh.netgen.resized as resized_module
+from adaptmg.mesh import check_mesh, graded, quality
+from adaptmg.mesh.netgen.resized import PointSizes, resized
+
+PLATE = am.Rectangle(width=0.46, height=0.25, origin=(0.6, 0.2))
+# a quarter of a ring: two arcs
+RING = am.Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("foot", "outer", "side", "inner"),
+                  arcs={1: (0, 0), 3: (0, 0)})
+
+
+def sizes_near(domain, place, smallest, growth, n=40):
+    """Sizes that grow from a place, on a lattice over the bounding box, dense near the place."""
+    axes = []
+    for low, high, at in zip(domain.lower, domain.upper, place, strict=True):
+        near = at + np.r_[-1, 1][:, None] * np.geomspace(0.3 * smallest, high - low, n)
+        axes.append(np.unique(np.clip(np.r_[near.ravel(), np.linspace(low, high, n // 2), at], low, high)))
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(axes))
+    return PointSizes(points, field(points, place, smallest, growth))
+
+
+def field(x, place, smallest, growth):
+    return smallest + growth * np.linalg.norm(x - np.array(place), axis=1)
+
+
+def relative_sizes(mesh, place, smallest, growth):
+    cells = np.sqrt(mesh.volumes * 4 / math.sqrt(3)) if mesh.dim == 2 else np.cbrt(mesh.volumes * 6 * math.sqrt(2))
+    return cells / field(mesh.points[mesh.elements].mean(axis=1), place, smallest, growth)
+
+
+@pytest.mark.parametrize("refinements", [0, 1, 2])
+@pytest.mark.parametrize("smallest", [3e-3, 3e-5])
+def test_plane_sizes_are_followed(smallest, refinements):
+    place, growth = PLATE.lower, 0.24 / 2**refinements
+    mesh = resized(PLATE, sizes_near(PLATE, place, smallest, growth, 60), refinements=refinements)
+    check_mesh(mesh, PLATE.boundaries)
+    relative = relative_sizes(mesh, place, smallest, growth)
+    assert 0.85 < np.median(relative) < 1.15
+    assert np.quantile(relative, 0.01) > 0.7 and np.quantile(relative, 0.99) < 1.45
+    assert quality(mesh).min_angle > 20
+    assert mesh.volumes.sum() == pytest.approx(0.46 * 0.25, rel=1e-13)
+    assert (mesh.points[mesh.boundary_nodes("right"), 0] == PLATE.upper[0]).all()
+    assert mesh.boundaries == PLATE.boundaries
+
+
+@pytest.mark.parametrize("refinements", [0, 1])
+def test_nodes_lie_on_arcs(refinements):
+    mesh = resized(RING, sizes_near(RING, (2, 0), 0.01, 0.1, 50), refinements=refinements)
+    check_mesh(mesh, RING.boundaries)
+    for name, radius in (("outer", 2), ("inner", 1)):
+        nodes = mesh.boundary_nodes(name)
+        assert len(nodes) > 10
+        np.testing.assert_allclose(np.linalg.norm(mesh.points[nodes], axis=1), radius, rtol=1e-14)
+    assert quality(mesh).min_angle > 20
+
+
+@pytest.mark.parametrize("refinements", [0, 1])
+@pytest.mark.parametrize("domain", [am.Box(width=0.04, depth=0.02, height=0.03),
+                                    am.Cylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=0.02, height=0.03)],
+                         ids=["box", "cylinder"])
+def test_solids(domain, refinements):
+    place = (0.0, 0.0, 0.0)
+    mesh = check_mesh(resized(domain, sizes_near(domain, place, 1.5e-3, 0.1, 14), refinements=refinements),
+                      domain.boundaries)
+    relative = relative_sizes(mesh, place, 1.5e-3, 0.1)
+    assert 0.8 < np.median(relative) < 1.2
+    assert np.quantile(relative, 0.01) > 0.5 and np.quantile(relative, 0.99) < 1.6
+    assert quality(mesh).min_angle > 10
+    if isinstance(domain, am.Cylinder):
+        radii = np.linalg.norm(mesh.points[mesh.boundary_nodes("side"), :2], axis=1)
+        np.testing.assert_allclose(radii, 0.02, rtol=1e-6)
+
+
+def test_the_same_arguments_give_the_same_mesh():
+    sizes = sizes_near(PLATE, PLATE.lower, 3e-3, 0.1)
+    first, second = (resized(PLATE, sizes, refinements=1) for _ in range(2))
+    for name in ("points", "elements", "facets", "facet_labels"):
+        assert (getattr(first, name) == getattr(second, name)).all()
+
+
+def test_bodies_have_their_own_sizes():
+    left, right = am.Rectangle(width=1, height=1), am.Rectangle(width=1, height=1, origin=(1, 0))
+    both = am.Assembly(parts={"left": left, "right": right})
+    uniform = {"left": PointSizes(left.lower[None], [0.5]), "right": PointSizes(right.lower[None], [0.1])}
+    mesh = check_mesh(resized(both, uniform))
+    assert mesh.bodies == ("left", "right") and "right.top" in mesh.boundaries
+    nodes = [len(np.unique(mesh.elements[mesh.element_body == k])) for k in range(2)]
+    assert nodes[0] < 20 and nodes[1] > 100
+    with pytest.raises(ValueError, match="sizes must name each body once"):
+        resized(both, {"left": uniform["left"]})
+
+
+def test_solids_of_step_files_have_their_own_sizes(tmp_path):
+    path = tmp_path / "two.step"
+    Compound([OccBox(Pnt(0, 0, low), Pnt(20, 20, low + 10)) for low in (0, 10)]).WriteStep(str(path))
+    domain = am.StepFile(path)
+    lower, upper = graded(domain, 10e-3).bodies
+    mesh = check_mesh(resized(domain, {lower: PointSizes(np.zeros((1, 3)), [10e-3]),
+                                       upper: PointSizes(np.zeros((1, 3)), [2.5e-3])}, refinements=1))
+    assert mesh.bodies == (lower, upper)
+    assert mesh.volumes.sum() == pytest.approx(8e-6, rel=1e-9)
+    nodes = [len(np.unique(mesh.elements[mesh.element_body == k])) for k in range(2)]
+    assert nodes[1] > 5 * nodes[0]
+
+
+def test_where_netgen_fails_it_is_asked_again(monkeypatch):
+    one_mesh, asked, failures = resized_module.one_mesh, [], 3
+
+    def failing(domain, lower, scale, sides, options, refinements, draft):
+        asked.append(refinements)
+        if len(asked) <= failures:
+            raise ValueError("a face failed")
+        return one_mesh(domain, lower, scale, sides, options, refinements, draft=draft)
+
+    monkeypatch.setattr(resized_module, "one_mesh", failing)
+    sizes = PointSizes(PLATE.lower[None], [0.1])
+    check_mesh(resized(PLATE, sizes, refinements=2), PLATE.boundaries)
+    assert asked == [2, 2, 0, 0]
+    failures = 99
+    with pytest.raises(ValueError, match=r"could not mesh Rectangle.*a face failed.*smaller gradation"):
+        resized(PLATE, sizes, refinements=2)
+
+
+def test_failures_name_the_argument():
+    with pytest.raises(ValueError, match=r"shapes \(n, dim\) and \(n,\)"):
+        PointSizes(np.zeros((3, 2)), [1.0])
+    with pytest.raises(ValueError, match="sizes finite and > 0"):
+        PointSizes(np.zeros((1, 2)), [0.0])
+    with pytest.raises(TypeError, match="sizes must be PointSizes"):
+        resized(PLATE, 0.1)
+    with pytest.raises(TypeError, match="domain must be"):
+        resized("plate", PointSizes(np.zeros((1, 2)), [1.0]))
+    with pytest.raises(ValueError, match="refinements must be >= 0"):
+        resized(PLATE, PointSizes(np.zeros((1, 2)), [1.0]), refinements=-1)

@@ -1,0 +1,71 @@
+"""WarmMultigrid: from a start that is nearly solved a cycle may do, and what it leaves is what it says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.solver.warm import WarmMultigrid
+
+
+@pytest.fixture(scope="module", params=[am.cases.greco_bar, am.cases.dovetail])
+def near(request):
+    """A hierarchy, its exact solution, and that of the level below on it."""
+    problem = request.param()
+    grids = am.Hierarchy.graded(problem, (8e-3, 4e-3, 2e-3))
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-12)).displacement
+    below = am.solve(grids.truncated(finest=1), am.ActiveSet()).displacement
+    discrete = grids.finest.discrete
+    return grids, exact, discrete.physical(grids.finest.prolongation @ grids[1].discrete.relative(below))
+
+
+def error(grids: am.Hierarchy, displacement: np.ndarray, exact: np.ndarray) -> float:
+    discrete = grids.finest.discrete
+    left, size = (discrete.relative(u).reshape(-1) for u in (displacement - exact, exact))
+    return float(np.sqrt(left @ (discrete.matrix @ left)) / np.sqrt(size @ (discrete.matrix @ size)))
+
+
+@pytest.mark.parametrize("rtol", [3e-2, 1e-2, 1e-3, 1e-6])
+def test_it_leaves_no_larger_error_than_it_says(near, rtol):
+    grids, exact, start = near
+    result = am.solve(grids, WarmMultigrid(rtol=rtol), start=start)
+    assert result.status.ok and result.rtol == rtol
+    assert error(grids, result.displacement, exact) <= 2.5 * rtol
+
+
+def test_one_cycle_may_do(near):
+    grids, exact, start = near
+    first = error(grids, start, exact)
+    result = am.solve(grids, WarmMultigrid(rtol=min(0.5 * first, 0.5), first_rate=0.3), start=start)
+    assert result.cycles == 1
+    # the cold start takes safe cycles, and cannot believe a rate
+    assert am.solve(grids, am.Multigrid(rtol=min(0.5 * first, 0.5)), start=start).cycles > 1
+
+
+def test_a_smaller_first_rate_is_believed_sooner(near):
+    grids, _, start = near
+    cycles = [am.solve(grids, WarmMultigrid(rtol=2e-2, first_rate=rate), start=start).cycles for rate in (0.05, 0.95)]
+    assert cycles[0] <= cycles[1]
+
+
+def test_a_start_that_is_solved_needs_no_cycle(near):
+    grids, exact, _ = near
+    assert am.solve(grids, WarmMultigrid(rtol=1e-6), start=exact).cycles <= 2
+
+
+def test_a_start_that_is_wrong_is_solved_all_the_same(near):
+    grids, exact, start = near
+    result = am.solve(grids, WarmMultigrid(rtol=1e-6), start=-start)
+    assert error(grids, result.displacement, exact) <= 2.5e-6
+
+
+def test_it_wants_a_start_and_a_rate():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), (3, 6))
+    with pytest.raises(ValueError, match="start"):
+        am.solve(grids, WarmMultigrid())
+    for rate in (0.0, 1.0, float("nan")):
+        with pytest.raises(ValueError, match="first_rate"):
+            WarmMultigrid(first_rate=rate)
+    with pytest.raises(TypeError, match="correction"):
+        am.solve(grids, WarmMultigrid(correction=am.Monotone()), start=np.zeros((grids.finest.n_nodes, 2)))

@@ -1,0 +1,122 @@
+"""Hierarchies that grow and shrink are those that would have been made at once, and nothing is made twice."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import adaptmg as am
+from adaptmg import meshed_levels
+from adaptmg.mesh import structured
+
+SIZES = (3, 4, 6, 9, 14)
+
+
+def same(a: am.Hierarchy, b: am.Hierarchy) -> bool:
+    """Whether two hierarchies agree bit for bit."""
+    def equal(x, y) -> bool:
+        if x is None or y is None:
+            return x is y
+        return x.shape == y.shape and (x != y).nnz == 0 and np.array_equal(x.data, y.data)
+
+    return len(a) == len(b) and all(
+        equal(p.matrix, q.matrix) and equal(p.prolongation, q.prolongation)
+        and equal(p.surface_prolongation, q.surface_prolongation) and np.array_equal(p.discrete.load, q.discrete.load)
+        for p, q in zip(a.levels, b.levels, strict=True))
+
+
+@pytest.fixture(scope="module")
+def bar():
+    problem = am.cases.greco_bar()
+    return problem, [structured(problem.domain, n) for n in SIZES]
+
+
+@pytest.fixture(scope="module")
+def pair():
+    problem = am.cases.dovetail()
+    return problem, [am.mesh.graded(problem.domain, size) for size in (10e-3, 6e-3, 4e-3)]
+
+
+@pytest.mark.parametrize("which", ["bar", "pair"])
+@pytest.mark.parametrize("transfer", [None, am.PseudoL2()])
+def test_append_equals_from_meshes(which, transfer, request):
+    problem, meshes = request.getfixturevalue(which)
+    grown = am.Hierarchy.from_meshes(problem, meshes[:1], transfer)
+    for mesh in meshes[1:]:
+        grown = grown.append(mesh)
+    assert same(grown, am.Hierarchy.from_meshes(problem, meshes, transfer))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.sets(st.integers(0, len(SIZES) - 2)))
+def test_without_equals_from_the_meshes_that_are_left(bar, dropped):
+    problem, meshes = bar
+    rest = am.Hierarchy.from_meshes(problem, meshes)
+    for level in sorted(dropped, reverse=True):
+        rest = rest.without(level)
+    assert same(rest, am.Hierarchy.from_meshes(problem, [m for k, m in enumerate(meshes) if k not in dropped]))
+
+
+def test_contact_rows_are_remembered(bar):
+    problem, meshes = bar
+    plain = am.Hierarchy.from_meshes(problem, meshes[:2], am.PseudoL2(), contact_rows=False)
+    assert same(plain.append(meshes[2]), am.Hierarchy.from_meshes(problem, meshes[:3], am.PseudoL2(),
+                                                                  contact_rows=False))
+    assert not same(plain.append(meshes[2]), am.Hierarchy.from_meshes(problem, meshes[:3], am.PseudoL2()))
+
+
+def test_nothing_is_discretised_or_located_twice(bar, monkeypatch):
+    problem, meshes = bar
+    grids = am.Hierarchy.from_meshes(problem, meshes[:3])
+    made, joins = [], []
+    monkeypatch.setattr("adaptmg.levels.level_of", lambda *a: made.append(a) or meshed_levels.level_of(*a))
+    monkeypatch.setattr("adaptmg.levels.joined", lambda *a: joins.append(a) or meshed_levels.joined(*a))
+    grown = grids.append(meshes[3])
+    assert (len(made), len(joins)) == (1, 1)
+    assert all(a is b for a, b in zip(grown.levels, grids.levels, strict=False))
+    less = grown.without(1)
+    assert (len(made), len(joins)) == (1, 2)
+    assert less[0] is grids[0] and less[2] is grown[3] and less[1].discrete is grids[2].discrete
+    assert len(grids) == 3  # what there was stays
+
+
+def test_the_coarsest_level_goes_without_a_join(bar):
+    problem, meshes = bar
+    assert same(am.Hierarchy.from_meshes(problem, meshes[:3]).without(0),
+                am.Hierarchy.from_meshes(problem, meshes[1:3]))
+
+
+def test_timings_add_up_and_the_origin_says_it(bar):
+    problem, meshes = bar
+    grids = am.Hierarchy.from_meshes(problem, meshes[:2])
+    grown = grids.append(meshes[2])
+    assert all(grown.timings[name] >= grids.timings[name] for name in grids.timings)
+    assert "grown" in repr(grown) and repr(grown.append(meshes[3])).count("grown") == 1
+
+
+def test_a_sound_mesh_is_not_checked_again(bar, monkeypatch):
+    problem, meshes = bar
+    grids = am.Hierarchy.from_meshes(problem, meshes[:2])
+    monkeypatch.setattr("adaptmg.mesh.checks.check._check_closed", lambda *a: pytest.fail("checked again"))
+    grids.append(meshes[2])
+
+
+def test_what_cannot_grow_says_why(bar):
+    problem, meshes = bar
+    grids = am.Hierarchy.from_meshes(problem, meshes[:2])
+    with pytest.raises(ValueError, match="coarse to fine"):
+        grids.append(meshes[0])
+    with pytest.raises(ValueError, match="level"):
+        grids.without(1)
+    with pytest.raises(ValueError, match="level"):
+        grids.without(-1)
+    with pytest.raises(TypeError, match="mesh"):
+        grids.append(3)
+    bare = am.Hierarchy.single(grids.finest.discrete)
+    with pytest.raises(ValueError, match="from_meshes"):
+        bare.append(meshes[2])
+    aggregated = am.Hierarchy.algebraic(am.discretise(problem, meshes[-1]), max_coarse=20)
+    with pytest.raises(ValueError, match="from_meshes"):
+        aggregated.without(1) if len(aggregated) > 2 else aggregated.append(meshes[-1])
