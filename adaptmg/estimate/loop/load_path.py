@@ -10,7 +10,7 @@ from adaptmg.discretisation.load_steps import load_steps
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import LoadPath, step_problem
-from adaptmg.solver.history.path_result import PathResult
+from adaptmg.solver.history.load_path import PathResult
 
 __all__ = ["estimated_step", "posed_at"]
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.solver.history.path_result import PathResult
+from adaptmg.solver.history.load_path import PathResult
 from adaptmg.solver.result import Result
 
 __all__ = ["Ending", "Step"]

@@ -27,7 +27,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.history import history_arrays, with_history
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder, write_bytes
-from adaptmg.solver.history.path_result import PathResult
+from adaptmg.solver.history.load_path import PathResult
 from adaptmg.solver.history.store import differences
 from adaptmg.solver.result import Result
 from adaptmg.solver.result.archive import DAMAGES, read_arrays

@@ -23,8 +23,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import LoadPath, checks
 from adaptmg.runtime.threads import one_blas_thread
-from adaptmg.solver.history.load_path import solve_path
-from adaptmg.solver.history.path_result import PathResult
+from adaptmg.solver.history.load_path import PathResult, solve_path
 from adaptmg.solver.multigrid import FullMultigrid
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
