@@ -12,6 +12,7 @@ from typing import Any
 
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.sizes.equilibration import NodeCount, equilibrated_sizes
+from adaptmg.estimate.sizes.gradation import resolving
 from adaptmg.estimate.sizes.intermediate import mean_sizes
 from adaptmg.estimate.sizes.size_field import SizeField
 from adaptmg.mesh.arrays import MeshArrays
@@ -109,6 +110,7 @@ class Remesh:
         """A mesh of about the wanted number of nodes, and how many were expected from its sizes."""
         sizes = equilibrated_sizes(mesh, estimate.squares, wanted, finest=self.finest, coarsest=self.coarsest,
                                    growth=self._growth(mesh.dim))
+        sizes = resolving(mesh, sizes, problem.pair_boundaries, self._growth(mesh.dim))
         return self.mesh(problem, SizeField(mesh, sizes)), NodeCount(mesh)(sizes)
 
     def _growth(self, dim: int) -> float:
