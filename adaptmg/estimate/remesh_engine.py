@@ -44,7 +44,7 @@ class Remesh:
         Growth of sizes per distance, above 0 and at most 1.
     refinements : int
         Netgen makes a mesh of :math:`2^{-dk}` of the nodes, which is refined k times uniformly: with one refinement
-        four to five times cheaper and as good; with more, sizes grow more slowly than ``gradation`` says.
+        three times cheaper and as good; with more, sizes grow more slowly than ``gradation`` says.
     """
 
     growth: float = 2.5
