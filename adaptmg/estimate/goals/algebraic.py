@@ -36,9 +36,7 @@ def algebraic_part(view: GoalView, functional: Functional, dual: np.ndarray) -> 
     z = contact.local(dual).reshape(-1, dim)[nodes]
     reaction = contact.local(discrete.matrix @ dual - functional.vector).reshape(-1, dim)[nodes]
     part = -float(dual @ residual)
-    size = np.linalg.norm(contact.force[:, 1:], axis=1, keepdims=True)
-    unit = np.divide(contact.force[:, 1:], size, out=np.zeros_like(contact.slip), where=size > 0)
-    part += float(np.sum(np.where(contact.slips, contact.fixed_limit, 0.0) * np.sum(unit * z[:, 1:], axis=1)))
+    part += float(np.sum(np.where(contact.slips, contact.fixed_limit, 0.0) * np.sum(contact.unit * z[:, 1:], axis=1)))
     touches, sticks = state != State.OPEN, contact.sticks[:, None] & ~contact.held
     part -= float(np.sum(np.where(touches & np.isfinite(contact.gap), reaction[:, 0] * contact.gap, 0.0)))
     return part + float(np.sum(np.where(sticks, reaction[:, 1:] * contact.slip, 0.0)))

@@ -49,8 +49,10 @@ class LinearisedContact:
         Of the friction, and the part of it that does not depend on the pressure, N.
     slips, sticks : (n,) bool arrays
         Nodes on which friction acts and that move, or do not: under a fixed limit open ones too.
+    unit : (n, dim - 1) array
+        f at slipping nodes.
     direction : (n, dim - 1) array
-        mu f at slipping nodes, else 0.
+        mu f at nodes that slip and touch, else 0.
     hessian : (n, dim - 1, dim - 1) array
         H of slipping nodes, N/m.
     free : (n, dim) bool array
@@ -71,6 +73,7 @@ class LinearisedContact:
     fixed_limit: np.ndarray
     slips: np.ndarray
     sticks: np.ndarray
+    unit: np.ndarray
     direction: np.ndarray
     hessian: np.ndarray
     free: np.ndarray
@@ -115,8 +118,7 @@ def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedC
     still = rubs & (length <= _STILL * np.abs(unknowns).max(initial=0.0))
     sticks, slips = (state == State.STICK) | still, (state == State.SLIP) | (rubs & ~still)
     limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
-    size = np.linalg.norm(force[:, 1:], axis=1)
-    unit = np.divide(force[:, 1:], size[:, None], out=np.zeros_like(slip), where=size[:, None] > 0)
+    unit = _opposite(slip, length, force[:, 1:])
     direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
     bent = slips & (length > 0)
     stiffness = np.where(bent, limit / np.where(bent, length, 1.0), 0.0)
@@ -125,4 +127,11 @@ def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedC
     free[state != State.OPEN, 0] = False
     free[:, 1:] = ~held & ~sticks[:, None]
     return LinearisedContact(discrete, frames, state, unknowns, residual, gap, slip, force, limit, nodal.limit, slips,
-                             sticks, direction, hessian, free, held)
+                             sticks, unit, direction, hessian, free, held)
+
+
+def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Directions (n, dim - 1) against the slip; where there is none, of the force."""
+    size = np.linalg.norm(force, axis=1)
+    along = np.divide(force, size[:, None], out=np.zeros_like(slip), where=size[:, None] > 0)
+    return np.divide(-slip, length[:, None], out=along, where=length[:, None] > 0)
