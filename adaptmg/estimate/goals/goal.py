@@ -4,8 +4,8 @@ With the dual field z of a quantity J (:mod:`adaptmg.estimate.goals.adjoint`) an
 
 .. math:: J(u) - J(u_h) \approx \sum_E \rho^*_E(d_E), \qquad \eta_E = |\rho^*_E(d^0_E)|
 
-(:mod:`adaptmg.estimate.goals.bubble_solve`). The signed sum is quoted; its parts by absolute value say where to refine,
-and overestimate the error several times (10 times on meshes by Netgen, where errors cancel).
+(:mod:`adaptmg.estimate.goals.bubbles.bubble_solve`). The signed sum is quoted; its parts by absolute value say where to
+refine, and overestimate the error several times (10 times on meshes by Netgen, where errors cancel).
 
 R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and friction linearised at
 the solution as in the semismooth Newton method. That the contact zones end elsewhere than in the discrete solution is
@@ -25,9 +25,9 @@ import numpy as np
 from adaptmg.estimate.fields.posed import posed
 from adaptmg.estimate.goals.adjoint import AdjointSolution, adjoint_system
 from adaptmg.estimate.goals.algebraic import algebraic_part
-from adaptmg.estimate.goals.bubble_solve import BubbleError, bubble_error
-from adaptmg.estimate.goals.bubble_spaces import bubble_spaces
-from adaptmg.estimate.goals.bubbles import edge_bubbles
+from adaptmg.estimate.goals.bubbles.bubble_solve import BubbleError, bubble_error
+from adaptmg.estimate.goals.bubbles.bubble_spaces import bubble_spaces
+from adaptmg.estimate.goals.bubbles.edge_bubbles import edge_bubbles
 from adaptmg.estimate.goals.contact_state import linearised_contact
 from adaptmg.estimate.goals.contact_work import friction_work, master_work
 from adaptmg.estimate.goals.goal_estimate import GoalEstimate

@@ -11,7 +11,7 @@ import pytest
 import adaptmg as am
 from adaptmg.estimate.fields.posed import posed
 from adaptmg.estimate.goals.adjoint import adjoint_system
-from adaptmg.estimate.goals.bubbles import edge_bubbles
+from adaptmg.estimate.goals.bubbles.edge_bubbles import edge_bubbles
 from adaptmg.estimate.goals.contact_state import linearised_contact
 from adaptmg.estimate.goals.view import GoalView
 

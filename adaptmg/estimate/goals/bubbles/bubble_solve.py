@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from adaptmg.estimate.goals.bubble_spaces import BubbleSpaces
-from adaptmg.estimate.goals.bubbles import EdgeBubbles
+from adaptmg.estimate.goals.bubbles.bubble_spaces import BubbleSpaces
+from adaptmg.estimate.goals.bubbles.edge_bubbles import EdgeBubbles
 from adaptmg.problem.contact_problem import ContactProblem
 
 __all__ = ["BubbleError", "bubble_error"]
