@@ -22,7 +22,7 @@ from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.result.result_of import result_of
 from adaptmg.solver.run import Outcome, Run, Solver
 from adaptmg.solver.single_grid import SingleGrid
-from adaptmg.solver.warm import WarmMultigrid
+from adaptmg.solver.truncated.warm import WarmMultigrid
 
 __all__ = ["confirmed_result"]
 

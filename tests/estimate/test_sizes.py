@@ -11,7 +11,7 @@ from uncompiled import uncompile
 
 from adaptmg.estimate.sizes import gradation
 from adaptmg.estimate.sizes.equilibration import NodeCount, equilibrated_sizes, nodal_sizes, simplex_sizes
-from adaptmg.estimate.sizes.gradation import Neighbours, graded_sizes
+from adaptmg.estimate.sizes.gradation import ElementsAtNodes, graded_sizes
 from adaptmg.estimate.sizes.intermediate import mean_sizes
 from adaptmg.estimate.sizes.size_field import SizeField
 
@@ -40,16 +40,16 @@ def test_gradation_is_the_largest_field_below_that_grows_slowly(seed, dim, growt
     rng = np.random.default_rng(seed)
     mesh = delaunay(rng.random((60, dim)))
     sizes = 10 ** rng.uniform(-4, 0, mesh.n_nodes)
-    result = graded_sizes(Neighbours(mesh.points, mesh.elements), sizes, growth)
+    result = graded_sizes(ElementsAtNodes(mesh.points, mesh.elements), sizes, growth)
     np.testing.assert_allclose(result, graded_by_sweeps(mesh, sizes, growth), rtol=1e-12)
 
 
 def test_gradation_without_the_compiler(monkeypatch):
     mesh = log_graded(200, 1)
     sizes = np.where(np.arange(mesh.n_nodes) == 7, 1e-6, 1.0)
-    compiled = graded_sizes(Neighbours(mesh.points, mesh.elements), sizes, 0.3)
+    compiled = graded_sizes(ElementsAtNodes(mesh.points, mesh.elements), sizes, 0.3)
     uncompile(monkeypatch, gradation)
-    assert (graded_sizes(Neighbours(mesh.points, mesh.elements), sizes, 0.3) == compiled).all()
+    assert (graded_sizes(ElementsAtNodes(mesh.points, mesh.elements), sizes, 0.3) == compiled).all()
     assert (sizes == np.where(np.arange(mesh.n_nodes) == 7, 1e-6, 1.0)).all(), "the given sizes were changed"
 
 
@@ -85,10 +85,10 @@ def test_number_of_nodes_bounds_and_growth(seed, growth, spread):
     pairs, lengths = edges_of(mesh)
     assert (np.abs(sizes[pairs[:, 0]] - sizes[pairs[:, 1]]) <= 0.3 * lengths * (1 + 1e-9)).all()
     assert (sizes <= 1.5 * old * (1 + 1e-9)).all()
-    lowest = graded_sizes(Neighbours(mesh.points, mesh.elements), 0.25 * old, 0.3)
+    lowest = graded_sizes(ElementsAtNodes(mesh.points, mesh.elements), 0.25 * old, 0.3)
     assert (sizes >= lowest * (1 - 1e-9)).all()
     count = NodeCount(mesh)
-    reachable = np.clip(growth * mesh.n_nodes, count(graded_sizes(Neighbours(mesh.points, mesh.elements), 1.5 * old,
+    reachable = np.clip(growth * mesh.n_nodes, count(graded_sizes(ElementsAtNodes(mesh.points, mesh.elements), 1.5 * old,
                                                                   0.3)), count(lowest))
     assert count(sizes) == pytest.approx(reachable, rel=0.01)
 

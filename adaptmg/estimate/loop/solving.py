@@ -15,7 +15,7 @@ from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
 from adaptmg.solver.single_grid import SingleGrid
 from adaptmg.solver.solve import solve
-from adaptmg.solver.warm import WarmMultigrid
+from adaptmg.solver.truncated.warm import WarmMultigrid
 
 __all__ = ["solved", "takes"]
 

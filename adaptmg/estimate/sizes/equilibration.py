@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from adaptmg.estimate.sizes.gradation import Neighbours, graded_sizes
+from adaptmg.estimate.sizes.gradation import ElementsAtNodes, graded_sizes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 
@@ -118,7 +118,7 @@ def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, *,
     share = np.maximum(squares / largest, _TINY) if largest > 0 else np.ones(len(squares))
     factors = share ** (-1 / (2 + mesh.dim))
     old = simplex_sizes(mesh)
-    neighbours, count = Neighbours(mesh.points, mesh.elements), NodeCount(mesh)
+    neighbours, count = ElementsAtNodes(mesh.points, mesh.elements), NodeCount(mesh)
 
     def sizes(log_c: float) -> np.ndarray:
         wanted = old * np.clip(math.exp(log_c) * factors, finest, coarsest)

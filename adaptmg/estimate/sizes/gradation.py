@@ -17,13 +17,13 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.runtime.compiled import kernel
 
-__all__ = ["Neighbours", "graded_sizes", "resolving"]
+__all__ = ["ElementsAtNodes", "graded_sizes", "resolving"]
 
 # edges that a boundary keeps along it, however small its error
 _EDGES = 4
 
 
-class Neighbours:
+class ElementsAtNodes:
     """Which elements meet at each node of a mesh: built once, asked often.
 
     Parameters
@@ -87,12 +87,12 @@ def _relax(points, elements, start, items, growth, sizes, queue, waiting):
                         count += 1
 
 
-def graded_sizes(neighbours: Neighbours, sizes: np.ndarray, growth: float) -> np.ndarray:
+def graded_sizes(neighbours: ElementsAtNodes, sizes: np.ndarray, growth: float) -> np.ndarray:
     """The largest sizes below the given ones that grow by at most ``growth`` per distance along edges.
 
     Parameters
     ----------
-    neighbours : Neighbours
+    neighbours : ElementsAtNodes
         Of the mesh.
     sizes : (n_nodes,) array
         m, > 0; not changed.
@@ -136,4 +136,4 @@ def resolving(mesh: MeshArrays, sizes: np.ndarray, boundaries: Sequence[str], gr
         measure = np.sqrt(np.linalg.det(sides @ sides.transpose(0, 2, 1))).sum() / (mesh.dim - 1)
         nodes = np.unique(facets)
         result[nodes] = np.minimum(result[nodes], measure ** (1 / (mesh.dim - 1)) / _EDGES)
-    return sizes if (result == sizes).all() else graded_sizes(Neighbours(mesh.points, mesh.elements), result, growth)
+    return sizes if (result == sizes).all() else graded_sizes(ElementsAtNodes(mesh.points, mesh.elements), result, growth)

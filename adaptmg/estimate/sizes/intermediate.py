@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.estimate.sizes.equilibration import nodal_sizes, simplex_sizes
-from adaptmg.estimate.sizes.gradation import Neighbours, graded_sizes
+from adaptmg.estimate.sizes.gradation import ElementsAtNodes, graded_sizes
 from adaptmg.estimate.sizes.size_field import SizeField
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
@@ -51,4 +51,4 @@ def mean_sizes(coarse: MeshArrays, fine: MeshArrays, growth: float) -> SizeField
     for index, body in enumerate(fine.bodies):
         nodes = np.unique(fine.elements[fine.element_body == index])
         sizes[nodes] = np.sqrt(sizes[nodes] * of_coarse(fine.points[nodes], body))
-    return SizeField(fine, graded_sizes(Neighbours(fine.points, fine.elements), sizes, growth))
+    return SizeField(fine, graded_sizes(ElementsAtNodes(fine.points, fine.elements), sizes, growth))

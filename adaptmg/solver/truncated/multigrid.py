@@ -73,7 +73,7 @@ class TruncatedMultigrid:
         return self.finish(self._lifted(start), cold=True)
 
     def from_warm(self, start: np.ndarray, rate: float) -> Outcome:
-        """Solve from a displacement that is nearly solved; see :class:`~adaptmg.solver.warm.WarmMultigrid`."""
+        """Solve from a displacement that is nearly solved; see :mod:`adaptmg.solver.truncated.warm`."""
         return self.finish(self._lifted(start), cold=False, rate=rate)
 
     def _lifted(self, start: np.ndarray | None) -> np.ndarray:
