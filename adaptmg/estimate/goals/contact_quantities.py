@@ -142,8 +142,24 @@ class Opening:
         normals[result.node] = result.frames[:, 0]
         along = normals[view.bubbles.edges].sum(axis=1)
         length = np.linalg.norm(along, axis=1, keepdims=True)
-        along = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
-        return [Functional(name, float(weights @ result.gap), "m", vector.reshape(-1), -bubbles[:, None] * along)]
+        along = -bubbles[:, None] * np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+        if self.point is None:
+            along += self._of_masters(view, mine, size)
+        return [Functional(name, float(weights @ result.gap), "m", vector.reshape(-1), along)]
+
+    def _of_masters(self, view: GoalView, mine: np.ndarray, size: float) -> np.ndarray:
+        """What the bubbles (n_edges, dim) of the masters do to the mean: as those of the slave, they move outwards."""
+        result, mesh = view.posed.result.contact, view.posed.mesh
+        found = np.zeros((len(view.bubbles.edges), mesh.dim))
+        for k in np.unique(result.boundary[mine]):
+            if result.masters and result.masters[k]:
+                facets = named_facets(mesh, result.masters[k])
+                faced = np.isin(facets, result.master_node[result.master_boundary == k]).all(axis=1)
+                facets = facets[faced]
+                vectors = area_vectors(mesh.points, facets)
+                normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+                found -= view.bubbles.boundary_work(facets, np.repeat(normals[:, None], mesh.dim, axis=1)) / size
+        return found
 
     def _at_point(self, view: GoalView, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of the contact nodes (n_contact,) and of the edges (n_edges,) at the point."""

@@ -1,4 +1,4 @@
-r"""ContactState: the converged contact conditions, linearised: in which directions errors and dual fields may move.
+r"""LinearisedContact: the converged contact conditions: in which directions errors and dual fields may move.
 
 With the normal n, a tangent t and the direction f of the friction force on the body, the condition of a slipping node
 is :math:`r_t - \mu p f = 0`, r = A u - b, p = -r_n. An error of the displacement therefore has :math:`v_n = 0` where

@@ -69,13 +69,14 @@ def test_points_of_the_bar_have_their_converged_values(divisions):
 
 
 def test_a_pair_with_a_singular_corner_is_underestimated_alike_on_all_meshes():
-    # lift of the dovetail's tongue; 90.50 um is 90.09 on 8990 nodes with its estimated error
+    # lift of the dovetail's tongue; 90.67 um is the limit of adaptive loops (90.50, and .14 estimated, on 8900 nodes)
     problem, found = am.cases.dovetail(), []
     for sizes in ((8e-3, 4e-3), (8e-3, 4e-3, 2e-3)):
         estimate = am.Goal(am.Displacement((0.0, 24e-3), "y", "tongue" if "tongue" in problem.bodies else None)
                            ).indicate(*solved(problem, sizes=sizes, contact_ratio=2))
-        found.append(estimate.signed / (90.50e-6 - estimate.value))
-    assert min(found) > 0.65 and max(found) < 0.95
+        found.append(estimate.signed / (90.67e-6 - estimate.value))
+    # measured .68 and .72
+    assert min(found) > 0.65 and max(found) < 0.8
 
 
 def test_in_space_the_estimate_follows_the_error():
@@ -83,8 +84,8 @@ def test_in_space_the_estimate_follows_the_error():
     coarse, fine = (am.Goal(am.Displacement((0.0, 0.0, 0.0), "x")).indicate(*solved(problem, divisions=(n,)))
                     for n in (4, 8))
     assert coarse.value < fine.value and coarse.signed > fine.signed > 0
-    # 28.57 um: value and estimated error on 16 divisions
-    assert 0.4 < coarse.signed / (28.57e-6 - coarse.value) < 1.0
+    # 28.62 um: value and estimated error of adaptive loops; .66 and .49
+    assert 0.4 < fine.signed / (28.62e-6 - fine.value) < coarse.signed / (28.62e-6 - coarse.value) < 0.8
 
 
 def test_the_axisymmetric_and_the_energy_estimate():
@@ -143,6 +144,20 @@ def test_terms_add_up_and_quantities_count_relatively():
     assert estimate.terms[estimate.names[0]] == pytest.approx(alone.squares.sum() / abs(alone.value))
     assert estimate.errors[0] == pytest.approx(alone.signed) and estimate.value == 1.0
     assert "estimated error" in repr(estimate) and estimate.names[1] in repr(estimate)
+
+
+def test_zones_that_end_nowhere_have_no_transitions():
+    hierarchy, result = solved(glued(), divisions=(8,))
+    plain, more = (am.Goal(GLUED[0], transitions=weight).indicate(hierarchy, result) for weight in (0.0, 1.0))
+    assert more.terms["transitions"] == 0.0 and "transitions" not in plain.terms
+    np.testing.assert_array_equal(plain.squares, more.squares)
+    # where they end, elements away from the ends have none
+    plain, more = (am.Goal(LINE, transitions=weight).indicate(*bar(32)) for weight in (0.0, 1.0))
+    mesh, change = bar(32)[1].mesh, more.squares - plain.squares
+    x = mesh.points[mesh.elements].mean(axis=1)
+    ends = np.array([3.32e-3, 29.86e-3])
+    far = (np.abs(x[:, :1] - ends) > 4e-3).all(axis=1) | (x[:, 1] > 2e-3)
+    assert change.max() > 0 and np.abs(change[far]).max() < 1e-15
 
 
 def test_the_force_that_equilibrium_gives_has_no_error():

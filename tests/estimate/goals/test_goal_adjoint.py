@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from bodies import bar_on_block
 
 import adaptmg as am
 from adaptmg.estimate.fields.posed import posed
@@ -25,6 +26,8 @@ CASES = {
     "block, Tresca": (lambda: am.cases.greco_block(law=am.Tresca(3e7)), {"sizes": (15e-3,)}),
     "dovetail": (lambda: am.cases.dovetail(), {"sizes": (8e-3,)}),
     "junction": (lambda: am.cases.bolted_junction(), {"sizes": (12e-3,)}),
+    "exchanged": (lambda: dataclasses.replace(bar_on_block(am.Coulomb(0.5)), supports=(
+        am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0))), {"sizes": (8e-3,)}),
 }
 
 
@@ -39,6 +42,14 @@ def solved(name):
 def view_of(hierarchy, result):
     this = posed(hierarchy, result)
     return GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
+
+
+def test_a_slave_node_that_a_support_holds_is_among_the_cases():
+    hierarchy, result = solved("exchanged")
+    assert hierarchy.finest.discrete.exchange is not None
+    wanted = am.ContactForce(hierarchy.problem.contact_boundaries[0], "x")
+    assert am.Goal(wanted).indicate(hierarchy, result).value == pytest.approx(
+        result.resultant(hierarchy.problem.contact_boundaries[0]).force[0], rel=1e-9)
 
 
 def quantities(hierarchy):

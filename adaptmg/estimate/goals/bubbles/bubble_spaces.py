@@ -2,7 +2,8 @@ r"""In which directions the bubble of an edge may move: its supports, and contac
 
 On an edge of a contact surface whose ends both touch an error has no part along the normal, and none at all where both
 stick; dual directions of a slipping edge are :math:`t + \mu f n`. An edge with one open end counts as open, one with
-one slipping end as slipping: of these cells the solution does not know where contact ends.
+one slipping end as slipping: of these cells the solution does not know where contact ends. The slip Hessian of 3D and
+friction that holds open nodes (Tresca) are left out.
 """
 
 from __future__ import annotations
