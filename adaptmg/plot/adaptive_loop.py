@@ -65,8 +65,8 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     if (relative > 0).all() and nodes[-1] > nodes[0]:
         guide = 1.35 * relative[-1] * (nodes / nodes[-1]) ** (-1 / dim)
         left.plot(nodes, guide, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
-        left.annotate(f"nodes$^{{-1/{dim}}}$", (nodes[-1], guide[-1]), color=GREY, fontsize=8.5, ha="right",
-                      va="bottom")
+        middle = len(nodes) // 2
+        left.annotate(f"  nodes$^{{-1/{dim}}}$", (nodes[middle], guide[middle]), color=GREY, fontsize=8.5, va="bottom")
     _falling(right, np.array([step.total_seconds for step in steps]), relative, "time, meshes included [s]")
     figure.suptitle(plain(steps[-1].result.problem_name), fontsize=11)
     return figure
@@ -78,8 +78,11 @@ def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str) -> None:
     ax.set_xlabel(name)
     ax.set_ylabel(r"estimate / $\|u_h\|_A$ [-]")
     ax.grid(True, which="both")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+    for axis, values in ((ax.xaxis, x[shown]), (ax.yaxis, relative[shown])):
+        decades = np.log10(values.max() / values.min()) if len(values) else 1.0
+        # labels of long numbers would run into each other, and short ranges would have one or none
+        subs = (1.0,) if decades > 2 else (1.0, 2.0, 5.0) if decades > 0.7 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+        axis.set_major_locator(LogLocator(subs=subs, numticks=20))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 
