@@ -16,13 +16,16 @@ def test_examples_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) == 5
-    strut = blocks.pop(2)
+    assert len(blocks) == 6
+    strut, loop = blocks.pop(3), blocks.pop(2)
     for block in blocks[:3]:
         exec(compile(block, "README.md", "exec"), names)
         assert names["result"].status is am.Status.CONVERGED
         assert names["result"].residual < 1e-7
     assert names["steps"].complete
+    exec(compile(loop, "README.md", "exec"), names)
+    assert names["step"].outcome.startswith("max_nodes")
+    assert names["step"].nodes > 10_000
     with pytest.warns(RuntimeWarning, match="may not be unique"):
         exec(compile(strut, "README.md", "exec"), names)
     found = [set(names[name].contact.state.tolist()) - {am.OPEN} for name in ("open_", "slips", "sticks")]
@@ -32,7 +35,7 @@ def test_examples_run(tmp_path, monkeypatch):
     assert len(table) == 8
     assert (table["status"] == "done").all()
     assert (table["outcome"] == "CONVERGED").all()
-    written = {"contact.png", "run.npz", "bodies.png", "history.png", "results"}
+    written = {"contact.png", "run.npz", "bodies.png", "history.png", "adaptation.png", "results"}
     assert written <= {path.name for path in tmp_path.iterdir()}
 
 
