@@ -15,7 +15,8 @@ to .4 times the square of the quotient of both errors: 2 % against a reference o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -83,9 +84,9 @@ class Reference:
     problem: ContactProblem
     energy: float
     own_error: float
-    points: dict[str, np.ndarray]
-    forces: dict[str, np.ndarray]
-    prescribed: dict[str, np.ndarray]
+    points: Mapping[str, np.ndarray] = field(repr=False)
+    forces: Mapping[str, np.ndarray] = field(repr=False)
+    prescribed: Mapping[str, np.ndarray] = field(repr=False)
 
     @classmethod
     def of(cls, hierarchy: Hierarchy, result: Result, *, own_error: float | None = None) -> Reference:

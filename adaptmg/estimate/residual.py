@@ -7,8 +7,9 @@ r"""Residual: an estimate of the energy error from what the discrete solution le
 :math:`L^2` norms over element or facet, E Young's modulus of the element, so that all terms are energies;
 :math:`h_F = |F|`, in space :math:`\sqrt{2|F|}`; :math:`t_h` the contact traction on slave and master, nodal forces over
 lumped masses. The last two terms are on slaves alone. Measured, the estimate is 2 to 5 times the error, by problem and
-pattern of the mesh (the GRECO bar: 2.7 with alternating diagonals, 3.0 to 3.2 on Netgen meshes, 3.3 to 3.7 with all
-diagonals alike), and nearly constant on the meshes of one family; it is not proven to bound the error.
+pattern of the mesh (the GRECO bar: 2.7 with alternating diagonals and on bisected meshes, 3.0 to 3.2 on Netgen
+meshes, 3.3 to 3.7 with all diagonals alike), and nearly constant on the meshes of one family; it is not proven to bound
+the error.
 """
 
 from __future__ import annotations
