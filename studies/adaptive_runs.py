@@ -122,10 +122,11 @@ def measured(case: Case, against: Yardstick, result: am.Result, costs: dict[str,
             "outcome": result.status.name, **costs}
 
 
-def first_mesh(case: Case, problem: am.ContactProblem) -> am.Hierarchy:
+def first_mesh(case: Case, problem: am.ContactProblem) -> float | am.Hierarchy:
     """What adaptive loops start from."""
     size, ratio = case.start
-    return am.Hierarchy.graded(problem, (size,), ratio)
+    # of a size the engines make the mesh that suits them
+    return size if ratio == 1 else am.Hierarchy.graded(problem, (size,), ratio)
 
 
 Made = Iterator[tuple[am.Result, dict[str, Any]]]
