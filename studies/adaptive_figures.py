@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import adaptive_runs as runs
 import common
 import numpy as np
 import pandas as pd
 from adaptive_cases import CASES
+from adaptive_tables import EXPONENTS
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 import adaptmg as am
 from adaptmg.plot.style import CYCLE, GREY, styled
@@ -54,8 +58,9 @@ def against(rows: pd.DataFrame, x: str) -> common.Figure:
         ax.set_ylabel("energy error [%]")
         ax.set_xlabel("nodes" if x == "nodes" else "processor time, everything [s]")
         if x == "nodes":
-            dim, exponent = CASES[case].dim, min(1.0, CASES[case].exponent) / CASES[case].dim
+            dim, exponent = CASES[case].dim, EXPONENTS[case] / CASES[case].dim
             slope_line(ax, of_case, 1 / dim, "residual, bisected", f"$N^{{-1/{dim}}}$")
+            # unknown where NaN
             if exponent < 1 / dim:
                 slope_line(ax, of_case, exponent, "uniform", f"$N^{{-{exponent:.2f}}}$")
     handles, labels = axes.flat[0].get_legend_handles_labels()
@@ -95,16 +100,17 @@ def loop_figure(case: str, nodes: int) -> common.Figure:
 
 
 @styled
-def picture(rows: pd.DataFrame, case: str, step: am.Step) -> plt.Figure:
-    """For the README: an adaptive mesh and the error curves of a case."""
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(13.2, 4.6), width_ratios=(0.8, 1.0, 1.0))
-    am.plot.mesh(step.hierarchy.finest.mesh, left, contact=step.hierarchy.problem.contact_boundaries)
-    left.set_title(f"{case}: {step.nodes} nodes", fontsize=10)
-    left.set_axis_off()
+def picture(rows: pd.DataFrame, case: str, steps: Sequence[am.Step]) -> Figure:
+    """For the README: two adaptive meshes with contact states, and the errors of a case against nodes and seconds."""
+    figure, axes = plt.subplots(1, 4, figsize=(14.6, 4.4), layout="constrained", width_ratios=(0.72, 0.72, 1.0, 1.0))
+    for ax, step in zip(axes[:2], steps, strict=True):
+        am.plot.deformation(step.result, amplify=1, states=True, ax=ax)
+        ax.set_title(f"{case}, {step.nodes} nodes", fontsize=10)
+        ax.set_axis_off()
     of_case = rows[rows["case"] == case]
-    for ax, x in ((middle, "nodes"), (right, "cpu")):
+    for ax, x in zip(axes[2:], ("nodes", "cpu"), strict=True):
         curves(ax, of_case, x)
         ax.set_ylabel("energy error [%]")
-        ax.set_xlabel("nodes" if x == "nodes" else "processor time, everything [s]")
-    middle.legend(fontsize=8)
+        ax.set_xlabel("nodes" if x == "nodes" else "processor time, everything counted [s]")
+    axes[2].legend(fontsize=8)
     return figure
