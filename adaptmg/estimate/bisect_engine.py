@@ -22,9 +22,11 @@ from adaptmg.problem import ContactProblem, checks
 
 __all__ = ["Bisect"]
 
-# how often fewer elements are marked until the mesh is small enough, and how much smaller it may be then
-_TRIES = 8
-_ENOUGH = 0.95
+# how often fewer elements are marked until the mesh is small enough; which part of the room must be used, and is
+# aimed at; the growth of nodes with marks that is first assumed
+_TRIES = 12
+_ENOUGH, _AIM = 0.9, 0.95
+_POWER = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,23 +104,26 @@ class Bisect:
         """Refined, with fewer elements marked until the nodes are within the limit; None if not even one is."""
         order = np.flatnonzero(marked)
         order = order[np.argsort(-squares[order], kind="stable")]
-        most, fits, best = len(order) + 1, 0, None
-        count = len(order)
-        for _ in range(_TRIES if limit > mesh.n_nodes else 0):
+        room, most, fits, best = limit - mesh.n_nodes, len(order) + 1, 0, None
+        count, tried = len(order), (0, 0)
+        for attempt in range(_TRIES if room > 0 else 0):
             chosen = np.zeros(len(marked), dtype=bool)
             chosen[order[:count]] = True
             fine = refined(mesh, chosen, self.passes).mesh
-            if fine.n_nodes <= limit:
+            added = fine.n_nodes - mesh.n_nodes
+            if added <= room:
                 fits, best = count, fine
-                if fine.n_nodes >= _ENOUGH * limit:
-                    break
             else:
                 most = count
-            if most <= fits + 1:
+            if most <= fits + 1 or _ENOUGH * room <= added <= room:
                 break
-            # as many nodes for each marked element as now
-            wanted = int(count * (limit - mesh.n_nodes) / (fine.n_nodes - mesh.n_nodes))
-            count = min(max(wanted, fits + 1), most - 1)
+            # the closure makes the first marks cost most: nodes grow like a power of their number, which two tries tell
+            power = (np.log(added / tried[1]) / np.log(count / tried[0])) if attempt and added != tried[1] else _POWER
+            wanted = count * (_AIM * room / added) ** (1 / np.clip(power, 0.2, 1.5))
+            if best is None and attempt > 2:
+                wanted = min(wanted, count / 4)
+            tried = count, added
+            count = int(min(max(wanted, fits + 1), most - 1))
         return best
 
 

@@ -9,6 +9,8 @@ import pytest
 from adaptive_loop import Constant, numbers_of, upset
 
 import adaptmg as am
+from adaptmg.estimate.loop import solving
+from adaptmg.estimate.loop.load_path import posed_at
 from adaptmg.mesh import structured
 
 BISECT = am.Bisect()
@@ -34,6 +36,21 @@ def test_each_step_is_as_exact_as_a_tenth_of_its_estimate(loop, request):
         norm = float(np.sqrt(error @ (discrete.matrix @ error)))
         # the certificate errs by a factor of two, and an estimate is expected, not known
         assert norm <= 2.5 * 0.1 * step.estimate.total
+
+
+def test_the_tolerance_is_a_tenth_of_what_is_expected(steps):
+    for before, step in itertools.pairwise(steps):
+        expected = before.estimate.relative * (before.nodes / step.nodes) ** 0.5
+        assert step.result.rtol == pytest.approx(min(0.1 * expected, 3e-2))
+        # a few elements at a singularity gain more than their number
+        assert expected == pytest.approx(step.estimate.relative, rel=0.3 if step.number > 2 else 0.5)
+
+
+def test_levels_that_are_close_are_dropped():
+    found = list(am.adapt(upset(), COARSE, engine=BISECT, mark=am.Doerfler(0.2), max_nodes=400))
+    last = found[-1].hierarchy
+    assert len(last) < len(found) and last.operator_complexity < 2.6
+    assert all(am.transfer.size_ratio(a.mesh, b.mesh) <= 4.0 + 1e-9 for a, b in itertools.pairwise(last.levels))
 
 
 def test_meshes_grow_and_the_estimate_falls(steps):
@@ -105,6 +122,11 @@ def test_a_loop_that_gains_nothing_ends():
     assert "no progress" in found[-1].outcome and found[-1].nodes < 5000
 
 
+def test_an_exact_solution_is_not_refined():
+    found = list(am.adapt(am.cases.two_block_patch(), 0.03, engine=BISECT, max_nodes=100_000))
+    assert len(found) == 1 and "rounding" in found[0].outcome
+
+
 @pytest.mark.parametrize("squares, words", [(0.0, "no error"), (1e-4, "no finer mesh")])
 def test_nothing_to_refine_ends_the_loop(squares, words):
     class Stuck:
@@ -159,6 +181,19 @@ def test_one_s_own_solver_and_transfer_are_used():
     assert found[-1].hierarchy.transfer is transfer
 
 
+def test_a_multigrid_of_one_s_own_begins_with_the_second_mesh():
+    found = list(am.adapt(upset(), COARSE, engine=BISECT, solver=am.FullMultigrid(rtol=1e-6), max_nodes=60))
+    assert [step.result.rtol for step in found[1:]] == [1e-6] * (len(found) - 1) and found[0].result.rtol <= 1e-6
+
+
+def test_a_warm_start_that_fails_is_replaced_and_its_work_counted(monkeypatch):
+    monkeypatch.setattr(solving, "WarmMultigrid", lambda **options: am.Multigrid(rtol=1e-12, max_cycles=1))
+    found = list(am.adapt(upset(), COARSE, engine=BISECT, max_nodes=60))
+    assert all(step.result.status.ok and "FullMultigrid" in step.result.solver_name for step in found[1:])
+    alone = am.solve(found[-1].hierarchy, am.FullMultigrid(rtol=found[-1].result.rtol))
+    assert found[-1].work_units > alone.work_units
+
+
 def test_progress_is_told():
     rows = []
     list(am.adapt(upset(), COARSE, engine=BISECT, max_nodes=200, progress=rows.append))
@@ -180,6 +215,17 @@ def test_a_load_path_is_followed_on_every_mesh():
     plain = next(am.adapt(problem, 10e-3, engine=BISECT, max_nodes=90))
     single = next(am.adapt(problem, 10e-3, engine=BISECT, load_path=one, max_nodes=90))
     np.testing.assert_allclose(single.estimate.squares, plain.estimate.squares, rtol=1e-6)
+
+
+def test_what_is_posed_in_a_load_step_is_what_its_result_solves():
+    problem, path = am.cases.greco_bar(), am.LoadPath({"left": [0.5, 1.0, 0.2]}, default=1.0)
+    grids = am.Hierarchy.uniform(problem, (4, 8))
+    results = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-11))
+    for k in range(3):
+        posed = posed_at(grids, path, results, k)
+        alone = am.solve(posed, am.ActiveSet(rtol=1e-12)).displacement
+        np.testing.assert_allclose(results[k].displacement, alone, atol=1e-9 * np.abs(alone).max())
+        assert posed.problem.loads[-1].value == path.factors["left"][k] * problem.loads[-1].value
 
 
 @pytest.mark.parametrize("options, words", [

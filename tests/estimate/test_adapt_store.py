@@ -176,6 +176,14 @@ def test_a_step_that_says_nothing_is_damaged(copied, text):
         list(loop(copied))
 
 
+@pytest.mark.parametrize("levels", [[[0, 3], [1, -1]], [[0, -2], [1, -1]], [[0, -1]], [[7, -1], [1, -1]], [], "x"])
+def test_levels_that_cannot_be_are_damaged(copied, levels):
+    file = copied / "step_0001.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"levels": levels}))
+    with pytest.raises(ValueError, match="damaged"):
+        list(loop(copied))
+
+
 def test_a_missing_step_is_told(copied):
     (copied / "step_0001.json").unlink()
     with pytest.raises(ValueError, match="missing"):

@@ -53,6 +53,18 @@ def test_a_limit_is_kept_and_used(mesh, room, engine):
         assert far[fine].mean() < far[~fine].mean()
 
 
+@pytest.mark.parametrize("part", [0.02, 0.1, 0.3, 0.6, 0.9])
+def test_a_limit_is_used_where_marks_are_scattered(part):
+    # the closure around the first marks makes half the nodes
+    mesh = cube(6)
+    estimate = am.Estimate(squares=np.ones(len(mesh.elements)), norm=1.0)
+    marked = random_mask(mesh, 0.3, 4)
+    most = am.Bisect().refine(PROBLEM, mesh, estimate, marked).n_nodes
+    limit = int(mesh.n_nodes + part * (most - mesh.n_nodes))
+    fine = am.Bisect().refine(PROBLEM, mesh, estimate, marked, max_nodes=limit)
+    assert 0.7 * (limit - mesh.n_nodes) < fine.n_nodes - mesh.n_nodes <= limit - mesh.n_nodes
+
+
 def test_no_room_is_the_same_mesh():
     estimate = estimate_of(MESH)
     marked = largest(estimate, 0.5)

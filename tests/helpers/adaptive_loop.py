@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import adaptmg as am
+from adaptmg.mesh.bisection.history import history_arrays
 
 __all__ = ["Constant", "numbers_of", "upset"]
 
@@ -34,7 +35,8 @@ def numbers_of(steps: list[am.Step]) -> list[bytes]:
     for step in steps:
         mesh, work = step.hierarchy.finest.mesh, (step.work_units, step.total_work_units, step.result.rtol)
         levels = [level.n_nodes for level in step.hierarchy.levels]
-        found.append(b"".join([step.result.displacement.tobytes(), step.estimate.squares.tobytes(),
+        history = [array.tobytes() for array in history_arrays(mesh).values()]
+        found.append(b"".join([*history, step.result.displacement.tobytes(), step.estimate.squares.tobytes(),
                                mesh.points.tobytes(), mesh.elements.tobytes(), np.array(work).tobytes(),
                                np.array(levels).tobytes()]))
     return found

@@ -13,8 +13,10 @@ from adaptmg.mesh import (
     as_mesh,
     bisect,
     check_mesh,
+    coarsen,
     from_ngsolve,
     merged,
+    onto_domain,
     refine_near,
     structured,
     to_ngsolve,
@@ -118,6 +120,17 @@ def _objects():
              "indices": np.array([1, 2]), "None": None}
     for label, mask in masks.items():
         yield Hostile(f"bisect {label}", lambda m=mask: bisect(SQUARE, m), "marked")
+        if label != "none":
+            yield Hostile(f"coarsen {label}", lambda m=mask: coarsen(SQUARE, m), "marked")
+    everything = np.ones(18, dtype=bool)
+    for label, passes in {"0": 0, "1.5": 1.5, "True": True, "text": "all", "10**400": 10**400}.items():
+        yield Hostile(f"bisect passes {label}", lambda n=passes: bisect(SQUARE, everything, n), "passes")
+        yield Hostile(f"coarsen passes {label}", lambda n=passes: coarsen(SQUARE, everything, n), "passes")
+        yield Hostile(f"Bisect passes {label}", lambda n=passes: am.Bisect(passes=n), "passes")
+    for label, old in {"-1": -1, "text": "all", "17": 17, "None": None}.items():
+        yield Hostile(f"onto_domain {label}", lambda n=old: onto_domain(None, SQUARE, n), "n_old")
+    for label, value in {"True": True, "1": 1, "text": "x", "nan": NAN, "None": None}.items():
+        yield Hostile(f"Bisect coarsen {label}", lambda v=value: am.Bisect(coarsen=v), "coarsen")
     for label, levels in {"0": 0, "-1": -1, "25": 25, "60": 60, "10**9": 10**9, "1.5": 1.5, "True": True,
                           "10**400": 10**400}.items():
         yield Hostile(f"refine_near {label} levels", lambda n=levels: refine_near(SQUARE, "top", n), "levels")

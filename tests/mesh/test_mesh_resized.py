@@ -10,6 +10,7 @@ from netgen.occ import Box as OccBox
 from netgen.occ import Compound, Pnt
 
 import adaptmg as am
+import adaptmg.mesh.netgen.resized as resized_module
 from adaptmg.mesh import check_mesh, graded, quality
 from adaptmg.mesh.netgen.resized import PointSizes, resized
 
@@ -111,6 +112,24 @@ def test_solids_of_step_files_have_their_own_sizes(tmp_path):
     assert mesh.volumes.sum() == pytest.approx(8e-6, rel=1e-9)
     nodes = [len(np.unique(mesh.elements[mesh.element_body == k])) for k in range(2)]
     assert nodes[1] > 5 * nodes[0]
+
+
+def test_where_netgen_fails_it_is_asked_again(monkeypatch):
+    one_mesh, asked, failures = resized_module.one_mesh, [], 3
+
+    def failing(domain, lower, scale, sides, options, refinements, draft):
+        asked.append(refinements)
+        if len(asked) <= failures:
+            raise ValueError("a face failed")
+        return one_mesh(domain, lower, scale, sides, options, refinements, draft=draft)
+
+    monkeypatch.setattr(resized_module, "one_mesh", failing)
+    sizes = PointSizes(PLATE.lower[None], [0.1])
+    check_mesh(resized(PLATE, sizes, refinements=2), PLATE.boundaries)
+    assert asked == [2, 2, 0, 0]
+    failures = 99
+    with pytest.raises(ValueError, match=r"could not mesh Rectangle.*a face failed.*smaller gradation"):
+        resized(PLATE, sizes, refinements=2)
 
 
 def test_failures_name_the_argument():

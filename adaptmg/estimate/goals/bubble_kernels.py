@@ -21,23 +21,24 @@ def _gradients(points, corners, g):
     """Gradients of the barycentric coordinates into ``g`` (dim + 1, dim); returns the volume."""
     dim = points.shape[1]
     o = corners[0]
+    ax, ay = points[corners[1], 0] - points[o, 0], points[corners[1], 1] - points[o, 1]
+    bx, by = points[corners[2], 0] - points[o, 0], points[corners[2], 1] - points[o, 1]
     if dim == 2:
-        ax, ay = points[corners[1], 0] - points[o, 0], points[corners[1], 1] - points[o, 1]
-        bx, by = points[corners[2], 0] - points[o, 0], points[corners[2], 1] - points[o, 1]
         det = ax * by - ay * bx
         g[1, 0], g[1, 1] = by / det, -bx / det
         g[2, 0], g[2, 1] = -ay / det, ax / det
         volume = 0.5 * det
     else:
-        a, b, c = points[corners[1]] - points[o], points[corners[2]] - points[o], points[corners[3]] - points[o]
-        det = 0.0
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            g[1, i] = b[j] * c[k] - b[k] * c[j]
-            g[2, i] = c[j] * a[k] - c[k] * a[j]
-            g[3, i] = a[j] * b[k] - a[k] * b[j]
-            det += a[i] * g[1, i]
-        g[1:] /= det
+        az, bz = points[corners[1], 2] - points[o, 2], points[corners[2], 2] - points[o, 2]
+        cx, cy = points[corners[3], 0] - points[o, 0], points[corners[3], 1] - points[o, 1]
+        cz = points[corners[3], 2] - points[o, 2]
+        g[1, 0], g[1, 1], g[1, 2] = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        g[2, 0], g[2, 1], g[2, 2] = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+        g[3, 0], g[3, 1], g[3, 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        det = ax * g[1, 0] + ay * g[1, 1] + az * g[1, 2]
+        for k in range(1, 4):
+            for i in range(3):
+                g[k, i] /= det
         volume = det / 6
     for i in range(dim):
         total = 0.0

@@ -20,7 +20,13 @@ from adaptmg.discretisation.body_materials import body_materials, is_axisymmetri
 from adaptmg.discretisation.facets import area_vectors, named_facets
 from adaptmg.discretisation.initial_strain import mean_initial_strain
 from adaptmg.estimate.goals import bubble_kernels as kernels
-from adaptmg.geometry.quadrature import quadrature_points, simplex_rule
+from adaptmg.geometry.quadrature import (
+    AXISYMMETRIC_DEGREE,
+    PLAIN_DEGREE,
+    quadrature_points,
+    quadrature_rule,
+    simplex_rule,
+)
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.problem.contact_problem import ContactProblem
@@ -95,7 +101,7 @@ class EdgeBubbles:
         """
         mesh, dim = self.mesh, self.mesh.dim
         lame, shear = lame_constants(body_materials(mesh, problem.material))
-        rule, weights = simplex_rule(dim, 3 if self.axisymmetric else 2)
+        rule, weights = self._rule
         blocks = np.zeros((len(self.edges), dim, dim))
         actions = np.zeros((len(fields), len(self.edges), dim))
         kernels.add_bubbles(mesh.points, mesh.elements, mesh.element_body, lame, shear, _LOCAL[dim],
@@ -109,7 +115,7 @@ class EdgeBubbles:
         lame, shear = lame_constants(body_materials(mesh, problem.material))
         result = np.zeros((len(self.edges), dim))
         kernels.apply_bubbles(mesh.points, mesh.elements, mesh.element_body, lame, shear, _LOCAL[dim],
-                              self.element_edges, self.axisymmetric, *simplex_rule(dim, 3 if self.axisymmetric else 2),
+                              self.element_edges, self.axisymmetric, *self._rule,
                               np.ascontiguousarray(values), result)
         return result
 
@@ -127,6 +133,11 @@ class EdgeBubbles:
         if strain:
             self._add_strain(result, problem, strain)
         return result
+
+    @property
+    def _rule(self) -> tuple[np.ndarray, np.ndarray]:
+        """For products of two gradients of bubbles: exact but for what is divided by r."""
+        return quadrature_rule(self.mesh.dim + 1, AXISYMMETRIC_DEGREE if self.axisymmetric else PLAIN_DEGREE)
 
     def boundary_work(self, facets: np.ndarray, traction: np.ndarray) -> np.ndarray:
         """Work (n_edges, dim) on the bubbles of a traction that is linear on facets.

@@ -79,13 +79,13 @@ class ContactForce:
             local[mine, 1] = 1.0
         else:
             local[mine] = sign * contact.frames[mine, :, axis_number("direction", self.direction, dim)]
-        local[:, 1:][contact.held] = 0.0
         if discrete.exchange is not None:
             # forces on the node that was posed are those of the equations over sigma
             local = local / self._factors(discrete.exchange.sigma)[:, None]
         vector = np.zeros((discrete.n_nodes, dim))
         vector[contact.nodes] = np.einsum("nij,ni->nj", contact.frames, local)
         flat = vector.reshape(-1)
+        # where a support holds, the force of contact cannot be told from its own
         flat[discrete.fixed] = 0.0
         action = view.bubbles.actions(posed.problem, discrete.physical(flat)[None])[1][0]
         name = f"{self.direction if isinstance(self.direction, str) else 'xyz'[self.direction]} force on "

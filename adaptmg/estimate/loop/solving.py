@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from adaptmg.estimate.loop.expected import algebraic_tolerance, expected_estimate
 from adaptmg.estimate.loop.step import Step
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.solver.multigrid import FullMultigrid
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.newton.active_set import ActiveSet
 from adaptmg.solver.result import Result
 from adaptmg.solver.run import Solver
@@ -15,7 +17,7 @@ from adaptmg.solver.single_grid import SingleGrid
 from adaptmg.solver.solve import solve
 from adaptmg.solver.warm import WarmMultigrid
 
-__all__ = ["solved"]
+__all__ = ["solved", "takes"]
 
 #: dofs up to which a first mesh that stands alone is factorised
 _FACTORISED = 60_000
@@ -30,8 +32,8 @@ def solved(hierarchy: Hierarchy, solver: Solver | None, before: Step | None, sta
     ----------
     hierarchy : Hierarchy
     solver : Solver or None
-        The user's; it starts from ``start`` too, unless it makes its own start. None: by truncated multigrid to a tenth
-        of the error that the mesh is expected to have.
+        The user's; it starts from ``start`` too, unless it makes its own start. None, or multigrid on one level: by
+        truncated multigrid to a tenth of the error that the mesh is expected to have.
     before : Step or None
     start : (n_nodes, dim) array or None
         The displacement of the step before on this mesh, m.
@@ -40,7 +42,7 @@ def solved(hierarchy: Hierarchy, solver: Solver | None, before: Step | None, sta
     ------
     NotConverged
     """
-    if solver is not None:
+    if solver is not None and takes(solver, hierarchy):
         return solve(hierarchy, solver, start=None if isinstance(solver, FullMultigrid) else start)
     if len(hierarchy) == 1:
         direct = hierarchy.finest.discrete.n_dofs <= _FACTORISED
@@ -50,5 +52,13 @@ def solved(hierarchy: Hierarchy, solver: Solver | None, before: Step | None, sta
     rtol = algebraic_tolerance(expected_estimate(before, hierarchy.finest.n_nodes, before.result.dim))
     rate = _RATES[hierarchy.finest.discrete.coupling is not None]
     result = solve(hierarchy, WarmMultigrid(rtol=rtol, first_rate=rate), start=start, throw=False)
+    if result.status.ok:
+        return result
     # where the status of a coarse mesh leads astray, a nested start is the safer way
-    return result if result.status.ok else solve(hierarchy, FullMultigrid(rtol=rtol))
+    again = solve(hierarchy, FullMultigrid(rtol=rtol))
+    return replace(again, work_units=again.work_units + result.work_units)
+
+
+def takes(solver: Solver, hierarchy: Hierarchy) -> bool:
+    """Whether a solver can be used: multigrid needs two levels, which a loop that begins with a mesh has only then."""
+    return len(hierarchy) > 1 or not isinstance(solver, Multigrid)

@@ -15,7 +15,7 @@ import os
 import re
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ import numpy as np
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.loop.estimate_file import estimate_from, plain_estimate
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.refinement import Refinement, with_refinement
+from adaptmg.mesh.bisection.history import history_arrays, with_history
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder, write_bytes
 from adaptmg.solver.history.path_result import PathResult
@@ -117,7 +117,13 @@ class LoopStore:
         if found != list(range(len(found))):
             raise ValueError(f"{self.folder} has the steps {found}: one is missing; put it back, or remove those after "
                              "it")
-        return [self._read(k) for k in found]
+        steps = [self._read(k) for k in found]
+        for k, step in enumerate(steps):
+            for number, place in step.levels:
+                if not -1 <= place < len(steps[number].extra):
+                    raise ValueError(f"{self._file(k, 'step', 'json')} is damaged (it names a mesh that is not there): "
+                                     f"{_AGAIN}")
+        return steps
 
     def put(self, number: int, step: StoredStep) -> None:
         """Keep a finished step; its ``.json`` comes last."""
@@ -127,18 +133,18 @@ class LoopStore:
             arrays = {name: getattr(mesh, name) for name in _MESH}
             names.append(self._write(f"mesh_{number:04d}_{k}.npz", arrays, boundaries=mesh.boundaries,
                                      bodies=mesh.bodies))
-        e, history = step.estimate, step.result.mesh.refinement
-        if history is not None:
+        history = history_arrays(step.result.mesh)
+        if history:
             # bisection goes on from it
-            arrays = {part.name: getattr(history, part.name) for part in fields(history)}
-            names.append(self._write(f"history_{number:04d}.npz", arrays))
-        names.append(self._write(f"estimate_{number:04d}.npz", {"squares": e.squares}, **plain_estimate(e)))
+            names.append(self._write(f"history_{number:04d}.npz", history))
+        names.append(self._write(f"estimate_{number:04d}.npz", {"squares": step.estimate.squares},
+                                 **plain_estimate(step.estimate)))
         folder = self.folder / f"path_{number:04d}"
         if step.path is not None:
             # what a process that was killed may have left
             shutil.rmtree(folder, ignore_errors=True)
             step.path.save(folder)
-        said = {"levels": step.levels, "extra": len(step.extra), "history": history is not None,
+        said = {"levels": step.levels, "extra": len(step.extra), "history": bool(history),
                 "path": step.path is not None, "timings": step.timings, **step.numbers,
                 "files": {name: _checksum(self.folder / name) for name in names}}
         write_bytes(self._file(number, "step", "json"), json.dumps(said, indent=1).encode())
@@ -168,8 +174,8 @@ class LoopStore:
             path = PathResult.load(self.folder / f"path_{number:04d}") if said["path"] else None
             result = Result.load(self._file(number, "step", "npz"))
             if said["history"]:
-                history = Refinement(**self._arrays(f"history_{number:04d}.npz")[0])
-                result = replace(result, mesh=with_refinement(result.mesh, history))
+                history, _ = self._arrays(f"history_{number:04d}.npz")
+                result = replace(result, mesh=with_history(result.mesh, history))
             return StoredStep(result, estimate_from(arrays["squares"], meta),
                               _levels(said["levels"], number), extra, {name: float(said[name]) for name in _NUMBERS},
                               {name: float(value) for name, value in said["timings"].items()}, path)

@@ -16,7 +16,7 @@ from adaptmg.estimate.loop.expected import Limits, expected_seconds
 from adaptmg.estimate.loop.levels import appended, carried, thinned
 from adaptmg.estimate.loop.load_path import estimated_step
 from adaptmg.estimate.loop.resume import Meshes
-from adaptmg.estimate.loop.solving import solved
+from adaptmg.estimate.loop.solving import solved, takes
 from adaptmg.estimate.loop.step import Step
 from adaptmg.estimate.loop.store import LoopStore, StoredStep
 from adaptmg.hierarchy import Hierarchy
@@ -82,6 +82,8 @@ class AdaptiveWalk:
 
     #: nodes of the next mesh over those of the last, below which it is not worth making
     LEAST_GROWTH = 1.3
+    #: relative estimates that are rounding, as of solutions which are linear
+    EXACT = 1e-8
     #: times that an engine is asked for a mesh that is not too large
     ATTEMPTS = 3
     #: the estimate must fall by this factor over meshes of twice the nodes, or the loop has come to an end
@@ -118,8 +120,8 @@ class AdaptiveWalk:
         limits, relative = self.limits, last.estimate.relative
         if limits.tolerance is not None and relative <= limits.tolerance:
             return f"tolerance met: the estimate is {relative:.3g}, {limits.tolerance:g} was asked for"
-        if not last.estimate.squares.any():
-            return "no progress: the indicator finds no error"
+        if last.estimate.relative_energy <= self.EXACT or not last.estimate.squares.any():
+            return "no progress: the indicator finds no error beyond rounding"
         if limits.max_nodes is not None and last.nodes * self.LEAST_GROWTH > limits.max_nodes:
             return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
@@ -201,6 +203,8 @@ class AdaptiveWalk:
         solver = self.parts.solver
         if solver is None and len(hierarchy) > 1:
             solver = FullMultigrid(rtol="discretisation")
+        elif solver is not None and not takes(solver, hierarchy):
+            solver = None
         return None, solve_path(hierarchy, self.parts.load_path, solver)
 
     def _estimated(self, hierarchy: Hierarchy, result: Result | None, path: PathResult | None

@@ -1,9 +1,9 @@
 """The loop of a bisection: cut edges of the marked elements, then bisect until no element has a cut edge.
 
-An element with a cut edge is bisected at its own edge, which may cut a further one; so do its children. Whether the
-rest may have a cut edge is asked only of elements two of whose corners were ends of one lately. Each cut edge halves
-elements of some generation, and no element is bisected more than its depth plus that of its neighbours: the loop ends,
-from any conforming mesh (Arnold, Mukherjee, Pouly, theorem 3.1).
+An element with a cut edge is bisected at its own edge, which may cut a further one; so are its children. Whether the
+rest may have a cut edge is asked only of elements two of whose corners were ends of one lately. The loop ends from any
+conforming mesh: triangles, because only edges of the mesh before are cut; tetrahedra, because they are marked alike
+from both sides of a face (Arnold, Mukherjee, Pouly).
 """
 
 from __future__ import annotations
@@ -41,19 +41,49 @@ def _touched(cells, e, corners, stamps, since):
 
 @inner_kernel
 def _cut(nodes, stamps, n_nodes, a, b, stamp):
-    """Cut the edge (a, b) unless it is cut: its node, the tables, which may have grown, and the number of nodes."""
+    """Cut the edge (a, b) unless it is cut: its node, and the number of nodes; there is room for one more."""
     p = midpoint_of(nodes, a, b)
     if p < 0:
-        if n_nodes == len(nodes):
-            nodes = roomier(nodes)
-            stamps = longer(stamps)
         p = n_nodes
         n_nodes += 1
         cut_edge(nodes, p, a, b)
         stamps[p] = -1
         stamps[a] = stamp
         stamps[b] = stamp
-    return p, nodes, stamps, n_nodes
+    return np.int64(p), n_nodes
+
+
+@inner_kernel
+def _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked, most):
+    """Cut edges between the first ``most`` corners of the marked elements from e on, as long as there is room."""
+    while e < n_cells and n_nodes + most * most <= len(nodes):
+        if marked[e]:
+            for i in range(1, most):
+                for j in range(i):
+                    _, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, i], cells[e, j], 0)
+        e += 1
+    return e, n_nodes
+
+
+@inner_kernel
+def _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before, stamp):
+    """Bisect the elements from e on that have a cut edge, as long as there is room.
+
+    Which were there before the round are looked at if they were touched since the round before, and e in any case.
+    The tables are not bound anew in here: counting who holds them would take longer than all the rest.
+    """
+    corners, again = tree.shape[1] - 3, e
+    while e < n_cells:
+        if e >= n_before or e == again or _touched(cells, e, corners, stamps, stamp - 1):
+            while _has_cut_edge(cells, e, corners, nodes, stamps):
+                if n_cells == len(cells) or n_tree == len(tree) or n_nodes == len(nodes):
+                    return e, n_cells, n_tree, n_nodes
+                p, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, 0], cells[e, 1], stamp)
+                write_children(cells, e, n_cells, tree, n_tree, p)
+                n_cells += 1
+                n_tree += 1
+        e += 1
+    return e, n_cells, n_tree, n_nodes
 
 
 @kernel
@@ -76,35 +106,29 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
     cells, n_cells, tree, n_tree, nodes, n_nodes
         The tables, changed or grown.
     """
-    corners = tree.shape[1] - 3
     # the round in which an edge that ends in a node was last cut, -1: never
     stamps = np.full(len(nodes), -1, dtype=np.int32)
     # of a type: numba would compile what it calls for a literal 0 as well
-    stamp, first = np.int64(0), np.int64(0)
-    for e in range(n_cells):
-        if marked[e]:
-            for i in range(1, corners if every_edge else 2):
-                for j in range(i):
-                    _, nodes, stamps, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, i], cells[e, j], stamp)
-    going = True
-    while going:
+    stamp, e = np.int64(0), np.int64(0)
+    while e < n_cells:
+        e, n_nodes = _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked,
+                                 tree.shape[1] - 3 if every_edge else 2)
+        if e < n_cells:
+            nodes, stamps = roomier(nodes), longer(stamps)
+    nodes_before = np.int64(-1)
+    while n_nodes > nodes_before:
         stamp += 1
-        nodes_before, cells_before = n_nodes, n_cells
-        e = first
+        nodes_before, n_before = n_nodes, n_cells
+        e = np.int64(0)
         while e < n_cells:
-            # elements made in this round come here for the first time
-            if e >= cells_before or _touched(cells, e, corners, stamps, stamp - 1):
-                while _has_cut_edge(cells, e, corners, nodes, stamps):
-                    p, nodes, stamps, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, 0], cells[e, 1], stamp)
-                    if n_cells == len(cells):
-                        cells = roomier(cells)
-                    if n_tree == len(tree):
-                        tree = roomier(tree)
-                    write_children(cells, e, n_cells, tree, n_tree, p)
-                    n_cells += 1
-                    n_tree += 1
-            e += 1
-        going = n_nodes > nodes_before
+            e, n_cells, n_tree, n_nodes = _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before,
+                                                 stamp)
+            if n_cells == len(cells):
+                cells = roomier(cells)
+            if n_tree == len(tree):
+                tree = roomier(tree)
+            if n_nodes == len(nodes):
+                nodes, stamps = roomier(nodes), longer(stamps)
     return cells, n_cells, tree, n_tree, nodes, n_nodes
 
 

@@ -116,6 +116,13 @@ def test_quantities_are_those_of_the_result():
     assert value(am.Opening(slave)) == pytest.approx(weights @ result.contact.gap[mine] / weights.sum())
 
 
+def test_a_force_leaves_out_what_a_support_takes():
+    # at the corner of the bar that sticks under a support
+    hierarchy, result = bar(16)
+    found = am.Goal(am.ContactForce("bottom", "tangential")).indicate(hierarchy, result).value
+    assert found == pytest.approx(result.contact.force_t.sum(), rel=1e-9)
+
+
 def test_mean_over_a_boundary_weights_with_the_radius_in_axisymmetry():
     hierarchy, result = solved(am.cases.bolted_junction(), sizes=(12e-3,))
     mesh, name = result.mesh, hierarchy.problem.contact_boundaries[0]

@@ -13,8 +13,9 @@ from bisected_meshes import SQUARE, crooked, cube, random_mask, shape_classes, s
 
 import adaptmg as am
 from adaptmg.mesh import bisect, quality, structured
+from adaptmg.mesh.bisection.closure import bisected
 from adaptmg.mesh.bisection.refine import refined
-from adaptmg.mesh.bisection.tabled import cells_of
+from adaptmg.mesh.bisection.tabled import cells_of, nodes_of, tree_of
 from adaptmg.problem import Assembly, Box, Outline, Rectangle
 
 HELPERS = Path(__file__).parents[2] / "helpers"
@@ -185,6 +186,23 @@ def test_without_jit_and_without_ngsolve(tmp_path):
     assert set(compiled) == set(plain)
     for key, value in compiled.items():
         np.testing.assert_array_equal(plain[key], value, err_msg=key)
+
+
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+@pytest.mark.parametrize("every_edge", [True, False])
+def test_tables_that_grow_hold_the_same_as_those_with_room(mesh, every_edge):
+    fine, _ = bisect(mesh, random_mask(mesh, 0.2, 1))
+    marked, n = random_mask(fine, 0.3, 2), len(fine.elements)
+    tree = tree_of(fine)
+    found = []
+    for room in (0.0, 20.0):
+        more = np.empty((len(tree) + int(room * n), tree.shape[1]), dtype=np.int32)
+        more[:len(tree)] = tree
+        cells, n_cells, more, n_tree, nodes, n_nodes = bisected(
+            cells_of(fine, room), n, more, len(tree), nodes_of(fine, room), fine.n_nodes, marked, every_edge)
+        found.append((cells[:n_cells], more[:n_tree], nodes[fine.n_nodes:n_nodes]))
+    for tight, roomy in zip(*found, strict=True):
+        np.testing.assert_array_equal(tight, roomy)
 
 
 @pytest.mark.parametrize("passes", [0, -1, 1.5, True, "all"])
