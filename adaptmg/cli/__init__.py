@@ -1,4 +1,4 @@
-"""The command ``adaptmg``: ``adaptmg cases``, ``adaptmg solve CASE``."""
+"""The command ``adaptmg``: ``adaptmg cases``, ``adaptmg solve CASE``, ``adaptmg adapt CASE``."""
 
 from adaptmg.cli.command import app, main
 

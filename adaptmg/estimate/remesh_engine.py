@@ -12,6 +12,7 @@ from typing import Any
 
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.sizes.equilibration import NodeCount, equilibrated_sizes
+from adaptmg.estimate.sizes.gradation import resolving
 from adaptmg.estimate.sizes.intermediate import mean_sizes
 from adaptmg.estimate.sizes.size_field import SizeField
 from adaptmg.mesh.arrays import MeshArrays
@@ -33,7 +34,9 @@ class Remesh:
     Parameters
     ----------
     growth : float
-        Nodes of the next mesh over those of this one, > 1.
+        Nodes of the next mesh over those of this one, > 1. At strong singularities sizes would have to fall by more
+        than ``finest`` for 2.5 times the nodes: 2 keeps the optimal rate there (measured on the bolted junction: .50
+        instead of .44, and 13 % less error), elsewhere it only makes the loop a fifth longer.
     finest, coarsest : float
         Bounds of new over old size, 0 < ``finest`` < 1 <= ``coarsest``. Above a ratio of about 4 between neighbouring
         levels multigrid converges slowly.
@@ -41,7 +44,7 @@ class Remesh:
         Growth of sizes per distance, above 0 and at most 1.
     refinements : int
         Netgen makes a mesh of :math:`2^{-dk}` of the nodes, which is refined k times uniformly: with one refinement
-        four to five times cheaper and as good; with more, sizes grow more slowly than ``gradation`` says.
+        three times cheaper and as good; with more, sizes grow more slowly than ``gradation`` says.
     """
 
     growth: float = 2.5
@@ -107,6 +110,7 @@ class Remesh:
         """A mesh of about the wanted number of nodes, and how many were expected from its sizes."""
         sizes = equilibrated_sizes(mesh, estimate.squares, wanted, finest=self.finest, coarsest=self.coarsest,
                                    growth=self._growth(mesh.dim))
+        sizes = resolving(mesh, sizes, problem.pair_boundaries, self._growth(mesh.dim))
         return self.mesh(problem, SizeField(mesh, sizes)), NodeCount(mesh)(sizes)
 
     def _growth(self, dim: int) -> float:

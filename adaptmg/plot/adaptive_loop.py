@@ -65,7 +65,8 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     if (relative > 0).all() and nodes[-1] > nodes[0]:
         guide = 1.35 * relative[-1] * (nodes / nodes[-1]) ** (-1 / dim)
         left.plot(nodes, guide, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
-        left.annotate(f"nodes$^{{-1/{dim}}}$", (nodes[0], guide[0]), color=GREY, fontsize=8.5, va="bottom")
+        left.annotate(f"nodes$^{{-1/{dim}}}$", (nodes[-1], guide[-1]), color=GREY, fontsize=8.5, ha="right",
+                      va="bottom")
     _falling(right, np.array([step.total_seconds for step in steps]), relative, "time, meshes included [s]")
     figure.suptitle(plain(steps[-1].result.problem_name), fontsize=11)
     return figure

@@ -41,7 +41,7 @@ def test_each_step_is_as_exact_as_a_tenth_of_its_estimate(loop, request):
 def test_the_tolerance_is_a_tenth_of_what_is_expected(steps):
     for before, step in itertools.pairwise(steps):
         expected = before.estimate.relative * (before.nodes / step.nodes) ** 0.5
-        assert step.result.rtol == pytest.approx(min(0.1 * expected, 3e-2))
+        assert step.result.rtol == pytest.approx(min(0.1 * expected, 3e-2), rel=5e-3)
         # a few elements at a singularity gain more than their number
         assert expected == pytest.approx(step.estimate.relative, rel=0.3 if step.number > 2 else 0.5)
 

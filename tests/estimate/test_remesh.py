@@ -104,6 +104,16 @@ def test_coarsening_where_the_error_is_small():
     assert in_far_half[1] < 0.7 * in_far_half[0]
 
 
+def test_contact_keeps_nodes_where_it_has_no_error():
+    problem = am.cases.upset_block()
+    mesh = graded(problem.domain, 4e-3)
+    for _ in range(6):
+        at_top = mesh.points[mesh.elements].mean(axis=1)[:, 1] > 39e-3
+        estimate = am.Estimate(squares=np.where(at_top, 1.0, 1e-20), norm=1.0)
+        mesh = am.Remesh(growth=1.1, gradation=1.0, refinements=0).refine(problem, mesh, estimate)
+    assert len(mesh.boundary_nodes("bottom")) >= 5
+
+
 @settings(max_examples=8, deadline=None)
 @given(growth=st.floats(1.3, 4), most=st.integers(200, 5000), exponent=st.floats(0.5, 1.5))
 def test_number_of_nodes(growth, most, exponent):

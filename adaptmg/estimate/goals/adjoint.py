@@ -74,7 +74,12 @@ class AdjointSystem:
         """Dual fields of functionals (n_dofs,), by one sparse factorisation."""
         kept = np.flatnonzero(self.trial)
         reduced = sparse.csc_array(sparse.csr_array(self.matrix)[kept][:, kept])
-        factors = splu(reduced)
+        try:
+            factors = splu(reduced)
+        except RuntimeError as error:
+            raise np.linalg.LinAlgError(
+                "the adjoint matrix is singular: with its contact state the solution leaves a motion free; solve more "
+                "accurately, or add a support") from error
         result = []
         for functional in functionals:
             load, y = self._load(functional), np.zeros(len(self.trial))

@@ -23,6 +23,9 @@ from adaptmg.solver.result import Result
 
 __all__ = ["LinearisedContact", "linearised_contact"]
 
+#: slips below so much of the largest displacement are none
+_STILL = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class LinearisedContact:
@@ -42,10 +45,14 @@ class LinearisedContact:
         m.
     force : (n, dim) array
         Contact forces in local components; force[:, 0] <= 0. N.
-    limit : (n,) array
-        Of the friction, N.
+    limit, fixed_limit : (n,) arrays
+        Of the friction, and the part of it that does not depend on the pressure, N.
+    slips, sticks : (n,) bool arrays
+        Nodes on which friction acts and that move, or do not: under a fixed limit open ones too.
+    unit : (n, dim - 1) array
+        f at slipping nodes.
     direction : (n, dim - 1) array
-        mu f at slipping nodes, else 0.
+        mu f at nodes that slip and touch, else 0.
     hessian : (n, dim - 1, dim - 1) array
         H of slipping nodes, N/m.
     free : (n, dim) bool array
@@ -63,6 +70,10 @@ class LinearisedContact:
     slip: np.ndarray
     force: np.ndarray
     limit: np.ndarray
+    fixed_limit: np.ndarray
+    slips: np.ndarray
+    sticks: np.ndarray
+    unit: np.ndarray
     direction: np.ndarray
     hessian: np.ndarray
     free: np.ndarray
@@ -102,17 +113,25 @@ def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedC
     force = np.einsum("nij,nj->ni", frames, residual.reshape(-1, dim)[nodes])
     force[:, 1:][held] = 0.0
     state = np.asarray(result.contact.state).astype(int)
-    touching, slipping = state != State.OPEN, state == State.SLIP
-    limit, friction = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0), nodal.friction
-    size = np.linalg.norm(force[:, 1:], axis=1)
-    unit = np.divide(force[:, 1:], size[:, None], out=np.zeros_like(slip), where=size[:, None] > 0)
-    direction = np.where(slipping[:, None], friction[:, None] * unit, 0.0)
     length = np.linalg.norm(slip, axis=1)
-    bent = slipping & (length > 0)
+    rubs = (state == State.OPEN) & (nodal.limit > 0)
+    still = rubs & (length <= _STILL * np.abs(unknowns).max(initial=0.0))
+    sticks, slips = (state == State.STICK) | still, (state == State.SLIP) | (rubs & ~still)
+    limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
+    unit = _opposite(slip, length, force[:, 1:])
+    direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
+    bent = slips & (length > 0)
     stiffness = np.where(bent, limit / np.where(bent, length, 1.0), 0.0)
     hessian = stiffness[:, None, None] * (np.eye(dim - 1) - unit[:, :, None] * unit[:, None, :])
     free = np.ones((len(nodes), dim), dtype=bool)
-    free[touching, 0] = False
-    free[:, 1:] = (~held) & (state != State.STICK)[:, None]
-    return LinearisedContact(discrete, frames, state, unknowns, residual, gap, slip, force, limit, direction, hessian,
-                             free, held)
+    free[state != State.OPEN, 0] = False
+    free[:, 1:] = ~held & ~sticks[:, None]
+    return LinearisedContact(discrete, frames, state, unknowns, residual, gap, slip, force, limit, nodal.limit, slips,
+                             sticks, unit, direction, hessian, free, held)
+
+
+def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Directions (n, dim - 1) against the slip; where there is none, of the force."""
+    size = np.linalg.norm(force, axis=1)
+    along = np.divide(force, size[:, None], out=np.zeros_like(slip), where=size[:, None] > 0)
+    return np.divide(-slip, length[:, None], out=along, where=length[:, None] > 0)

@@ -21,6 +21,10 @@ class GoalEstimate(Estimate):
         Of the quantities.
     values, errors : (n,) arrays
         Of the discrete solution, and estimated exact minus discrete values.
+    algebraic : (n,) array
+        The part of ``errors`` that the solver has left.
+    discretisation : float
+        Estimated relative energy error of the discrete solution.
     residuals : (n,) array
         Relative residuals of the adjoint problems.
     iterations : int
@@ -33,6 +37,8 @@ class GoalEstimate(Estimate):
     units: tuple[str, ...]
     values: np.ndarray
     errors: np.ndarray
+    algebraic: np.ndarray
+    discretisation: float
     residuals: np.ndarray
     iterations: int = 0
     converged: bool = True
@@ -44,7 +50,7 @@ class GoalEstimate(Estimate):
 
     def __repr__(self) -> str:
         lines = [f"Estimate by {self.indicator}: {len(self.squares)} elements, estimated relative energy error "
-                 f"{self.relative_energy:.3%}"]
+                 f"{self.discretisation:.3%}"]
         width = max(map(len, self.names))
         lines += [f"  {name:<{width}s} {value:14.7g} {unit:<3s} estimated error {error:+.3g} (exact minus discrete)"
                   + (f", {error / abs(value):+.3%}" if value else "")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg.estimate.fields.posed import Posed
-from adaptmg.estimate.goals.bubbles import EdgeBubbles
+from adaptmg.estimate.goals.bubbles.edge_bubbles import EdgeBubbles
 from adaptmg.estimate.goals.contact_state import LinearisedContact
 
 __all__ = ["Functional", "GoalView"]

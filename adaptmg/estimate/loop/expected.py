@@ -53,8 +53,8 @@ def expected_estimate(before: Step, nodes: int, dim: int) -> float:
 
 
 def algebraic_tolerance(expected: float) -> float:
-    """Tolerance of a solve, relative to ||u||_A, on a mesh with an expected relative energy error."""
-    return min(max(SHARE * expected, TIGHTEST), LOOSEST)
+    """Tolerance of a solve, relative to ||u||_A, on a mesh with an expected relative energy error; three digits."""
+    return float(f"{min(max(SHARE * expected, TIGHTEST), LOOSEST):.3g}")
 
 
 def expected_seconds(steps: Sequence[Step], limits: Limits) -> float:

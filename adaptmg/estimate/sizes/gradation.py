@@ -10,11 +10,17 @@ in place of a heap (a node comes up again only where its size has fallen meanwhi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.runtime.compiled import kernel
 
-__all__ = ["Neighbours", "graded_sizes"]
+__all__ = ["Neighbours", "graded_sizes", "resolving"]
+
+# edges that a boundary keeps along it, however small its error
+_EDGES = 4
 
 
 class Neighbours:
@@ -103,3 +109,31 @@ def graded_sizes(neighbours: Neighbours, sizes: np.ndarray, growth: float) -> np
     _relax(neighbours.points, neighbours.elements, neighbours.start, neighbours.items, float(growth), result,
            np.argsort(result), waiting)
     return result
+
+
+def resolving(mesh: MeshArrays, sizes: np.ndarray, boundaries: Sequence[str], growth: float) -> np.ndarray:
+    """Sizes that leave each of some boundaries at least four edges across: contact needs nodes, whatever its error.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+    sizes : (n_nodes,) array
+        m, > 0; not changed.
+    boundaries : sequence of str
+        Names of boundaries of ``mesh``.
+    growth : float
+        As of :func:`graded_sizes`.
+
+    Returns
+    -------
+    (n_nodes,) array
+        m.
+    """
+    result = np.array(sizes, dtype=np.float64)
+    for name in boundaries:
+        facets = mesh.boundary_facets(name)
+        sides = mesh.points[facets[:, 1:]] - mesh.points[facets[:, :1]]
+        measure = np.sqrt(np.linalg.det(sides @ sides.transpose(0, 2, 1))).sum() / (mesh.dim - 1)
+        nodes = np.unique(facets)
+        result[nodes] = np.minimum(result[nodes], measure ** (1 / (mesh.dim - 1)) / _EDGES)
+    return sizes if (result == sizes).all() else graded_sizes(Neighbours(mesh.points, mesh.elements), result, growth)

@@ -6,9 +6,9 @@ refinement of a mesh of twice the sizes, every element cut in four (3D: eight) w
 still: a k-fold refinement asks Netgen for :math:`2^k h` and so for :math:`2^{-kd}` of the nodes. Sizes must then grow
 :math:`2^k` times more slowly.
 
-Measured on adaptive meshes of the flat punch: 50 us a node without refinement and 12 us with one, the same error. A
-mesh of 4 h bisected down to the sizes takes 10 us and has 14 % more error (12 % after its nodes have been smoothed).
-In 3D 310 us without refinement, 85 us with one.
+Measured on adaptive meshes of the flat punch, all told: 55 to 75 us a node without refinement, 18 to 25 with one,
+and the same error. A mesh of 4 h bisected down to the sizes has 14 % more error (12 % after its nodes have been
+smoothed). In 3D 400 to 500 us without refinement, 120 to 300 with one (the more where a mesh is made twice).
 """
 
 from __future__ import annotations

@@ -92,8 +92,8 @@ def test_the_axisymmetric_and_the_energy_estimate():
     estimate = am.Goal([am.ContactForce(), am.Opening()]).indicate(hierarchy, result)
     assert np.isfinite(estimate.errors).all() and estimate.errors[0] < 0 < estimate.errors[1]
     other = am.Recovery().indicate(hierarchy, result).relative
-    assert 0.5 < estimate.relative_energy / other < 2.0
-    assert am.Goal(LINE).indicate(*bar(32)).energy_error == pytest.approx(
+    assert 0.5 < estimate.discretisation / other < 2.0
+    assert am.Goal(LINE).indicate(*bar(32)).discretisation == pytest.approx(
         am.Recovery().indicate(*bar(32)).relative, rel=0.3)
 
 
@@ -162,6 +162,38 @@ def test_new_meshes_reach_the_accuracy_of_five_times_as_many_uniform_nodes():
         mesh = engine.refine(problem, mesh, goal.indicate(hierarchy, result))
     assert mesh.n_nodes < 1200
     assert np.abs(result.probe(POINTS)[:, 0] / CONVERGED - 1).max() < 5e-4
+
+
+@pytest.mark.parametrize("make", [am.cases.greco_bar, lambda: am.cases.greco_bar(law=am.Tresca(3e7)),
+                                  am.cases.greco_block, am.cases.dovetail])
+def test_what_the_solver_leaves_counts(make):
+    problem = make()
+    hierarchy = am.Hierarchy.graded(problem, (8e-3, 4e-3) if problem.dim == 2 else (15e-3,))
+    exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12))
+    # any admissible change of the displacement that leaves the states alone is an algebraic error
+    discrete, contact = hierarchy.finest.discrete, exact.contact
+    change = np.random.default_rng(0).standard_normal(exact.displacement.shape)
+    change[discrete.contact.nodes] = 0.0
+    change[discrete.fixed.reshape(change.shape)] = 0.0
+    far = discrete.relative(exact.displacement) + 1e-4 * np.abs(exact.displacement).max() * change
+    left = discrete.matrix @ far.reshape(-1) - discrete.load
+    left = left if discrete.coupling is None else discrete.coupling.physical_forces(left)
+    loose = dataclasses.replace(exact, displacement=discrete.physical(far), reaction=left.reshape(far.shape))
+    moved = exact.mesh.points[np.argmax(np.abs(exact.displacement[:, 0]))]
+    for item in (am.Displacement(moved, 0), am.MeanDisplacement(contact.names[0], 0)):
+        true, found = (am.Goal(item).indicate(hierarchy, result) for result in (exact, loose))
+        assert abs(true.algebraic[0]) < 1e-9 * abs(true.value)
+        assert found.algebraic[0] == pytest.approx(true.value - found.value, rel=2e-2, abs=1e-7 * abs(true.value))
+
+
+def test_the_tolerance_for_solvers_is_stricter_than_the_energy_error():
+    estimate = am.Goal(LINE).indicate(*bar(32))
+    assert 1e-3 * estimate.discretisation < estimate.relative_energy < 0.2 * estimate.discretisation
+    # and enough: the algebraic part is then below that of the discretisation
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16, 32))
+    result = am.solve(hierarchy, am.FullMultigrid(rtol=estimate.relative_energy))
+    found = am.Goal(LINE).indicate(hierarchy, result)
+    assert np.abs(found.algebraic).max() < 0.5 * np.abs(found.errors).max()
 
 
 def test_ones_own_quantity():

@@ -11,7 +11,7 @@ import pytest
 import adaptmg as am
 from adaptmg.estimate.fields.posed import posed
 from adaptmg.estimate.goals.adjoint import adjoint_system
-from adaptmg.estimate.goals.bubbles import edge_bubbles
+from adaptmg.estimate.goals.bubbles.edge_bubbles import edge_bubbles
 from adaptmg.estimate.goals.contact_state import linearised_contact
 from adaptmg.estimate.goals.view import GoalView
 
@@ -91,7 +91,7 @@ def test_errors_that_keep_the_state_meet_the_functional(name):
 
 @pytest.mark.parametrize(("make", "sizes"), [(am.cases.greco_bar, (8e-3, 4e-3, 2e-3)),
                                              (am.cases.dovetail, (8e-3, 4e-3, 2e-3)),
-                                             (am.cases.greco_block, (20e-3, 12e-3, 9e-3))])
+                                             (am.cases.greco_block, (20e-3, 14e-3))])
 def test_multigrid_on_the_transpose_equals_the_direct_solution(make, sizes):
     hierarchy = am.Hierarchy.graded(make(), sizes)
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6))

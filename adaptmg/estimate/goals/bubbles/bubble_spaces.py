@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.estimate.goals.bubbles import EdgeBubbles
+from adaptmg.estimate.goals.bubbles.edge_bubbles import EdgeBubbles
 from adaptmg.estimate.goals.contact_state import LinearisedContact
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.smoother.state import ContactState as State

@@ -19,7 +19,7 @@ import numpy as np
 from adaptmg.discretisation.body_materials import body_materials, is_axisymmetric, lame_constants
 from adaptmg.discretisation.facets import area_vectors, named_facets
 from adaptmg.discretisation.initial_strain import mean_initial_strain
-from adaptmg.estimate.goals import bubble_kernels as kernels
+from adaptmg.estimate.goals.bubbles import bubble_kernels as kernels
 from adaptmg.geometry.quadrature import (
     AXISYMMETRIC_DEGREE,
     PLAIN_DEGREE,

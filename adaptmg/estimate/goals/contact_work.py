@@ -1,7 +1,8 @@
-r"""Tractions of contact on masters, as work on the bubbles of their edges.
+r"""Contact tractions that are known, as work on the bubbles of surface edges: nodal forces over lumped masses.
 
-The slave's conditions are part of its spaces; a master's bubble moves for itself, against the nodal contact forces F
-over the lumped mass of its surface, linear in between.
+Contact conditions of slaves are part of the spaces, in which Coulomb's friction does no work; Tresca's does, the part
+s / (s + mu p) of the friction. A master's bubble moves for itself, against all of the contact force. Linear in between
+nodes.
 """
 
 from __future__ import annotations
@@ -11,7 +12,22 @@ import numpy as np
 from adaptmg.discretisation.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.estimate.goals.view import GoalView
 
-__all__ = ["master_work"]
+__all__ = ["friction_work", "master_work"]
+
+
+def friction_work(view: GoalView) -> np.ndarray:
+    """Work (n_edges, dim) of the friction that does not depend on pressure on the bubbles of contact surfaces, N."""
+    contact, given, mesh = view.contact, view.posed.result.contact, view.posed.mesh
+    result = np.zeros((len(view.bubbles.edges), mesh.dim))
+    if not contact.fixed_limit.any():
+        return result
+    share = np.divide(contact.fixed_limit, contact.limit, out=np.zeros_like(contact.limit), where=contact.limit > 0)
+    traction = np.zeros((mesh.n_nodes, mesh.dim))
+    traction[given.node] = share[:, None] * np.einsum("nk,nkd->nd", given.traction, given.frames[:, 1:])
+    for name in given.names:
+        facets = named_facets(mesh, name)
+        result += view.bubbles.boundary_work(facets, traction[facets])
+    return result
 
 
 def master_work(view: GoalView, reaction: np.ndarray) -> np.ndarray:
