@@ -21,9 +21,10 @@ from estimator_tables import cost_table, effectivity_figure, goal_table, rate_fi
 FULL = {2: (12_000, 100_000), 3: (3000, 40_000)}
 QUICK = {2: (600, 5000), 3: (250, 1500)}
 QUICK_CASES = ("upset block", "dovetail", "slip and open, +")
-#: (engine, dimension) -> nodes of the loops whose costs are measured, and turns
-COSTS = {("bisected", 2): (40_000, 3), ("remeshed", 2): (12_000, 3), ("bisected", 3): (10_000, 2)}
-QUICK_COSTS = {("bisected", 2): (1500, 1)}
+#: (engine, theta, dimension) -> nodes of the loops whose costs are measured, and turns
+COSTS = {("bisected", 0.5, 2): (40_000, 3), ("bisected", 0.7, 2): (40_000, 3), ("remeshed", 0.5, 2): (12_000, 3),
+         ("bisected", 0.5, 3): (10_000, 2)}
+QUICK_COSTS = {("bisected", 0.5, 2): (1500, 1)}
 
 
 def run(context: common.Context) -> common.Section:
@@ -54,10 +55,10 @@ def run(context: common.Context) -> common.Section:
 def measured_costs(context: common.Context, names: tuple[str, ...]) -> pd.DataFrame:
     """Costs of the loops by case and engine."""
     found = []
-    for (engine, dim), (most, turns) in (QUICK_COSTS if context.quick else COSTS).items():
+    for (engine, theta, dim), (most, turns) in (QUICK_COSTS if context.quick else COSTS).items():
         mine = [name for name in names if name in CASES and CASES[name].dim == dim]
-        found.append(context.study(runs.cost, {"case": mine}, engine=engine, most=most, turns=turns)
-                     .assign(engine=engine))
+        found.append(context.study(runs.cost, {"case": mine}, engine=engine, theta=theta, most=most,
+                                   turns=turns).assign(engine=engine, theta=theta))
     return pd.concat(found, ignore_index=True)
 
 

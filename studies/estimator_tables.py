@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import common
-import numpy as np
 import pandas as pd
 from estimator_runs import EXACT, PAIRS, SHARE
 from matplotlib import pyplot as plt
@@ -18,6 +17,8 @@ CYCLES = (1, 3)
 RATES = (0.5, 0.65)
 #: loop over nested start alone: work, seconds without and with meshes (2D, bisected); work over the solve to 1e-8
 WORK, WITHOUT, WITH, TIGHT = 1.3, 2.0, 2.5, 0.4
+#: line styles of the engines
+DASHES = {"bisected": "-", "remeshed": ":"}
 
 
 def wanted_cycles(case: str) -> int:
@@ -131,8 +132,8 @@ def cost_table(costs: pd.DataFrame) -> common.Table:
     without = costs["assembly_s"] + costs["solve_s"] + costs["estimate_s"]
     alone = costs["build_s"] + costs["alone_s"]
     frame = pd.DataFrame({
-        "case": costs["case"], "engine": costs["engine"], "nodes": costs["nodes"], "levels": costs["levels"],
-        "rate": costs["rate"], "loop WU": costs["loop_work"], "nested WU": costs["nested_work"],
+        "case": costs["case"], "engine": costs["engine"], "theta": costs["theta"], "nodes": costs["nodes"],
+        "levels": costs["levels"], "rate": costs["rate"], "loop WU": costs["loop_work"], "nested WU": costs["nested_work"],
         "work": costs["loop_work"] / costs["nested_work"], "over 1e-8": costs["loop_work"] / costs["tight_work"],
         "meshes": costs["mesh_s"], "assembly": costs["assembly_s"], "solves": costs["solve_s"],
         "estimates": costs["estimate_s"], "nested": costs["alone_s"], "its levels": costs["build_s"],
@@ -151,8 +152,8 @@ def cost_table(costs: pd.DataFrame) -> common.Table:
             "hierarchy.")
     return common.Table("estimator_costs", frame, "The whole loop over a nested start on its last meshes", note,
                         {name: "s" for name in ("meshes", "assembly", "solves", "estimates", "nested", "its levels")},
-                        {"rate": ".2f", "loop WU": ".1f", "nested WU": ".1f", "work": ".2f", "over 1e-8": ".2f",
-                         "meshes": ".3f", "assembly": ".3f", "solves": ".3f", "estimates": ".3f", "nested": ".3f",
+                        {"theta": ".1f", "rate": ".2f", "loop WU": ".1f", "nested WU": ".1f", "work": ".2f",
+                         "over 1e-8": ".2f", "meshes": ".3f", "assembly": ".3f", "solves": ".3f", "estimates": ".3f", "nested": ".3f",
                          "its levels": ".3f", "without meshes": ".2f", "with meshes": ".2f", "solves alone": ".2f",
                          "all/nested": ".2f"})
 
@@ -170,12 +171,9 @@ def effectivity_figure(steps: pd.DataFrame) -> common.Figure:
     for ax, column, title in zip(axes, ("residual_effectivity", "zz_effectivity"), ("residual", "recovery (ZZ)"),
                                  strict=True):
         for k, case in enumerate(cases):
-            for engine, dash in (("bisected", "-"), ("remeshed", ":")):
+            for engine, dash in DASHES.items():
                 mine = steps[(steps["case"] == case) & (steps["engine"] == engine)]
-                exact = case in EXACT
-                ax.semilogx(100 * mine["error"], mine[column], dash, color=GREY if exact else CYCLE[k % len(CYCLE)],
-                            marker="" if exact else "osv^D*P"[k % 7], markersize=4, linewidth=1.2,
-                            label=("exact transitions" if exact else case) if engine == "bisected" else None)
+                ax.semilogx(100 * mine["error"], mine[column], dash, **_style(case, engine, k))
         ax.invert_xaxis()
         ax.set_xlabel("true energy error [%]")
         ax.set_title(title)
@@ -184,8 +182,7 @@ def effectivity_figure(steps: pd.DataFrame) -> common.Figure:
     axes[0].set_ylim(bottom=0.0)
     axes[0].set_ylabel("estimate / true error")
     axes[1].axhspan(*RECOVERED, color=GREY, alpha=0.12, linewidth=0)
-    handles = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
+    _legend(figure, axes[0])
     return common.Figure("estimator_effectivity", figure,
                          "Estimate over true error on adaptive meshes; bisected solid, remeshed dotted; shaded: "
                          "aimed at")
@@ -193,24 +190,34 @@ def effectivity_figure(steps: pd.DataFrame) -> common.Figure:
 
 @styled
 def rate_figure(steps: pd.DataFrame) -> common.Figure:
-    """Asymptotic rate and algebraic error left against levels."""
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.0))
+    """Asymptotic rate and algebraic error left against nodes."""
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.2))
     for k, case in enumerate(steps["case"].unique()):
-        for engine, dash in (("bisected", "-"), ("remeshed", ":")):
+        for engine, dash in DASHES.items():
             mine = steps[(steps["case"] == case) & (steps["engine"] == engine) & (steps["step"] > 0)]
-            exact = case in EXACT
-            style = {"color": GREY if exact else CYCLE[k % len(CYCLE)], "marker": "" if exact else "osv^D*P"[k % 7],
-                     "markersize": 4, "linewidth": 1.2,
-                     "label": ("exact transitions" if exact else case) if engine == "bisected" else None}
-            axes[0].plot(mine["levels"], mine["rate"], dash, **style)
-            axes[1].semilogy(mine["levels"], np.maximum(mine["left"], 1e-4), dash, **style)
+            axes[0].semilogx(mine["nodes"], mine["rate"], dash, **_style(case, engine, k))
+            axes[1].loglog(mine["nodes"], mine["left"].clip(lower=1e-3), dash, **_style(case, engine, k))
     for ax, title in zip(axes, ("asymptotic rate", "algebraic error left / estimate"), strict=True):
-        ax.set_xlabel("levels")
+        ax.set_xlabel("nodes")
         ax.set_title(title)
         ax.grid(True)
     axes[0].set_ylim(0.0, 1.0)
     axes[1].axhline(SHARE, color=GREY, linewidth=0.8)
-    handles = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
+    common.plain_ticks(axes[1].yaxis)
+    _legend(figure, axes[0])
     return common.Figure("estimator_rates", figure,
                          "Multigrid on the levels that adaptivity leaves; bisected solid, remeshed dotted")
+
+
+def _style(case: str, engine: str, k: int) -> dict[str, object]:
+    """Of one line; the exact transitions look alike."""
+    exact = case in EXACT
+    label = ("exact transitions" if exact else case) if engine == "bisected" else None
+    return {"color": GREY if exact else CYCLE[k % len(CYCLE)], "marker": "" if exact else "osv^D*P"[k % 7],
+            "markersize": 4, "linewidth": 1.2, "label": label}
+
+
+def _legend(figure: plt.Figure, ax: plt.Axes) -> None:
+    """One entry a label, below the panels."""
+    handles = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)

@@ -1,5 +1,7 @@
 """The study of effectivity, multigrid counts and loop costs: it runs, and what it measures holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -18,6 +20,16 @@ def test_the_first_cycle_from_which_on_the_error_is_small():
     cycle = np.arange(4.0)
     assert runs.first(cycle, np.array([False, True, True, True])) == 1
     assert np.isnan(runs.first(cycle, np.zeros(4, dtype=bool)))
+
+
+def test_rates_are_of_the_cycles_of_multigrid():
+    problem, start = runs.posed("upset block")
+    *_, step = am.adapt(problem, start, engine=am.Bisect(), max_nodes=100)
+    result = am.solve(step.hierarchy, am.FullMultigrid(rtol=1e-10))
+    changes = 0.5 ** np.arange(12.0)
+    history = {"change": np.append(changes, 1e-9), "status_changes": np.append(np.zeros(12), np.nan)}
+    assert runs.asymptotic_rate(replace(result, history=history)) == pytest.approx(0.5)
+    assert 0 < runs.asymptotic_rate(result) < 0.5
 
 
 def test_a_warm_start_is_what_the_loop_starts_from():
@@ -45,7 +57,7 @@ def test_what_is_missed_is_named():
 
 def test_phases_add_up_to_the_loop():
     problem, start = runs.posed("upset block")
-    seconds, last = runs.timed_loop(problem, start, am.Bisect(), 200)
+    seconds, last = runs.timed_loop(problem, start, am.Bisect(), am.Doerfler(0.5), 200)
     assert set(seconds) == {"mesh", "assembly", "solve", "estimate"}
     assert all(value > 0 for value in seconds.values())
     assert last.nodes > 100
