@@ -55,8 +55,8 @@ def summary_table(steps: pd.DataFrame) -> common.Table:
             "loop left, in estimates. rate: asymptotic, on the last hierarchy; largest rate: of all steps. Aimed at: "
             f"spread <= {SPREAD:g}, ZZ/error in [{RECOVERED[0]:g}, {RECOVERED[1]:g}], needed <= {CYCLES[0]} (pairs, "
             f"punch {CYCLES[1]}), rate <= {RATES[0]:g} (pairs {RATES[1]:g}): met by {len(frame) - len(missed)} of "
-            f"{len(frame)}; the junction (axisymmetric, with stress that varies inside elements near its bolts) "
-            "stands apart.")
+            f"{len(frame)}. The junction is axisymmetric and stands apart; on the first meshes of any loop all is "
+            "coarse.")
     return common.Table("estimator_summary", frame, "Effectivity and multigrid on adaptive meshes", note, {},
                         {"size ratio": ".2f", "least eta/error": ".2f", "largest eta/error": ".2f", "spread": ".2f",
                          "with the start": ".2f", "least ZZ/error": ".2f", "largest ZZ/error": ".2f", "needed": ".0f",
