@@ -15,7 +15,8 @@ from pathlib import Path
 from common import Context, Section, Table, show
 
 STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "hertz",
-           "adaptive_vs_uniform", "goal_greco", "transfer_operators", "amg_comparison", "kernels")
+           "adaptive_vs_uniform", "goal_greco", "estimator_effectivity", "transfer_operators",
+           "amg_comparison", "kernels")
 #: run only where they are named: minutes on large grids, and campaigns of hundreds of problems
 LARGE = ("benchmark", "robustness", "true_errors")
 TITLE = "adaptmg: multigrid for frictional contact"
