@@ -72,7 +72,7 @@ def slopes(mesh):
 def test_sizes_grow_slowly_and_ratios_stay_small(gradation):
     problem = am.cases.upset_block()
     mesh = graded(problem.domain, 4e-3)
-    engine = am.Remesh(growth=2.0, gradation=gradation)
+    engine = am.Remesh(growth=2.0, gradation=gradation, finest=0.25)
     for _ in range(4):
         coarse, mesh = mesh, engine.refine(problem, mesh, singular(mesh, problem.domain.lower))
         assert size_ratio(coarse, mesh) < 5
@@ -120,9 +120,23 @@ def test_number_of_nodes(growth, most, exponent):
     problem = am.cases.upset_block()
     mesh = graded(problem.domain, 2.5e-3)
     fine = am.Remesh(growth=growth).refine(problem, mesh, singular(mesh, problem.domain.lower, exponent), None, most)
-    wanted = min(0.95 * most, growth * mesh.n_nodes)
+    # the last two meshes before the most nodes grow alike, by no more than growth^1.2
+    room = 0.95 * most / mesh.n_nodes
+    near = min(room, room**0.5 if room > growth**1.2 else room)
+    wanted = mesh.n_nodes * (growth if room > growth**2.2 else near)
     assert fine.n_nodes <= 1.15 * wanted
     assert fine.n_nodes >= 0.8 * max(wanted, 0.45 * mesh.n_nodes)
+
+
+def test_the_last_meshes_before_the_most_nodes_grow_alike():
+    problem, most = am.cases.upset_block(), 3000
+    mesh, nodes = graded(problem.domain, 2.5e-3), []
+    while mesh.n_nodes < 0.75 * most:
+        mesh = am.Remesh(growth=2.5).refine(problem, mesh, singular(mesh, problem.domain.lower), None, most)
+        nodes.append(mesh.n_nodes)
+    # of 311 nodes, and 2850 at most: 2.5 times, and twice 1.9 times, not 2.5 and 1.5
+    assert len(nodes) == 3
+    assert nodes[2] / nodes[1] == pytest.approx(nodes[1] / nodes[0], rel=0.2)
 
 
 @pytest.mark.parametrize("domain", [

@@ -85,8 +85,9 @@ class AdaptiveWalk:
     EXACT = 1e-8
     #: times that an engine is asked for a mesh that is not too large
     ATTEMPTS = 3
-    #: the estimate must fall by this factor over meshes of twice the nodes, or the loop has come to an end
-    PROGRESS = 0.95
+    #: the estimate must fall by this factor over meshes of so many times the nodes, or the loop has come to an end
+    #: (coarse meshes that do not resolve a problem hardly better it at first)
+    PROGRESS, OVER = 0.95, 4.0
 
     def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: LoopStore | None,
                  progress: Progress | None) -> None:
@@ -126,7 +127,7 @@ class AdaptiveWalk:
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
             return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
         for before in reversed(self.done[:-2]):
-            if last.nodes >= 2 * before.nodes:
+            if last.nodes >= self.OVER * before.nodes:
                 falls = np.sqrt(last.estimate.squares.sum() / before.estimate.squares.sum())
                 if falls > self.PROGRESS:
                     return (f"no progress: from {before.nodes} to {last.nodes} nodes the estimate falls by "

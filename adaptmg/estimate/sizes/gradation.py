@@ -136,4 +136,6 @@ def resolving(mesh: MeshArrays, sizes: np.ndarray, boundaries: Sequence[str], gr
         measure = np.sqrt(np.linalg.det(sides @ sides.transpose(0, 2, 1))).sum() / (mesh.dim - 1)
         nodes = np.unique(facets)
         result[nodes] = np.minimum(result[nodes], measure ** (1 / (mesh.dim - 1)) / _EDGES)
-    return sizes if (result == sizes).all() else graded_sizes(ElementsAtNodes(mesh.points, mesh.elements), result, growth)
+    if (result == sizes).all():
+        return sizes
+    return graded_sizes(ElementsAtNodes(mesh.points, mesh.elements), result, growth)
