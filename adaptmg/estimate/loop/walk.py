@@ -122,7 +122,7 @@ class AdaptiveWalk:
             return f"tolerance met: the estimate is {relative:.3g}, {limits.tolerance:g} was asked for"
         if last.estimate.relative_energy <= self.EXACT or not last.estimate.squares.any():
             return "no progress: the indicator finds no error beyond rounding"
-        if limits.max_nodes is not None and last.nodes * self.LEAST_GROWTH > limits.max_nodes:
+        if self._full(last.nodes):
             return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
             return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
@@ -134,6 +134,10 @@ class AdaptiveWalk:
                             f"{1 - falls:.1%} only")
                 break
         return ""
+
+    def _full(self, nodes: int) -> bool:
+        """Whether so many nodes leave no room for another mesh."""
+        return self.limits.max_nodes is not None and nodes * self.LEAST_GROWTH > self.limits.max_nodes
 
     @one_blas_thread()
     def _finer(self, last: Step) -> tuple[MeshArrays | None, str]:
@@ -164,7 +168,7 @@ class AdaptiveWalk:
             before = last.hierarchy
             grown = appended(before, mesh, self.parts.engine)
             start = carried(grown, len(before) - 1, last.result.displacement)
-            grown = thinned(grown)
+            grown = thinned(grown, last=self._full(mesh.n_nodes))
         made = {name: grown.timings[name] - before.timings.get(name, 0.0) for name in grown.timings}
         for name, seconds in made.items():
             # adding up: what the hierarchy spent is no part of choosing levels
