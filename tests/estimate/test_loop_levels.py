@@ -14,6 +14,7 @@ import adaptmg as am
 from adaptmg.estimate.loop.expected import Limits, algebraic_tolerance, expected_estimate, expected_seconds
 from adaptmg.estimate.loop.levels import CLOSE, RATIO, THINNED, appended, carried, thinned
 from adaptmg.mesh import structured
+from adaptmg.multigrid.linear import split_matrix
 from adaptmg.transfer import mesh_ratio, size_ratio
 
 
@@ -47,6 +48,26 @@ def test_no_mesh_is_put_between_where_sizes_fit_or_none_is_offered():
     start, engine = grids(3), Between([9])
     assert nodes(appended(start, structured(start.problem.domain, 9), engine)) == [3, 9] and engine.asked == 0
     assert nodes(appended(start, structured(start.problem.domain, 24), object())) == [3, 24]
+
+
+def test_one_close_level_below_the_last_mesh_stays():
+    assert nodes(thinned(grids(2, 6, 18, 20))) == [2, 6, 20]
+    assert nodes(thinned(grids(2, 6, 18, 20), last=True)) == [2, 6, 18, 20]
+    # of several none but those that sizes need
+    assert nodes(thinned(grids(2, 6, 7, 8), last=True)) == [2, 6, 8]
+
+
+def test_what_is_nested_is_remembered():
+    found, asked = grids(3, 6, 12), []
+    product, level = split_matrix.is_galerkin, found.levels[1:]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(split_matrix, "is_galerkin", lambda *given: asked.append(given) or product(*given))
+        results = [am.solve(found, am.Multigrid(rtol=1e-6)) for _ in range(2)]
+        assert len(asked) == len(level)
+        # another coarse level below the same fine one is another question
+        am.solve(found.without(1), am.Multigrid(rtol=1e-6))
+        assert len(asked) == len(level) + 1
+    np.testing.assert_array_equal(*(result.displacement for result in results))
 
 
 @pytest.mark.parametrize("useless", [[], [3], [24]])

@@ -72,7 +72,7 @@ def slopes(mesh):
 def test_sizes_grow_slowly_and_ratios_stay_small(gradation):
     problem = am.cases.upset_block()
     mesh = graded(problem.domain, 4e-3)
-    engine = am.Remesh(growth=2.0, gradation=gradation)
+    engine = am.Remesh(growth=2.0, gradation=gradation, finest=0.25)
     for _ in range(4):
         coarse, mesh = mesh, engine.refine(problem, mesh, singular(mesh, problem.domain.lower))
         assert size_ratio(coarse, mesh) < 5
@@ -89,7 +89,7 @@ def test_a_mesh_that_misses_its_number_of_nodes_is_made_again(monkeypatch):
         return made(self, problem, SizeField(field.mesh, 1.3 * field.sizes))
 
     monkeypatch.setattr(am.Remesh, "mesh", too_coarse)
-    fine = am.Remesh().refine(problem, mesh, singular(mesh, problem.domain.lower))
+    fine = am.Remesh().refine(problem, mesh, am.Estimate(squares=mesh.volumes**2, norm=1.0))
     assert len(given) == 2
     assert fine.n_nodes == pytest.approx(2.5 * mesh.n_nodes, rel=0.15)
 
@@ -120,9 +120,38 @@ def test_number_of_nodes(growth, most, exponent):
     problem = am.cases.upset_block()
     mesh = graded(problem.domain, 2.5e-3)
     fine = am.Remesh(growth=growth).refine(problem, mesh, singular(mesh, problem.domain.lower, exponent), None, most)
-    wanted = min(0.95 * most, growth * mesh.n_nodes)
-    assert fine.n_nodes <= 1.15 * wanted
-    assert fine.n_nodes >= 0.8 * max(wanted, 0.45 * mesh.n_nodes)
+    room = 0.95 * most / mesh.n_nodes
+
+    def wanted(growth):
+        """The last two meshes before the most nodes grow alike, by no more than growth^1.2."""
+        near = min(room, room**0.5 if room > growth**1.2 else room)
+        return mesh.n_nodes * (growth if room > growth**2.2 else near)
+
+    assert fine.n_nodes <= 1.15 * max(wanted(growth), wanted(min(growth, 2.0)))
+    # by no more than twice where sizes fall steeply
+    assert fine.n_nodes >= 0.8 * max(min(wanted(growth), wanted(min(growth, 2.0))), 0.45 * mesh.n_nodes)
+
+
+def test_meshes_grow_less_where_sizes_fall_steeply():
+    problem = am.cases.upset_block()
+    mesh = graded(problem.domain, 2.5e-3)
+    even, steep = np.ones(len(mesh.elements)), np.ones(len(mesh.elements))
+    steep[np.argsort(np.linalg.norm(mesh.points[mesh.elements].mean(axis=1), axis=1))[:6]] = 1e4
+    nodes = [am.Remesh().refine(problem, mesh, am.Estimate(squares=squares, norm=1.0)).n_nodes / mesh.n_nodes
+             for squares in (even, steep)]
+    assert nodes == pytest.approx([2.5, 2.0], rel=0.1)
+
+
+def test_the_last_meshes_before_the_most_nodes_grow_alike():
+    problem, most = am.cases.upset_block(), 3000
+    mesh, nodes = graded(problem.domain, 2.5e-3), []
+    while mesh.n_nodes < 0.75 * most:
+        estimate = am.Estimate(squares=mesh.volumes**2, norm=1.0)
+        mesh = am.Remesh(growth=2.5).refine(problem, mesh, estimate, None, most)
+        nodes.append(mesh.n_nodes)
+    # of 337 nodes, and 2850 at most: 2.5 times, and twice 1.9 times, not 2.5 and 1.5
+    assert len(nodes) == 3
+    assert nodes[2] / nodes[1] == pytest.approx(nodes[1] / nodes[0], rel=0.2)
 
 
 @pytest.mark.parametrize("domain", [

@@ -53,8 +53,13 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Any) -> Hierarchy:
     return hierarchy.append(mesh)
 
 
-def thinned(hierarchy: Hierarchy) -> Hierarchy:
-    """Without levels next to the finest ones that are too close to their neighbours and can be missed."""
+def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
+    """Without levels next to the finest ones that are too close to their neighbours and can be missed.
+
+    A single one that is too close to the ``last`` mesh stays: to do without it would cost more than its cycles.
+    """
+    if last and (len(hierarchy) < 3 or hierarchy[-2].n_nodes >= CLOSE * hierarchy[-3].n_nodes):
+        return hierarchy
     for level in (len(hierarchy) - 2, len(hierarchy) - 3):
         if level < 1:
             break

@@ -85,8 +85,9 @@ class AdaptiveWalk:
     EXACT = 1e-8
     #: times that an engine is asked for a mesh that is not too large
     ATTEMPTS = 3
-    #: the estimate must fall by this factor over meshes of twice the nodes, or the loop has come to an end
-    PROGRESS = 0.95
+    #: the estimate must fall by this factor over meshes of so many times the nodes, or the loop has come to an end
+    #: (coarse meshes that do not resolve a problem hardly better it at first)
+    PROGRESS, OVER = 0.95, 4.0
 
     def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: LoopStore | None,
                  progress: Progress | None) -> None:
@@ -121,18 +122,22 @@ class AdaptiveWalk:
             return f"tolerance met: the estimate is {relative:.3g}, {limits.tolerance:g} was asked for"
         if last.estimate.relative_energy <= self.EXACT or not last.estimate.squares.any():
             return "no progress: the indicator finds no error beyond rounding"
-        if limits.max_nodes is not None and last.nodes * self.LEAST_GROWTH > limits.max_nodes:
+        if self._full(last.nodes):
             return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
             return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
         for before in reversed(self.done[:-2]):
-            if last.nodes >= 2 * before.nodes:
+            if last.nodes >= self.OVER * before.nodes:
                 falls = np.sqrt(last.estimate.squares.sum() / before.estimate.squares.sum())
                 if falls > self.PROGRESS:
                     return (f"no progress: from {before.nodes} to {last.nodes} nodes the estimate falls by "
                             f"{1 - falls:.1%} only")
                 break
         return ""
+
+    def _full(self, nodes: int) -> bool:
+        """Whether so many nodes leave no room for another mesh."""
+        return self.limits.max_nodes is not None and nodes * self.LEAST_GROWTH > self.limits.max_nodes
 
     @one_blas_thread()
     def _finer(self, last: Step) -> tuple[MeshArrays | None, str]:
@@ -163,7 +168,7 @@ class AdaptiveWalk:
             before = last.hierarchy
             grown = appended(before, mesh, self.parts.engine)
             start = carried(grown, len(before) - 1, last.result.displacement)
-            grown = thinned(grown)
+            grown = thinned(grown, last=self._full(mesh.n_nodes))
         made = {name: grown.timings[name] - before.timings.get(name, 0.0) for name in grown.timings}
         for name, seconds in made.items():
             # adding up: what the hierarchy spent is no part of choosing levels

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.hierarchy import Hierarchy, Level
 from adaptmg.multigrid.linear import split_kernels as kernels
 from adaptmg.transfer.aggregation import without_fixed
 from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen
@@ -178,10 +178,11 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
     """
     matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
     result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
-    for level, nodal in zip(reversed(hierarchy.levels[:-1]), reversed(prolongations), strict=True):
+    for above, level, nodal in zip(reversed(hierarchy.levels[1:]), reversed(hierarchy.levels[:-1]),
+                                   reversed(prolongations), strict=True):
         if level.discrete is None:
             matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
-        elif level.discrete.coupling is None and is_galerkin(matrix, nodal, level.discrete.matrix):
+        elif level.discrete.coupling is None and _nested(above, level, matrix, nodal):
             matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
         else:
             finer = seen(nodal, finer)
@@ -190,6 +191,21 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
         fine = level.discrete
         result.insert(0, split(matrix, fixed))
     return result
+
+
+def _nested(above: Level, level: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array) -> bool:
+    """Whether the discretised matrix of ``level`` is the Galerkin one of ``matrix``, that of the level above.
+
+    Remembered on the level above, whose prolongation it is: hierarchies that grow ask for it at every step.
+    """
+    coarse = level.discrete.matrix
+    if matrix is not above.matrix:
+        return is_galerkin(matrix, nodal, coarse)
+    known = above.__dict__.get("_galerkin_of")
+    if known is None or known[0] is not matrix or known[1] is not coarse:
+        known = matrix, coarse, is_galerkin(matrix, nodal, coarse)
+        object.__setattr__(above, "_galerkin_of", known)
+    return known[2]
 
 
 def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.csr_array,
