@@ -97,7 +97,6 @@ INPUTS = (
     Hostile("vertices strings", lambda: am.Polygon(vertices=(("0", "0"), ("1", "0"), ("0", "1")),
                                                 boundaries=("a", "b", "c")), "vertices"),
     Hostile("support text function", lambda: am.Support("right", x="0"), "x"),
-    Hostile("support function", lambda: am.Support("right", x=lambda p: p[:, 0]), "x"),
     Hostile("components number", lambda: am.Traction("top", 5.0), "components"),
     Hostile("components None", lambda: am.BodyForce(None), "components"),
     Hostile("friction list of text", lambda: am.Coulomb(["1"]), "friction"),
