@@ -149,9 +149,9 @@ def cost_table(costs: pd.DataFrame) -> common.Table:
             "the nested start and its levels (assembly, transfers). without meshes: assembly, solves and estimates "
             f"of the loop over both (<= {WITHOUT:g}: {common_span(frame['without meshes'])}); with meshes, in 2D "
             f"bisected, <= {WITH:g}: {common_span(plane['with meshes'])}. all/nested: the same as without meshes "
-            "over the nested start only, as if levels came for nothing. Ratios follow the growth of the meshes: where the "
-            "limit of nodes cuts the last one short, the one before it is nearly as large. rate: asymptotic, to 1e-10 "
-            "on the last hierarchy.")
+            "over the nested start only, as if levels came for nothing. Ratios follow the growth of the meshes: "
+            "where the limit of nodes cuts the last one short, the one before it is nearly as large. rate: "
+            "asymptotic, to 1e-10 on the last hierarchy.")
     return common.Table("estimator_costs", frame, "The whole loop over a nested start on its last meshes", note,
                         {name: "s" for name in ("meshes", "assembly", "solves", "estimates", "nested", "its levels")},
                         {"theta": ".1f", "rate": ".2f", "loop WU": ".1f", "nested WU": ".1f", "work": ".2f",
