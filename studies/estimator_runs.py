@@ -22,7 +22,7 @@ from adaptive_runs import first_mesh, known
 import adaptmg as am
 from adaptmg.estimate import energy_error
 from adaptmg.estimate.loop.levels import carried
-from adaptmg.solver.warm import WarmMultigrid
+from adaptmg.solver.truncated.warm import WarmMultigrid
 from adaptmg.transfer import size_ratio
 
 ENGINES = {"remeshed": am.Remesh(), "bisected": am.Bisect()}
