@@ -34,6 +34,7 @@ _LAST, _LONGER = 2, 0.2
 _SLOW = 2.0
 _STEEP, _SHARE = 0.3, 0.33
 
+
 @dataclass(frozen=True, kw_only=True)
 class Remesh:
     """Remeshing by a size field, an engine of :func:`adaptmg.adapt`.
@@ -52,8 +53,9 @@ class Remesh:
     gradation : float
         Growth of sizes per distance, above 0 and at most 1.
     refinements : int
-        Netgen makes a mesh of :math:`2^{-dk}` of the nodes, which is refined k times uniformly: with one refinement
-        three times cheaper and as good; with more, sizes grow more slowly than ``gradation`` says.
+        Netgen makes a mesh of :math:`2^{-dk}` of the nodes, which is refined k times uniformly. One refinement takes a
+        third of the time for up to 11 % more error on coarse meshes (flat punch, 1 000 nodes; none at 26 000, 0 to 6 %
+        on dovetail and junction); take 0 for goals. With more, sizes grow more slowly than ``gradation`` says.
     """
 
     growth: float = 2.5
