@@ -265,3 +265,12 @@ def test_a_step_that_cannot_be_solved_says_so():
     loop = am.adapt(upset(), COARSE, engine=BISECT, solver=am.SingleGrid(max_sweeps=1), max_nodes=900)
     with pytest.raises(am.NotConverged):
         next(loop)
+
+
+def test_goals_get_meshes_that_are_not_refined_copies():
+    goal = am.Goal(am.Displacement((0.0, 0.0), "x"))
+    engines = (None, am.Remesh(refinements=0), am.Remesh())
+    own, whole, refined = ([step.nodes for step in am.adapt(am.cases.greco_bar(), 12e-3, goal, engine=engine,
+                                                            max_nodes=150)] for engine in engines)
+    assert own == whole
+    assert own != refined

@@ -47,7 +47,8 @@ def adapt(problem: ContactProblem, start: Any = 5e-3, indicator: Any = None, mar
         Anything with ``refine(problem, mesh, estimate, marked, max_nodes=None) -> MeshArrays``, and perhaps
         ``intermediate(problem, coarse, fine) -> MeshArrays``, where sizes fall too much for neighbouring levels, and
         ``first(problem, size) -> MeshArrays or None``, where ``start`` is a size (default, and for None: by Netgen).
-        Default ``Remesh()``, and ``Bisect()`` for a problem without a domain.
+        Default ``Remesh()``, for a :class:`adaptmg.Goal` ``Remesh(refinements=0)``, and ``Bisect()`` for a problem
+        without a domain.
     tolerance : float, optional
         Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity).
     max_nodes : int, optional
@@ -109,10 +110,15 @@ def _parts(problem: ContactProblem, indicator: Any, mark: Any, engine: Any) -> t
 
     if engine is None:
         if problem.domain is None:
-            from adaptmg.estimate.bisect_engine import Bisect as Default
+            from adaptmg.estimate.bisect_engine import Bisect
+
+            engine = Bisect()
         else:
-            from adaptmg.estimate.remesh_engine import Remesh as Default
-        engine = Default()
+            from adaptmg.estimate.goals.goal import Goal
+            from adaptmg.estimate.remesh_engine import Remesh
+
+            # errors of single quantities scatter less on Netgen's own meshes
+            engine = Remesh(refinements=0) if isinstance(indicator, Goal) else Remesh()
     return Residual() if indicator is None else indicator, Doerfler(0.5) if mark is None else mark, engine
 
 
