@@ -1,0 +1,53 @@
+"""Where a module, function or class comes from: the user's own, adaptmg, or an installed package."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import sys
+import sysconfig
+from functools import cache
+from pathlib import Path
+
+__all__ = ["ADAPTMG", "INSTALLED", "OWN", "is_installed", "kind_of", "version_of"]
+
+OWN, ADAPTMG, INSTALLED = "own", "adaptmg", "installed"
+
+
+@cache
+def _installed_places() -> tuple[str, ...]:
+    paths = sysconfig.get_paths()
+    places = {os.path.realpath(paths[name]) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+    places |= {os.path.realpath(path) for path in sys.path if Path(path).name in ("site-packages", "dist-packages")}
+    return tuple(place + os.sep for place in places)
+
+
+def kind_of(module: str | None) -> str:
+    """What kind of module has a name; without a file it is installed, but for where the user types."""
+    if not module or module in ("__main__", "__mp_main__"):
+        return OWN
+    if module.split(".")[0] == "adaptmg":
+        return ADAPTMG
+    if module.split(".")[0] in sys.stdlib_module_names:
+        return INSTALLED
+    file = getattr(sys.modules.get(module), "__file__", None)
+    if not isinstance(file, str):
+        # made by hand, or a package without __init__; the latter has nothing of its own
+        return INSTALLED if hasattr(sys.modules.get(module), "__path__") or module not in sys.modules else OWN
+    return INSTALLED if is_installed(file) or not file.endswith(".py") else OWN
+
+
+def is_installed(file: str) -> bool:
+    """Whether a file lies where packages are installed."""
+    return os.path.realpath(file).startswith(_installed_places())
+
+
+@cache
+def version_of(package: str) -> str:
+    """Version of an installed package by the name it is imported under; that of Python for its own."""
+    if package in sys.stdlib_module_names:
+        return ".".join(map(str, sys.version_info[:3]))
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return str(getattr(sys.modules.get(package), "__version__", "unknown"))
