@@ -16,9 +16,9 @@ from datetime import UTC, datetime
 from typing import Any
 
 from adaptmg.runtime.text import printable
-from adaptmg.study.kept import Packed, pack
-from adaptmg.study.memory import forget_peak, peak_memory
+from adaptmg.study.machine.memory import forget_peak, peak_memory
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, check_size, plain_results
+from adaptmg.study.stored.kept import Packed, pack
 
 __all__ = ["Execute", "Finished", "Point", "RunFunction", "Task", "compute", "error_text", "in_turn"]
 

@@ -4,7 +4,7 @@ SQLite's rollback journal is kept with full synchronisation: a run that was reco
 power cut, and a half-written one does not exist. (Its write-ahead log is not: it does not work on the network file
 systems of clusters.) Several processes may write to one store. What cannot be written, because the file was removed,
 replaced, damaged, is held by another process, or the disk is full, goes with all that this process has written into a
-file of its own, which the error names (:mod:`adaptmg.study.rescue`).
+file of its own, which the error names (:mod:`adaptmg.study.stored.rescue`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from typing import Any
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder
 from adaptmg.runtime.text import printable
-from adaptmg.study import rescue, schema
 from adaptmg.study.record import Record, canonical, plain_results, restored
+from adaptmg.study.stored import rescue, schema
 
 __all__ = ["Store"]
 

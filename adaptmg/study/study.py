@@ -13,16 +13,16 @@ import pandas as pd
 
 from adaptmg.problem import checks
 from adaptmg.study import arguments
-from adaptmg.study.commit import commit
 from adaptmg.study.designs import Design, Points, as_design, check_length
 from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, in_turn, now
 from adaptmg.study.fingerprint import Fingerprint, environment, fingerprint
 from adaptmg.study.frame import frame
-from adaptmg.study.kept import Folder
+from adaptmg.study.machine.commit import commit
 from adaptmg.study.progress import watched
 from adaptmg.study.record import Record, Value, canonical, parameter_value
 from adaptmg.study.status import Status, reasons
 from adaptmg.study.store import Store
+from adaptmg.study.stored.kept import Folder
 
 __all__ = ["Study"]
 

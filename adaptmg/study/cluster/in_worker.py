@@ -17,7 +17,7 @@ from adaptmg.runtime.threads import one_blas_thread
 from adaptmg.study.cluster.identity import differences, identity
 from adaptmg.study.cluster.sending import received
 from adaptmg.study.execute import Finished, Point, compute
-from adaptmg.study.memory import held_memory
+from adaptmg.study.machine.memory import held_memory
 
 __all__ = ["Order", "UnfitWorker", "perform", "readied"]
 
@@ -99,7 +99,7 @@ def perform(order: Order, point: Point, tries: int, report: Report) -> Finished:
     tries : int
         How often it was started, with this time.
     report : callable
-        Given a text before the process ends itself, as the run is over a limit.
+        Given a text before the process ends itself, as the run is over a limit; an empty one when the clock starts.
     """
     function = readied(order)
     if order.warm:
@@ -129,6 +129,7 @@ def _limited(order: Order, report: Report) -> Iterator[None]:
     guard = threading.Thread(target=_watch, args=(order, over, report), daemon=True)
     with open(os.devnull, "w", encoding="ascii") as nowhere:
         if order.limit_s is not None:
+            report("")
             # for code that holds Python's lock, so that the other thread cannot look
             faulthandler.dump_traceback_later(order.limit_s + 2.0, exit=True, file=nowhere)
         guard.start()

@@ -51,7 +51,8 @@ def local_cluster(workers: int) -> Iterator[Client]:
     with _scripts_not_run_again(), _environment_kept(), dask.config.set(_CONFIG):
         cluster = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None,
                                memory_limit=0, silence_logs=logging.CRITICAL, host="127.0.0.1",
-                               worker_dashboard_address=None, env=_ONE_THREAD)
+                               worker_dashboard_address=None, env=_ONE_THREAD,
+                               preload=["adaptmg.study.cluster.bound"])
         client = None
         try:
             client = Client(cluster, set_as_default=False)
@@ -66,7 +67,7 @@ def _end(cluster: LocalCluster, client: Client | None) -> None:
         for nanny in list(cluster.workers.values()):
             process = getattr(nanny, "process", None)
             # no longer started anew when it ends
-            nanny.auto_restart = False
+            nanny.close_gracefully()
             if process is not None and process.pid is not None:
                 with contextlib.suppress(OSError):
                     os.kill(process.pid, signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)

@@ -12,6 +12,7 @@ import concurrent.futures
 import contextlib
 import itertools
 import logging
+import math
 import pickle
 import queue
 import time
@@ -107,12 +108,13 @@ def on_cluster(client: Client) -> OnCluster:
 
 @dataclass(eq=False)
 class _Run:
-    """A run that is out."""
+    """A run that is out; when its clock began, where there is a limit."""
 
     point: Point
     tries: int
     sent: float
     future: Future
+    began: float = math.inf
 
 
 class _Runs:
@@ -122,6 +124,7 @@ class _Runs:
         self._client = client
         self._name = f"adaptmg-{uuid.uuid4().hex[:12]}"
         self._perform, self._order = on_any_worker(), pickle.dumps(order)
+        self._limit_s = math.inf if order.limit_s is None else order.limit_s
         self._numbers = itertools.count()
         self._left: deque[tuple[Point, int]] = deque((point, 1) for point in points)
         self._out: dict[str, _Run] = {}
@@ -189,10 +192,12 @@ class _Runs:
         return found
 
     async def _told(self, event: tuple[float, Any]) -> None:
-        """A worker says that it ends a run over its limit; dask must not start that elsewhere."""
+        """A worker says that a run begins, or ends as it is over its limit; dask must not start that elsewhere."""
         message = event[1]
         run = self._out.get(message["run"]) if isinstance(message, dict) else None
-        if run is not None:
+        if run is not None and not message["why"]:
+            run.began = time.monotonic()
+        elif run is not None:
             self._over[message["run"]] = message["why"]
             await self._client._cancel([run.future], force=True)
 
@@ -205,6 +210,9 @@ class _Runs:
             return run.point, result
         seconds = time.monotonic() - run.sent
         error = result[1] if isinstance(result, tuple) else result
+        if not why and isinstance(error, KilledWorker) and time.monotonic() - run.began >= self._limit_s:
+            # in code that holds Python's lock, so that the worker could not say it
+            why = f"TimeLimit: stopped after limit_s={self._limit_s:g} s"
         if why:
             return run.point, Finished(error=why, seconds=seconds, tries=run.tries)
         if isinstance(error, KilledWorker):

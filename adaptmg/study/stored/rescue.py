@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from adaptmg.runtime.text import printable
-from adaptmg.study import schema
+from adaptmg.study.stored import schema
 
 __all__ = ["save"]
 
@@ -27,7 +27,7 @@ def save(store: Path, connection: sqlite3.Connection | None, rows: Sequence[tupl
     connection : sqlite3.Connection or None
         To it, if its content is to be saved too: after it was removed that is still there.
     rows : sequence of tuples
-        All runs that this process has written or tried to, columns as in :data:`adaptmg.study.schema.COLUMNS`.
+        All runs that this process has written or tried to, columns as in :data:`adaptmg.study.stored.schema.COLUMNS`.
 
     Returns
     -------

@@ -12,7 +12,7 @@ __all__ = ["commit"]
 def commit() -> str:
     """Hexadecimal, empty where there is no repository."""
     try:
-        return _head(Path(__file__).resolve().parents[2])
+        return _head(Path(__file__).resolve().parents[3])
     except (OSError, ValueError):
         return ""
 
