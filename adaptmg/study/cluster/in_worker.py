@@ -22,7 +22,7 @@ from adaptmg.study.machine.memory import held_memory
 __all__ = ["Order", "UnfitWorker", "perform", "readied"]
 
 #: seconds between two looks at the clock and the memory; and for the reason to get away before the process ends
-_LOOK_S, _LEAVE_S = 0.05, 0.4
+_LOOK_S, LEAVE_S = 0.05, 0.4
 
 Report = Callable[[str], None]
 
@@ -151,5 +151,5 @@ def _watch(order: Order, over: threading.Event, report: Report) -> None:
             why = f"MemoryLimit: stopped as its process held more than memory_limit={order.memory_limit} bytes"
         if why:
             report(why)
-            time.sleep(_LEAVE_S)
+            time.sleep(LEAVE_S)
             os._exit(1)

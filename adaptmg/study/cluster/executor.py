@@ -117,6 +117,10 @@ class _Run:
     began: float = math.inf
 
 
+def _allowed_failures(dask_scheduler: Any) -> int:
+    return int(dask_scheduler.allowed_failures)
+
+
 class _Runs:
     """All runs of one call."""
 
@@ -130,7 +134,9 @@ class _Runs:
         self._out: dict[str, _Run] = {}
         self._over: dict[str, str] = {}
         self._back: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
-        self._ahead, self._died, self._slots, self._looked = 1, False, 1, float("-inf")
+        self._ahead, self._died, self._slots, self._looked = 1, False, 1, -math.inf
+        #: how often dask itself starts a run again; unless set otherwise three times
+        self._allowed = 3
 
     @property
     def running(self) -> int:
@@ -140,6 +146,8 @@ class _Runs:
     def finished(self) -> Iterator[list[tuple[Point, Finished]]]:
         """Runs as they finish, those of one moment together."""
         self._client.subscribe_topic(self._name, self._told)
+        with contextlib.suppress(Exception):  # some clusters let nobody look
+            self._allowed = self._client.run_on_scheduler(_allowed_failures)
         try:
             self._send()
             while self._out:
@@ -173,6 +181,9 @@ class _Runs:
             result = await future._result(raiseit=False)
         except BaseException as error:
             result = error
+        if name in self._over and self._allowed:
+            # its worker lives a moment longer, and should get no other run
+            await asyncio.sleep(2 * in_worker.LEAVE_S)
         self._back.put((name, result))
 
     def _come_back(self) -> list[tuple[str, Any]]:
@@ -199,7 +210,8 @@ class _Runs:
             run.began = time.monotonic()
         elif run is not None:
             self._over[message["run"]] = message["why"]
-            await self._client._cancel([run.future], force=True)
+            if self._allowed:
+                await self._client._cancel([run.future], force=True)
 
     def _outcome(self, name: str, result: Any) -> tuple[Point, Finished] | None:
         """What came of a run; None if it is tried again."""
