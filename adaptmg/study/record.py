@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from json.encoder import encode_basestring
 from typing import Any
 
 import numpy as np
@@ -141,7 +142,21 @@ def bounded(text: str, most: int) -> str:
 
 def canonical(parameters: Mapping[str, Value]) -> str:
     """The text by which a run is known."""
-    return json.dumps(parameters, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return "{" + ",".join([f"{_encoded(name)}:{_encoded(parameters[name])}" for name in sorted(parameters)]) + "}"
+
+
+def _encoded(value: Value) -> str:
+    """As ``json.dumps(value, separators=(",", ":"), ensure_ascii=False)``, five times as fast for what is short."""
+    kind = type(value)
+    if kind is str:
+        return encode_basestring(value)
+    if kind is int:
+        return int.__repr__(value)
+    if kind is float and value - value == 0:
+        return float.__repr__(value)
+    if kind is tuple:
+        return f"[{','.join(map(_encoded, value))}]"
+    return json.dumps(value)
 
 
 def restored(value: Any) -> Any:

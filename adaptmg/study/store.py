@@ -16,15 +16,15 @@ import threading
 import weakref
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder
 from adaptmg.runtime.text import printable
-from adaptmg.study.record import Record, canonical, plain_results, restored
+from adaptmg.study.record import Record
 from adaptmg.study.stored import rescue, schema
+from adaptmg.study.stored.rows import json_object, record_row, row_record, uncollected
 
 __all__ = ["Store"]
 
@@ -128,7 +128,7 @@ class Store:
         OSError, ValueError
             See the class. Nothing is lost: the message names the file that holds what this process has written.
         """
-        self._waiting |= {row[:2]: row for row in (_row(study, record) for record in records)}
+        self._waiting |= {row[:2]: row for row in (record_row(study, record) for record in records)}
         self._written |= self._waiting
         try:
             with self._explained():
@@ -154,7 +154,7 @@ class Store:
             self.put_all("", ())
 
     def add_points(self, study: str, keys: Iterable[str]) -> None:
-        """Remember points that were added to a study, by :func:`canonical` parameters."""
+        """Remember points that were added to a study, by :func:`~adaptmg.study.record.canonical` parameters."""
         with self._explained(), self._connection as connection:
             connection.executemany("INSERT OR IGNORE INTO points VALUES (?, ?)", [(study, key) for key in keys])
 
@@ -182,34 +182,29 @@ class Store:
     # reading
 
     def get(self, study: str) -> dict[str, Record]:
-        """All runs of a study, by :func:`canonical` parameters."""
-        with self._explained():
+        """All runs of a study, by :func:`~adaptmg.study.record.canonical` parameters."""
+        with self._explained(), uncollected():
             rows = self._connection.execute(f"SELECT {schema.selected(self._version)} FROM runs WHERE study = ?",
                                             (study,)).fetchall()
-        return {row[0]: self._record(study, row) for row in rows}
+            return {row[0]: record for row, record in zip(rows, self._records(study, rows), strict=True)}
 
-    def _record(self, study: str, row: Sequence[Any]) -> Record:
-        """A row as a record; ValueError if adaptmg cannot have written it."""
+    def _records(self, study: str, rows: Sequence[Sequence[Any]]) -> Iterator[Record]:
+        """Rows as records; ValueError for one that adaptmg cannot have written."""
         try:
-            (parameters, status, results, error, seconds, code, versions, finished, traceback, peak, started, machine,
-             commit, tries, files) = row
-            record = Record(parameters={k: restored(v) for k, v in _object(parameters).items()}, status=status,
-                            results=_object(results), error=error, seconds=seconds, code=code,
-                            versions=_shared(versions), finished=finished, traceback=traceback, peak_memory=peak,
-                            started=started, machine=machine, commit=commit, tries=tries,
-                            files=_object(files) if files != "{}" else {})
-            plain_results(record.results, {})
-            texts = (error, code, finished, traceback, started, machine, commit, *record.files.values())
-            if status not in ("done", "failed") or not all(isinstance(n, int | float) for n in (seconds, peak, tries)) \
-                    or not all(isinstance(text, str) for text in texts):
-                raise ValueError("a column holds something else than it should")
-        except (ValueError, TypeError, RecursionError) as error:
-            raise ValueError(f"{self._called} is damaged: the run {checks.shown(row[0])} of the study {study!r} cannot "
-                             f"be read ({error}): delete that row, or give another file") from error
-        return record
+            # all at once, as there may be 100 000
+            objects = [json.loads(f"[{','.join([row[k] for row in rows])}]") for k in (0, 2)]
+        except (ValueError, TypeError, RecursionError):
+            objects = []
+        whole = len(objects) == 2 and all(len(found) == len(rows) for found in objects)
+        for k, row in enumerate(rows):
+            try:
+                yield row_record(row, *((objects[0][k], objects[1][k]) if whole else map(json.loads, (row[0], row[2]))))
+            except (ValueError, TypeError, RecursionError) as error:
+                raise ValueError(f"{self._called} is damaged: the run {checks.shown(row[0])} of the study {study!r} "
+                                 f"cannot be read ({error}): delete that row, or give another file") from error
 
     def points(self, study: str) -> list[str]:
-        """Points that were added to a study, by :func:`canonical` parameters, in the order of adding."""
+        """Points that were added to a study, by canonical parameters, in the order of adding."""
         if self._version < schema.FORMAT:
             return []
         with self._explained():
@@ -223,7 +218,7 @@ class Store:
         with self._explained():
             rows = self._connection.execute("SELECT code, parts FROM origins").fetchall()
         try:
-            return {code: _object(parts) for code, parts in rows}
+            return {code: json_object(parts) for code, parts in rows}
         except (ValueError, TypeError, RecursionError) as error:
             raise ValueError(f"{self._called} is damaged: what its runs depend on cannot be read ({error}): give "
                              "another file") from error
@@ -233,20 +228,3 @@ class Store:
         with self._explained():
             return [name for (name,) in
                     self._connection.execute("SELECT DISTINCT study FROM runs ORDER BY study").fetchall()]
-
-
-def _row(study: str, record: Record) -> tuple[Any, ...]:
-    return (study, canonical(record.parameters), record.status, json.dumps(record.results), printable(record.error),
-            record.seconds, record.code, json.dumps(record.versions), record.finished, printable(record.traceback),
-            record.peak_memory, record.started, printable(record.machine), record.commit, record.tries,
-            json.dumps(record.files))
-
-
-def _object(text: Any) -> dict[str, Any]:
-    return checks.instance("its JSON", json.loads(text), dict, "an object")
-
-
-@lru_cache(maxsize=64)
-def _shared(text: Any) -> dict[str, Any]:
-    """The same for all rows of a sweep."""
-    return _object(text)

@@ -23,6 +23,7 @@ from adaptmg.study.record import Record, Value, canonical, parameter_value
 from adaptmg.study.status import Status, reasons
 from adaptmg.study.store import Store
 from adaptmg.study.stored.kept import Folder
+from adaptmg.study.stored.rows import uncollected
 
 __all__ = ["Study"]
 
@@ -299,10 +300,11 @@ class Study:
         return record.status if record.code == found.code and record.versions == versions else "stale"
 
     def _table(self, found: Fingerprint, versions: dict[str, str], details: bool) -> pd.DataFrame:
-        stored = self._store.get(self.name)
-        records = [(point, stored.get(canonical({**self.fixed, **point}))) for point in self.design.points()]
-        rows = [(point, record, self._state(record, found, versions)) for point, record in records]
-        table = frame(self.design.names, rows, details)
+        with uncollected():
+            stored = self._store.get(self.name)
+            records = [(point, stored.get(canonical({**self.fixed, **point}))) for point in self.design.points()]
+            rows = [(point, record, self._state(record, found, versions)) for point, record in records]
+            table = frame(self.design.names, rows, details)
         table.attrs = {"study": self.name, "fixed": dict(self.fixed)}
         return table
 

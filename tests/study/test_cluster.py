@@ -89,13 +89,10 @@ def test_runs_over_their_limits_are_stopped(cluster):
             return {"m": len(kept)}
         return {"m": 1}
 
-    begin = time.monotonic()
-    table = Study(run, {"what": ["short", "long", "large"]}).run(progress=False, scheduler=cluster, limit_s=4,
-                                                                 memory_limit=1e9)
-    assert time.monotonic() - begin < 30
-    assert table["status"].tolist() == ["done", "failed", "failed"]
-    assert table["error"][1] == "TimeLimit: stopped after limit_s=4 s"
-    assert table["error"][2].startswith("MemoryLimit")
+    timed = Study(run, {"what": ["short", "long"]}).run(progress=False, scheduler=cluster, limit_s=1)
+    assert timed["error"].tolist() == ["", "TimeLimit: stopped after limit_s=1 s"] and timed["m"][0] == 1
+    held = Study(run, {"what": ["short", "large"]}).run(progress=False, scheduler=cluster, memory_limit=1e9)
+    assert held["status"].tolist() == ["done", "failed"] and held["error"][1].startswith("MemoryLimit")
 
 
 def test_errors_come_with_type_text_and_traceback(cluster):
@@ -110,7 +107,7 @@ def test_errors_come_with_type_text_and_traceback(cluster):
     assert study.run(progress=False, scheduler=cluster)["error"].tolist() == ["ValueError: zero",
                                                                               "OddError: 1 and more"]
     assert "in run" in study.table(details=True)["traceback"][0]
-    with pytest.raises(Exception, match="zero|more"):
+    with pytest.raises(Exception, match=r"zero|more"):
         study.run(progress=False, scheduler=cluster, throw=True)
 
 
@@ -119,7 +116,7 @@ def test_what_a_worker_lacks_is_told_at_once(cluster, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     import only_here
 
-    with pytest.raises(RuntimeError, match="worker tcp.*no module 'only_here'"):
+    with pytest.raises(RuntimeError, match=r"worker tcp.*no module 'only_here'"):
         Study(only_here.run, {"n": [1]}).run(progress=False, scheduler=cluster)
 
 

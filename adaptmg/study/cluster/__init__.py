@@ -5,7 +5,7 @@ Loaded only when a study asks for it; distributed is imported in this folder alo
 
 from __future__ import annotations
 
-from adaptmg.study.cluster.local import local_cluster
 from adaptmg.study.cluster.executor import on_cluster, opened
+from adaptmg.study.cluster.local import local_cluster
 
 __all__ = ["local_cluster", "on_cluster", "opened"]

@@ -145,10 +145,10 @@ def _watch(order: Order, over: threading.Event, report: Report) -> None:
     end = time.monotonic() + (order.limit_s if order.limit_s is not None else float("inf"))
     while not over.wait(min(_LOOK_S, max(end - time.monotonic(), 0.001))):
         why = ""
-        if time.monotonic() >= end:
-            why = f"TimeLimit: stopped after limit_s={order.limit_s:g} s"
-        elif order.memory_limit is not None and held_memory() > order.memory_limit:
+        if order.memory_limit is not None and held_memory() > order.memory_limit:
             why = f"MemoryLimit: stopped as its process held more than memory_limit={order.memory_limit} bytes"
+        elif time.monotonic() >= end:
+            why = f"TimeLimit: stopped after limit_s={order.limit_s:g} s"
         if why:
             report(why)
             time.sleep(LEAVE_S)

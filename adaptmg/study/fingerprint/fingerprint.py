@@ -23,7 +23,7 @@ from typing import Any
 
 from adaptmg.study.fingerprint import package
 from adaptmg.study.fingerprint.instructions import code_text, free_read, globals_read, imports_in
-from adaptmg.study.fingerprint.origin import ADAPTMG, INSTALLED, is_installed, kind_of, version_of
+from adaptmg.study.fingerprint.origin import ADAPTMG, INSTALLED, PACKAGES, is_installed, kind_of, version_of
 from adaptmg.study.fingerprint.values import NoText, Texts
 
 __all__ = ["Fingerprint", "environment", "fingerprint"]
@@ -89,9 +89,8 @@ def fingerprint(function: Callable[..., Any], depends: Mapping[str, Any] | None 
 
 def environment() -> dict[str, str]:
     """Versions of Python and of the packages the results depend on."""
-    from adaptmg.solver.result.labels import versions
-
-    return {"python": platform.python_version(), **versions()}
+    # not by way of the solvers, which take a second to load
+    return {"python": platform.python_version(), **{name: version_of(name) for name in PACKAGES}}
 
 
 def _hash(text: str, length: int = 16) -> str:

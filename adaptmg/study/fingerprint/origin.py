@@ -9,9 +9,11 @@ import sysconfig
 from functools import cache
 from pathlib import Path
 
-__all__ = ["ADAPTMG", "INSTALLED", "OWN", "is_installed", "kind_of", "version_of"]
+__all__ = ["ADAPTMG", "INSTALLED", "OWN", "PACKAGES", "is_installed", "kind_of", "version_of"]
 
 OWN, ADAPTMG, INSTALLED = "own", "adaptmg", "installed"
+#: on which the results of adaptmg depend, with itself
+PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
 
 
 @cache
