@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from datetime import datetime, timedelta
 
 from adaptmg.study.execute import Finished, Point
-from adaptmg.study.record import canonical
 
 __all__ = ["Watch", "watched"]
 
@@ -39,16 +38,17 @@ class Watch:
         self._begin = time.monotonic()
 
     def finished(self, point: Point, outcome: Finished) -> None:
-        """Count a run and tell of it."""
+        """Count a run and tell of it; ``point`` without what is the same in all runs."""
         self.done += 1
-        if outcome.error:
-            self.failed += 1
-            _log.warning("study %s: %s failed: %s", self.name, canonical(point), outcome.error)
+        self.failed += bool(outcome.error)
         if self._show is not None:
             self._show(self)
-        elif _log.isEnabledFor(logging.INFO):
-            _log.info("study %s: [%d/%d] %s %s in %.3g s; %s", self.name, self.done, self.total, canonical(point),
-                      "failed" if outcome.error else "done", outcome.seconds, self.words())
+        if outcome.error:
+            _log.warning("study %s: [%d/%d] %s failed: %s", self.name, self.done, self.total, _named(point),
+                         outcome.error)
+        elif self._show is None and _log.isEnabledFor(logging.INFO):
+            _log.info("study %s: [%d/%d] %s done in %.3g s; %s", self.name, self.done, self.total, _named(point),
+                      outcome.seconds, self.words())
 
     def words(self) -> str:
         """What is left."""
@@ -66,6 +66,10 @@ class Watch:
         seconds = (time.monotonic() - self._begin) / here * left
         end = datetime.now().astimezone() + timedelta(seconds=seconds)
         return f"ends about {end:%H:%M:%S}" if seconds < 12 * 3600 else f"ends about {end:%Y-%m-%d %H:%M}"
+
+
+def _named(point: Point) -> str:
+    return ", ".join(f"{name}={value!r}" for name, value in point.items())
 
 
 @contextmanager

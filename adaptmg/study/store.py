@@ -182,10 +182,10 @@ class Store:
     # reading
 
     def get(self, study: str) -> dict[str, Record]:
-        """All runs of a study, by :func:`~adaptmg.study.record.canonical` parameters."""
+        """All runs of a study, in the order they were stored, by :func:`~adaptmg.study.record.canonical` parameters."""
         with self._explained(), uncollected():
-            rows = self._connection.execute(f"SELECT {schema.selected(self._version)} FROM runs WHERE study = ?",
-                                            (study,)).fetchall()
+            rows = self._connection.execute(f"SELECT {schema.selected(self._version)} FROM runs WHERE study = ? "
+                                            "ORDER BY rowid", (study,)).fetchall()
             return {row[0]: record for row, record in zip(rows, self._records(study, rows), strict=True)}
 
     def _records(self, study: str, rows: Sequence[Sequence[Any]]) -> Iterator[Record]:

@@ -267,7 +267,7 @@ class Study:
                     for (point, outcome), record in zip(batch, records, strict=True):
                         old = stored.get(canonical(point))
                         self._files.remove({} if old is None else old.files, record.files)
-                        watch.finished(point, outcome)
+                        watch.finished({name: point[name] for name in self.design.names}, outcome)
                         if throw and outcome.error:
                             raise outcome.exception or RuntimeError(outcome.error)
         finally:

@@ -48,6 +48,8 @@ def local_cluster(workers: int) -> Iterator[Client]:
         For :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies can share it.
     """
     count = checks.integer("workers", workers, minimum=1)
+    # tells at length, and late, of connections to processes that were ended
+    logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
     with _scripts_not_run_again(), _environment_kept(), dask.config.set(_CONFIG):
         cluster = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None,
                                memory_limit=0, silence_logs=logging.CRITICAL, host="127.0.0.1",

@@ -23,6 +23,7 @@ _FROM = re.compile(r"^[ \t]*from[ \t]+(adaptmg[\w.]*)[ \t]+import[ \t]+(\([^)]*\
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+(adaptmg[\w.]*)", re.MULTILINE)
 #: modules that are loaded by name when they are first used
 _QUOTED = re.compile(r"""["'](adaptmg(?:\.\w+)+)["']""")
+_ALIAS = re.compile(r"^[ \t]*import[ \t]+adaptmg[ \t]+as[ \t]+(\w+)", re.MULTILINE)
 _COMMENT = re.compile(r"#[^\n]*")
 
 
@@ -92,7 +93,21 @@ def _names(module: str) -> dict[str, str]:
 def _imported(module: str) -> frozenset[str]:
     """Modules of adaptmg that one imports, at any depth of its text."""
     text = _text(module)
-    return frozenset([*_names(module).values(), *_IMPORT.findall(text), *_QUOTED.findall(text)])
+    return frozenset([*_names(module).values(), *_IMPORT.findall(text), *_QUOTED.findall(text), *_by_attribute(text)])
+
+
+def _by_attribute(text: str) -> list[str]:
+    """Modules behind ``am.solve`` and the like, where ``import adaptmg as am`` stands."""
+    import adaptmg
+
+    found = []
+    for name in _ALIAS.findall(text):
+        for first, second in re.findall(rf"\b{name}\.(\w+)(?:\.(\w+))?", text):
+            if first in adaptmg._HOME:
+                found.append(adaptmg._HOME[first])
+            elif _file(f"adaptmg.{first}") is not None:
+                found.append(home_of(f"adaptmg.{first}", second) if second else f"adaptmg.{first}")
+    return found
 
 
 @cache
