@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from adaptmg.runtime.text import printable
+from adaptmg.study.fingerprint import Fingerprint
 from adaptmg.study.machine.memory import forget_peak, peak_memory
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, check_size, plain_results
 from adaptmg.study.stored.kept import Packed, pack
@@ -34,8 +35,10 @@ class Task:
     ----------
     function : function
         The run function.
-    uses_adaptmg : bool
-        Whether it computes with adaptmg, so that kernels are compiled before the first clock starts.
+    fingerprint : Fingerprint
+        What it depends on.
+    depends : tuple of str
+        Names that were left out of that, see :class:`adaptmg.study.study.Study`.
     limit_s : float, optional
         Seconds after which a run is stopped.
     memory_limit : int, optional
@@ -43,7 +46,8 @@ class Task:
     """
 
     function: RunFunction
-    uses_adaptmg: bool = True
+    fingerprint: Fingerprint
+    depends: tuple[str, ...] = ()
     limit_s: float | None = None
     memory_limit: int | None = None
 

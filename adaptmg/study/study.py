@@ -185,7 +185,7 @@ class Study:
         todo = arguments.in_order(todo, cost, stored)
         _log.info("study %s: %d of %d runs to compute", self.name, len(todo), len(points))
         if todo:
-            task = Task(self._function, found.uses_adaptmg, **limits)
+            task = Task(self._function, found, tuple(self._depends), **limits)
             with contextlib.nullcontext(in_turn) if here else _on_workers(workers, scheduler, len(todo)) as execute:
                 self._compute(execute, task, todo, len(points), progress, throw, found, versions, stored)
         return self._table(found, versions, False)

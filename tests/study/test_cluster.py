@@ -18,6 +18,8 @@ from adaptmg.study import Study, local_cluster
 
 distributed = pytest.importorskip("distributed")
 
+SETTING = 1
+
 
 @pytest.fixture(scope="module")
 def cluster():
@@ -126,6 +128,22 @@ def test_another_adaptmg_on_a_worker_is_told_at_once(cluster, monkeypatch):
     monkeypatch.setattr(executor, "identity", lambda: {"numpy": "1.0"})
     with pytest.raises(RuntimeError, match=r"worker tcp.*numpy .* instead of 1\.0"):
         Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=cluster)
+
+
+def test_a_value_that_was_set_in_a_module_does_not_reach_workers_in_silence(cluster, monkeypatch):
+    from adaptmg.study import tables
+
+    settings = sys.modules[__name__]
+    monkeypatch.setattr(settings, "SETTING", 2)
+
+    def run(n):
+        return {"m": settings.SETTING * n, "text": tables.as_text.__name__}
+
+    # this module goes by name, and there the value is another one
+    with pytest.raises(RuntimeError, match=r"worker tcp.*value of test_cluster.SETTING is changed.*as parameters"):
+        Study(run, {"n": [1]}).run(progress=False, scheduler=cluster)
+    monkeypatch.setattr(settings, "SETTING", 1)
+    assert Study(run, {"n": [1]}).run(progress=False, scheduler=cluster)["m"].tolist() == [1]
 
 
 def test_long_runs_go_first(cluster):

@@ -95,8 +95,10 @@ class OnCluster:
 
     def __call__(self, task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, Finished]]]:
         """Compute ``task`` at ``points``."""
-        order = in_worker.Order(sent(task.function), identity(), task.uses_adaptmg, task.limit_s, task.memory_limit)
-        check_workers(self._client, order)
+        seen = task.fingerprint.seen()
+        order = in_worker.Order(sent(task.function), identity(), seen.code, task.depends, seen.uses_adaptmg,
+                                task.limit_s, task.memory_limit)
+        check_workers(self._client, order, seen.parts)
         self._runs = _Runs(self._client, order, points)
         yield from self._runs.finished()
 

@@ -18,8 +18,8 @@ __all__ = ["check_workers", "on_any_worker"]
 _PATIENCE_S = 60.0
 
 
-def check_workers(client: Client, order: Order) -> None:
-    """Tell of workers that could not compute the runs, or would compute others.
+def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
+    """Tell of workers that could not compute the runs, or would compute others; ``parts`` are those of the fingerprint.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def check_workers(client: Client, order: Order) -> None:
         if not worker["nanny"] and (order.limit_s is not None or order.memory_limit is not None):
             raise ValueError(f"the worker {name} has no nanny, which would start it again after limit_s or "
                              "memory_limit ended it: start workers without --no-nanny")
-    for name, found in client.run(_fitness(pickle.dumps(order)), on_error="return").items():
+    for name, found in client.run(_fitness(pickle.dumps((order, parts))), on_error="return").items():
         told = found if isinstance(found, str) else error_text(found)
         if told:
             raise RuntimeError(f"the worker {name} cannot compute this study: {told}")
@@ -57,11 +57,11 @@ def _fitness(order: bytes) -> Callable[[], str]:
         try:
             from adaptmg.study.cluster.in_worker import UnfitWorker, readied
 
-            unpacked = pickle.loads(order)
+            unpacked, parts = pickle.loads(order)
         except Exception as error:
             return f"it lacks adaptmg, or has another version ({type(error).__name__}: {error})"
         try:
-            readied(unpacked)
+            readied(unpacked, parts)
         except UnfitWorker as error:
             return str(error)
         return ""

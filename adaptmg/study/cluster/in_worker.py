@@ -17,6 +17,7 @@ from adaptmg.runtime.threads import one_blas_thread
 from adaptmg.study.cluster.identity import differences, identity
 from adaptmg.study.cluster.sending import received
 from adaptmg.study.execute import Finished, Point, compute
+from adaptmg.study.fingerprint import fingerprint
 from adaptmg.study.machine.memory import held_memory
 
 __all__ = ["Order", "UnfitWorker", "perform", "readied"]
@@ -41,6 +42,10 @@ class Order:
         The run function, see :mod:`adaptmg.study.cluster.sending`.
     identity : dict
         Of the process of the study.
+    code : str
+        Of the fingerprint.
+    depends : tuple of str
+        Names that it does not look at.
     warm : bool
         Whether kernels are to be compiled before the first clock starts.
     limit_s, memory_limit : as in :class:`adaptmg.study.execute.Task`
@@ -48,17 +53,29 @@ class Order:
 
     function: bytes
     identity: dict[str, str]
+    code: str
+    depends: tuple[str, ...]
     warm: bool
     limit_s: float | None = None
     memory_limit: int | None = None
 
 
+_MOST_FUNCTIONS = 32
 _functions: dict[bytes, Callable[..., Any]] = {}
 _warmed = False
 
 
-def readied(order: Order) -> Callable[..., Any]:
+def readied(order: Order, parts: dict[str, str] | None = None) -> Callable[..., Any]:
     """Check this process against the one of the study, and unpack the function: once for each.
+
+    Modules that are loaded here may have been edited since, and values that the user's script set in a module are not
+    here: the function would compute something else, under the fingerprint of the study.
+
+    Parameters
+    ----------
+    order : Order
+    parts : dict, optional
+        Of the fingerprint, to say what differs.
 
     Raises
     ------
@@ -69,13 +86,21 @@ def readied(order: Order) -> Callable[..., Any]:
         raise UnfitWorker(f"it has {told}")
     if order.function not in _functions:
         try:
-            _functions.clear()
-            _functions[order.function] = received(order.function)
+            function = received(order.function)
         except ModuleNotFoundError as error:
             raise UnfitWorker(f"it has no module {error.name!r}, which the run function needs: install it there, put "
                               "it on PYTHONPATH, or send it with client.upload_file") from error
         except Exception as error:
             raise UnfitWorker(f"it cannot unpack the run function ({type(error).__name__}: {error})") from error
+        here = fingerprint(function, dict.fromkeys(order.depends)).seen()
+        if here.code != order.code:
+            told = ", ".join(here.differences(parts or {})[:5]) if parts else "see the start of a study"
+            raise UnfitWorker(f"it would compute something else than this process ({told}): what a script sets in a "
+                              "module does not reach workers, and files may have been edited; give such values as "
+                              "parameters or fixed={...}")
+        while len(_functions) >= _MOST_FUNCTIONS:
+            del _functions[next(iter(_functions))]
+        _functions[order.function] = function
     return _functions[order.function]
 
 

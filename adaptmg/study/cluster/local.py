@@ -51,7 +51,7 @@ def local_cluster(workers: int) -> Iterator[Client]:
     # tells at length, and late, of connections to processes that were ended
     logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
     with _scripts_not_run_again(), _environment_kept(), dask.config.set(_CONFIG):
-        cluster = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None,
+        cluster = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
                                memory_limit=0, silence_logs=logging.CRITICAL, host="127.0.0.1",
                                worker_dashboard_address=None, env=_ONE_THREAD,
                                preload=["adaptmg.study.cluster.bound"])

@@ -52,6 +52,10 @@ class Fingerprint:
         """Whether a part of adaptmg is among them."""
         return any(name.startswith("adaptmg.") for name in self.parts)
 
+    def seen(self) -> Fingerprint:
+        """Without what ``depends`` names: the same in every process that computes the same."""
+        return Fingerprint({name: value for name, value in self.parts.items() if not name.startswith("depends ")})
+
     def differences(self, other: Mapping[str, str]) -> list[str]:
         """What differs from the parts of another, in words."""
         told = []
@@ -202,7 +206,9 @@ class _Walk:
 
     def _refer(self, thing: Any) -> str:
         module = thing.__name__ if isinstance(thing, ModuleType) else getattr(thing, "__module__", None)
-        name = "" if isinstance(thing, ModuleType) else getattr(thing, "__qualname__", thing.__name__)
+        # classes that are sent to workers lose the name of what they stand in
+        name = "" if isinstance(thing, ModuleType) else thing.__name__ if isinstance(thing, type) else \
+            getattr(thing, "__qualname__", thing.__name__)
         kind = INSTALLED if module is None or module == "builtins" else kind_of(module)
         if kind == INSTALLED:
             top = (module or "builtins").split(".")[0]
@@ -217,10 +223,10 @@ class _Walk:
         return f"{kind} {module}.{name}"
 
     def _class(self, owner: type) -> None:
-        name = f"{owner.__module__}.{owner.__qualname__}"
+        name = f"{owner.__module__}.{owner.__name__}"
         shown = {key: value for key, value in vars(owner).items()
                  if key not in ("__doc__", "__module__", "__dict__", "__weakref__", "__annotations__", "__qualname__",
-                                "__firstlineno__", "__static_attributes__")
+                                "__firstlineno__", "__static_attributes__", "__slotnames__")
                  and type(value).__name__ not in ("member_descriptor", "getset_descriptor", "_abc_data")}
         self._value(f"class {name}", name, list(owner.__bases__))
         for key, value in shown.items():

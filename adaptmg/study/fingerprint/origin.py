@@ -34,8 +34,9 @@ def kind_of(module: str | None) -> str:
         return INSTALLED
     file = getattr(sys.modules.get(module), "__file__", None)
     if not isinstance(file, str):
-        # made by hand, or a package without __init__; the latter has nothing of its own
-        return INSTALLED if hasattr(sys.modules.get(module), "__path__") or module not in sys.modules else OWN
+        # a package without __init__ or a compiled one; else made by hand, or sent to a worker that lacks the module
+        found = sys.modules.get(module)
+        return INSTALLED if hasattr(found, "__path__") or module in sys.builtin_module_names else OWN
     return INSTALLED if is_installed(file) or not file.endswith(".py") else OWN
 
 
