@@ -44,6 +44,8 @@ MOST_TRIES = 3
 _SHORT_S = 0.2
 #: seconds after which one says that there are no workers; between two looks
 _PATIENCE_S, _LOOK_S = 60.0, 0.5
+#: seconds that a scheduler may take to answer
+CONNECT_S = 10.0
 
 
 @contextmanager
@@ -66,7 +68,7 @@ def opened(workers: int | None, scheduler: Any, runs: int) -> Iterator[Execute]:
         yield on_cluster(scheduler)
     elif isinstance(scheduler, str | Cluster):
         try:
-            client = Client(scheduler, set_as_default=False, timeout=10)
+            client = Client(scheduler, set_as_default=False, timeout=CONNECT_S)
         except (OSError, TimeoutError, ValueError) as error:
             raise OSError(f"scheduler: nobody answers at {scheduler}: start one with 'dask scheduler' ({error})") \
                 from error
@@ -116,6 +118,7 @@ class _Run:
     tries: int
     sent: float
     future: Future
+    alone: bool
     began: float = math.inf
 
 
@@ -133,6 +136,8 @@ class _Runs:
         self._limit_s = math.inf if order.limit_s is None else order.limit_s
         self._numbers = itertools.count()
         self._left: deque[tuple[Point, int]] = deque((point, 1) for point in points)
+        #: last tries, one at a time when all else is done: whose worker dies then was not there by chance
+        self._alone: deque[tuple[Point, int]] = deque()
         self._out: dict[str, _Run] = {}
         self._over: dict[str, str] = {}
         self._back: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
@@ -169,12 +174,12 @@ class _Runs:
         now = time.monotonic()
         if now - self._looked > 1.0:
             self._slots, self._looked = max(len(self._client.nthreads()), 1), now
-        while self._left and len(self._out) < self._ahead * self._slots:
-            point, tries = self._left.popleft()
+        while (self._left and len(self._out) < self._ahead * self._slots) or (self._alone and not self._out):
+            point, tries = (self._left or self._alone).popleft()
             name = f"{self._name}-{next(self._numbers)}"
             future = self._client.submit(self._perform, self._order, point, tries, name, self._name, key=name,
                                          pure=False)
-            self._out[name] = _Run(point, tries, time.monotonic(), future)
+            self._out[name] = _Run(point, tries, time.monotonic(), future, tries >= MOST_TRIES)
             self._client.loop.add_callback(self._wait_for, name, future)
 
     async def _wait_for(self, name: str, future: Future) -> None:
@@ -199,7 +204,7 @@ class _Runs:
                 waited += _LOOK_S
                 if waited % _PATIENCE_S < _LOOK_S and not self._client.nthreads():
                     _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
-                                 len(self._out) + len(self._left))
+                                 len(self._out) + len(self._left) + len(self._alone))
         while not self._back.empty():
             found.append(self._back.get())
         return found
@@ -220,7 +225,7 @@ class _Runs:
         run = self._out.pop(name)
         why = self._over.pop(name, "")
         if isinstance(result, Finished):
-            self._ahead = 2 if result.seconds < _SHORT_S and not self._died else 1
+            self._ahead = 2 if result.seconds < _SHORT_S and not self._died and not self._allowed else 1
             return run.point, result
         seconds = time.monotonic() - run.sent
         error = result[1] if isinstance(result, tuple) else result
@@ -233,8 +238,8 @@ class _Runs:
             self._died, self._ahead = True, 1
             # dask on its own starts a run again as often as the scheduler allows
             tries = run.tries + error.allowed_failures
-            if tries < MOST_TRIES:
-                self._left.append((run.point, tries + 1))
+            if not run.alone:
+                (self._alone if tries + 1 >= MOST_TRIES else self._left).append((run.point, tries + 1))
                 _log.warning("a worker died during %s: tried again", run.point)
                 return None
             return run.point, Finished(error=f"WorkerDied: worker died {tries} times during this run", seconds=seconds,
