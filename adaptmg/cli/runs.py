@@ -54,4 +54,4 @@ def runs(
         elif to is None:
             rest = len(table) - limit
             note = f"... {rest} more: --limit, or --to FILE.csv for all" if rest > 0 else f"{len(table)} runs"
-            say(as_text(table.head(limit), units={"seconds": "s"}, note=note))
+            say(as_text(listing.short(table.head(limit)), units={"seconds": "s"}, note=note))

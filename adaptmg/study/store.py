@@ -145,6 +145,7 @@ class Store:
             # what is locked, full or write-protected is whole, and stays where it is
             whole = isinstance(error, OSError) and self._identity() == self._opened
             words = rescue.save(self.path, None if whole else self._connection, list(self._written.values()))
+            self._waiting = {}
             raise type(error)(f"{error}. {words}") from error
         self._waiting = {}
 

@@ -85,5 +85,5 @@ def test_nobody_at_the_address_is_told(monkeypatch):
     from adaptmg.study.cluster import executor
 
     monkeypatch.setattr(executor, "CONNECT_S", 0.5)
-    with pytest.raises(OSError, match="nobody answers at tcp://127.0.0.1:9"):
+    with pytest.raises(OSError, match=r"nobody answers at tcp:..127\.0\.0\.1:9"):
         Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler="tcp://127.0.0.1:9")

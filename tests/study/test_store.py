@@ -27,7 +27,9 @@ def squares(n):
 
 def _rescued(error: pytest.ExceptionInfo) -> Path:
     """The file that an error names."""
-    return Path(re.search(r"safe in (\S+): bring", str(error.value))[1])
+    found = Path(re.search(r"safe in (\S+): bring", str(error.value))[1])
+    assert len(list(found.parent.glob("*.rescued-*"))) == 1
+    return found
 
 
 def _taken_back(store: Path, rescued: Path) -> dict[str, Record]:

@@ -15,7 +15,7 @@ from adaptmg.runtime.atomic import write_bytes
 from adaptmg.study.frame import frame
 from adaptmg.study.store import Store
 
-__all__ = ["chosen", "filtered", "opened", "rows", "studies", "table", "write"]
+__all__ = ["chosen", "filtered", "opened", "rows", "short", "studies", "table", "write"]
 
 
 def opened(path: Path) -> Store:
@@ -82,6 +82,11 @@ def _is(value: object, text: str) -> bool:
     if isinstance(given, list):
         return isinstance(value, tuple) and list(value) == given
     return isinstance(value, bool) == isinstance(given, bool) and value == given
+
+
+def short(found: pd.DataFrame) -> pd.DataFrame:
+    """With texts of one terminal line each."""
+    return found.map(lambda value: f"{value[:57]}..." if isinstance(value, str) and len(value) > 60 else value)
 
 
 def write(found: pd.DataFrame, path: Path) -> None:

@@ -1,8 +1,8 @@
 """The executor on dask.distributed: runs go out one a worker, and are tried again when a worker dies.
 
 A run is sent when a worker is free for it, so that the run which a dead worker was busy with is known; short runs,
-where the way to the worker would count, are sent two a worker as long as none has died. Results come back through dask
-to the process that asked: workers need no disk in common with it.
+where the way to the worker would count, are sent several a worker as long as none has died. Results come back through
+dask to the process that asked: workers need no disk in common with it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _log = logging.getLogger(__name__)
 
 #: starts of a run until it is given up, as workers died
 MOST_TRIES = 3
-#: runs shorter than this are sent ahead
+#: runs are sent ahead as far as they take so long together
 _SHORT_S = 0.2
 #: seconds after which one says that there are no workers; between two looks
 _PATIENCE_S, _LOOK_S = 60.0, 0.5
@@ -142,6 +142,7 @@ class _Runs:
         self._over: dict[str, str] = {}
         self._back: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._ahead, self._died, self._slots, self._looked = 1, False, 1, -math.inf
+        self._recent: deque[float] = deque(maxlen=8)
         #: how often dask itself starts a run again; unless set otherwise three times
         self._allowed = 3
 
@@ -209,6 +210,13 @@ class _Runs:
             found.append(self._back.get())
         return found
 
+    def _far_ahead(self) -> int:
+        """How many runs a worker is given at once: more where they are so short that the way would count."""
+        if self._died or self._allowed:
+            return 1
+        known = len(self._recent) == self._recent.maxlen
+        return min(max(int(_SHORT_S / max(*self._recent, 0.02)), 1), 10 if known else 2)
+
     async def _told(self, event: tuple[float, Any]) -> None:
         """A worker says that a run begins, or ends as it is over its limit; dask must not start that elsewhere."""
         message = event[1]
@@ -225,7 +233,8 @@ class _Runs:
         run = self._out.pop(name)
         why = self._over.pop(name, "")
         if isinstance(result, Finished):
-            self._ahead = 2 if result.seconds < _SHORT_S and not self._died and not self._allowed else 1
+            self._recent.append(result.seconds)
+            self._ahead = self._far_ahead()
             return run.point, result
         seconds = time.monotonic() - run.sent
         error = result[1] if isinstance(result, tuple) else result
