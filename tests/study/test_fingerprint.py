@@ -125,6 +125,17 @@ def test_text_that_changes_nothing_does_not_make_rows_stale(tmp_path):
     assert _fingerprint_of(tmp_path, script=script, other=other.replace("n + len", "n - len"))[0] != first[0]
 
 
+def test_a_script_that_is_run_and_one_that_is_imported_are_the_same(tmp_path):
+    script = ("from dataclasses import dataclass\nLIMIT = 3\n@dataclass\nclass Size:\n    h: float = 1.0\n"
+              "    def area(self):\n        return self.h**2\nSIZE = Size()\n"
+              "def run(n):\n    return {'m': n * LIMIT * SIZE.area()}\n"
+              "if __name__ == '__main__':\n    from adaptmg.study.fingerprint import fingerprint\n"
+              "    f = fingerprint(run)\n    print(f.code, *sorted(f.parts), sep='\\n')\n")
+    imported = _fingerprint_of(tmp_path, script=script)
+    run = subprocess.run([sys.executable, str(tmp_path / "script.py")], capture_output=True, text=True, check=True)
+    assert tuple(run.stdout.splitlines()) == imported and "value of script.LIMIT" in imported
+
+
 def test_an_import_inside_the_function_counts_whole(tmp_path):
     script = "def run(n):\n    import other\n    return {'m': other.f(n)}\n"
     first = _fingerprint_of(tmp_path, script=script, other="import third\nK = 1\ndef f(n):\n    return third.g(n)\n",

@@ -23,7 +23,16 @@ from typing import Any
 
 from adaptmg.study.fingerprint import package
 from adaptmg.study.fingerprint.instructions import code_text, free_read, globals_read, imports_in
-from adaptmg.study.fingerprint.origin import ADAPTMG, INSTALLED, PACKAGES, is_installed, kind_of, version_of
+from adaptmg.study.fingerprint.origin import (
+    ADAPTMG,
+    INSTALLED,
+    OWN,
+    PACKAGES,
+    home_name,
+    is_installed,
+    kind_of,
+    version_of,
+)
 from adaptmg.study.fingerprint.values import NoText, Texts
 
 __all__ = ["Fingerprint", "environment", "fingerprint"]
@@ -160,7 +169,7 @@ class _Walk:
         for variable, *attributes in globals_read(code):
             if variable in function.__globals__:
                 value = function.__globals__[variable]
-                self._read(f"{function.__module__}.{variable}", variable, value, tuple(attributes))
+                self._read(f"{home_name(function)}.{variable}", variable, value, tuple(attributes))
         for imported in imports_in(code):
             self._import(imported, function.__globals__.get("__package__") or "")
 
@@ -181,7 +190,7 @@ class _Walk:
                 self.roots.add(home if kind_of(home) == ADAPTMG and home else package.home_of(value.__name__,
                                                                                               attribute))
                 return
-            where, variable, value = f"{value.__name__}.{attribute}", attribute, inner
+            where, variable, value = f"{value.__name__.rpartition('.')[2]}.{attribute}", attribute, inner
             if variable in self._depends or where in self._depends:
                 return
         self._value(f"value of {where}", where, value)
@@ -220,14 +229,15 @@ class _Walk:
             self._whole(thing.__name__)
         elif isinstance(thing, FunctionType | type):
             self._later(thing)
-        return f"{kind} {module}.{name}"
+        return f"{kind} {home_name(thing) if kind == OWN else module}.{name}"
 
     def _class(self, owner: type) -> None:
-        name = f"{owner.__module__}.{owner.__name__}"
+        name = f"{home_name(owner)}.{owner.__name__}"
         shown = {key: value for key, value in vars(owner).items()
                  if key not in ("__doc__", "__module__", "__dict__", "__weakref__", "__annotations__", "__qualname__",
                                 "__firstlineno__", "__static_attributes__", "__slotnames__")
-                 and type(value).__name__ not in ("member_descriptor", "getset_descriptor", "_abc_data")}
+                 and type(value).__name__ not in ("member_descriptor", "getset_descriptor", "_abc_data")
+                 and not ("__dataclass_fields__" in vars(owner) and _made_by_dataclass(value))}
         self._value(f"class {name}", name, list(owner.__bases__))
         for key, value in shown.items():
             self._value(f"{key} of class {name}", key, value)
@@ -279,5 +289,11 @@ def _spec(name: str) -> Any:
         return None
 
 
+def _made_by_dataclass(value: Any) -> bool:
+    """A method that follows from the fields, which count."""
+    file = value.__code__.co_filename if isinstance(value, FunctionType) else ""
+    return file == "<string>" or Path(file).name in ("dataclasses.py", "reprlib.py")
+
+
 def _called(function: FunctionType) -> str:
-    return f"{function.__module__}.{function.__qualname__}"
+    return f"{home_name(function)}.{function.__qualname__}"

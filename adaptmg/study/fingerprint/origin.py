@@ -8,8 +8,10 @@ import sys
 import sysconfig
 from functools import cache
 from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any
 
-__all__ = ["ADAPTMG", "INSTALLED", "OWN", "PACKAGES", "is_installed", "kind_of", "version_of"]
+__all__ = ["ADAPTMG", "INSTALLED", "OWN", "PACKAGES", "home_name", "is_installed", "kind_of", "version_of"]
 
 OWN, ADAPTMG, INSTALLED = "own", "adaptmg", "installed"
 #: on which the results of adaptmg depend, with itself
@@ -43,6 +45,20 @@ def kind_of(module: str | None) -> str:
 def is_installed(file: str) -> bool:
     """Whether a file lies where packages are installed."""
     return os.path.realpath(file).startswith(_installed_places())
+
+
+def home_name(thing: Any) -> str:
+    """The bare name of the user's module where a function or class stands, the same whether it is run or imported.
+
+    Run as a script it is in ``__main__``, here and, sent by value, on a worker: its code tells the file.
+    """
+    module = thing.__name__ if isinstance(thing, ModuleType) else getattr(thing, "__module__", None) or ""
+    if module != "__main__":
+        return module.rpartition(".")[2]
+    parts = vars(thing).values() if isinstance(thing, type) else [thing]
+    files = [Path(part.__code__.co_filename) for part in parts if isinstance(part, FunctionType)]
+    # cells of notebooks have files in name only, a new one each time
+    return next((file.stem for file in files if file.suffix == ".py" and "ipykernel" not in str(file)), module)
 
 
 @cache
