@@ -69,7 +69,8 @@ class Figure:
 class Headline:
     """What a study has to say on the first screen of the report, at a place that :data:`front.PLACES` names.
 
-    ``item`` is a small table (five rows, five columns) or a figure of some 6 x 2.6 inches, ``text`` a sentence or two.
+    ``item`` is a small table (five rows, five columns) or a figure of some 5.6 x 2.5 inches, ``text`` a sentence or
+    two.
     """
 
     place: str

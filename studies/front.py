@@ -104,7 +104,7 @@ def adaptive(frames: Mapping[str, pd.DataFrame]) -> Headline:
     """Error against nodes and against seconds, uniform and refined near contact."""
     errors, costs = frames["adaptive_bar_accuracy"], frames["adaptive_bar_cost"]
     rows = errors.assign(total=costs["total"].to_numpy())
-    figure, axes = plt.subplots(1, 2, figsize=(6.6, 2.7), sharey=True)
+    figure, axes = plt.subplots(1, 2, figsize=(5.6, 2.5), sharey=True)
     families = {"uniform": GREY, "Netgen, contact 4x finer": BLUE}
     for name, color in families.items():
         part = rows[rows["grid"] == name].sort_values("nodes")
@@ -119,7 +119,7 @@ def adaptive(frames: Mapping[str, pd.DataFrame]) -> Headline:
     for ax in axes:
         _decades(ax.xaxis)
         ax.grid(True)
-    axes[0].legend()
+    axes[1].legend()
     return Headline("adaptive", Figure("front_adaptive", figure, "GRECO bar, friction 1: largest error of the "
                                        "displacement at five points against nodes and against seconds"),
                     _who_gains(rows, *families))
@@ -156,7 +156,7 @@ def linear(frames: Mapping[str, pd.DataFrame]) -> Headline:
                  for name in ("contact, FullMultigrid", "AMG-CG, rigid-body modes"))
     if ours.empty or amg.empty:
         raise KeyError("FullMultigrid and AMG-CG on uniform grids")
-    figure, ax = plt.subplots(figsize=(6.6, 2.7))
+    figure, ax = plt.subplots(figsize=(5.6, 2.5))
     ax.loglog(amg["nodes"], amg["total"], marker="s", color=ORANGE, label="linear (glued) problem, pyamg AMG-CG")
     ax.loglog(ours["nodes"], ours["total"], marker="o", color=BLUE, label="contact with friction, multigrid")
     ax.set(xlabel="nodes", ylabel="set-up and solve [s]")

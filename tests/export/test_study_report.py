@@ -55,8 +55,9 @@ def test_any_state_of_a_study_gives_a_page(tmp_path, frame):
 
 @pytest.mark.parametrize("frame", [
     pd.DataFrame({"a": ["x", "y", "z"], "r": [1, 2, 300]}), pd.DataFrame({"a": [None, 1, 2.5], "r": [1.0, 2.0, 3.0]}),
-    pd.DataFrame({"a": [(1, 2), (3, 4), "V"], "r": [1, -2, 3]}), pd.DataFrame({"a": [True, False, True], "r": [1, 2, 3]}),
-    pd.DataFrame({"a": [1, True, "1"], "r": [1, 2, 3]}), pd.DataFrame({"a": [f"n{k}" for k in range(90)], "r": range(90)}),
+    pd.DataFrame({"a": [(1, 2), (3, 4), "V"], "r": [1, -2, 3]}),
+    pd.DataFrame({"a": [True, False, True], "r": [1, 2, 3]}), pd.DataFrame({"a": [1, True, "1"], "r": [1, 2, 3]}),
+    pd.DataFrame({"a": [f"n{k}" for k in range(90)], "r": range(90)}),
     pd.DataFrame({"a": np.geomspace(1e-8, 1, 90), "r": np.geomspace(1e9, 1, 90)}),
     pd.DataFrame({"a": ["$x_", "_y", "\x00"], "r": [1, 2, 3]}), pd.DataFrame({"$a_": [1, 2], "r": [1, 2]})],
     ids=["names", "none", "tuples", "bools", "mixed", "many names", "wide ranges", "odd names", "odd header"])

@@ -18,7 +18,7 @@ from adaptmg.runtime.text import in_html, printable
 __all__ = ["DENSE", "Picture", "picture_of", "small_png"]
 
 #: an SVG of more characters becomes a PNG, unless that is larger
-DENSE = 48_000
+DENSE = 60_000
 #: bytes of an SVG that is not looked at further
 _HOPELESS = 12 * DENSE
 #: pixels of a PNG across at most: twice what it is shown at on a page of middling width
@@ -54,6 +54,7 @@ def picture_of(figure: Figure, caption: str, prefix: str) -> Picture:
         raise TypeError(f"figure must be a matplotlib Figure, got {type(figure).__name__}")
     label = one_line(given_text("caption", caption))
     width = round(96 * figure.get_size_inches()[0])
+    _lay_out_once(figure)
     drawn = _drawing(figure, prefix, label, width)
     if drawn is None or len(drawn) > DENSE:
         png = small_png(figure, min(150.0, _ACROSS / figure.get_size_inches()[0]))
@@ -64,11 +65,18 @@ def picture_of(figure: Figure, caption: str, prefix: str) -> Picture:
     return Picture(drawn, caption, width)
 
 
+def _lay_out_once(figure: Figure) -> None:
+    """Fix where axes stand: a layout engine would find that anew each of the several times a figure is drawn."""
+    if figure.get_layout_engine() is not None:
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+
+
 def small_png(figure: Figure, dpi: float = 130) -> bytes:
     """A figure as PNG with 256 colours."""
     buffer, small = io.BytesIO(), io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi, bbox_inches="tight", facecolor="white")
-    Image.open(buffer).convert("RGB").quantize(256, kmeans=1).save(small, format="png", optimize=True)
+    Image.open(buffer).convert("RGB").quantize(256).save(small, format="png", optimize=True)
     return small.getvalue()
 
 

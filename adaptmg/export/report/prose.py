@@ -16,6 +16,9 @@ __all__ = ["folded", "given_text", "header", "lead", "one_line", "paragraphs"]
 #: characters of a text that are in sight
 IN_SIGHT = 420
 
+#: a text of more characters stands in two columns where there is room
+_IN_COLUMNS = 240
+
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)+")
 _SYMBOL = re.compile(r"([A-Za-z])_([A-Za-z0-9])")
 _UNITS = {"s": "s", "ms": "ms", "us": "µs", "min": "min", "m": "m", "mm": "mm", "pa": "Pa", "mpa": "MPa", "n": "N",
@@ -62,6 +65,8 @@ def folded(text: str, kind: str = "", limit: int = IN_SIGHT) -> str:
     seen, rest = lead(one_line(first), limit)
     rest = "\n\n".join([rest] * bool(rest) + others)
     shown = paragraphs(seen, kind)
+    if len(seen) > _IN_COLUMNS:
+        shown = [f'<div class="columns">{shown[0]}</div>']
     if rest:
         shown.append(f'<details class="more"><summary>More</summary>\n<div class="columns">'
                      f'{"".join(paragraphs(rest, kind))}</div></details>')

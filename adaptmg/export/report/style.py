@@ -21,15 +21,15 @@ body { margin: 0; background: var(--page); color: var(--ink); font: 16px/1.5 sys
   overflow-wrap: break-word; }
 main { max-width: 104rem; margin: 0 auto; padding: 1.1rem clamp(.8rem, 2vw, 2rem) 3rem; }
 h1 { font-size: 1.55rem; line-height: 1.25; margin: 0 0 .3rem; }
-h2 { font-size: 1.35rem; line-height: 1.3; margin: 2.6rem 0 .5rem; padding-top: .8rem;
-  border-top: 2px solid var(--line); }
+h2 { display: flex; justify-content: space-between; align-items: baseline; gap: 1rem; font-size: 1.35rem;
+  line-height: 1.3; margin: 2.4rem 0 .5rem; padding-top: .8rem; border-top: 2px solid var(--line); }
 h3 { font-size: 1rem; margin: 0 0 .2rem; }
-p { margin: .45rem 0; max-width: 75rem; }
+p { margin: .45rem 0; max-width: 54rem; }
 a { color: var(--link); text-decoration: none; }
 a:hover, a:focus { text-decoration: underline; }
-h2 a.up { float: right; font-size: .85rem; font-weight: 400; }
-.summary { font-size: 1.05rem; }
-.columns { columns: 34rem auto; column-gap: 2.5rem; max-width: 75rem; }
+h2 a.up { font-size: .85rem; font-weight: 400; }
+.columns { columns: 32rem auto; column-gap: 2.5rem; margin: .45rem 0; }
+.columns p { max-width: none; }
 .columns p:first-child { margin-top: 0; }
 .note, .same, .count, .unit, figcaption { color: var(--soft); }
 .note, .same, figcaption { font-size: .9rem; }
@@ -51,7 +51,7 @@ _FRONT = """\
 .card.wide { grid-column: span 3; }
 .card p { font-size: .88rem; line-height: 1.4; margin: .3rem 0; }
 .card table { font-size: .84rem; }
-.card .paper svg { max-height: 17rem; }
+.card .paper svg { width: 100% !important; max-height: 17.5rem; }
 .card.absent { border-style: dashed; color: var(--soft); }
 @media (max-width: 68rem) { .card, .card.wide { grid-column: span 3; } }
 @media (max-width: 46rem) { .card, .card.wide { grid-column: span 6; } }
@@ -95,7 +95,7 @@ figcaption { margin: .3rem 0; max-width: 46rem; }
 .paper svg * { stroke-linejoin: round; stroke-linecap: butt; }
 @media (max-width: 46rem) {
   .paper svg, .paper img { max-width: none; width: 34rem !important; }
-  .card .paper svg { max-height: none; }
+  .card .paper svg { max-width: 100%; width: 100% !important; }
 }
 """
 
@@ -104,7 +104,8 @@ _PRINT = """\
 @media print {
   :root { color-scheme: light; --ink: #000000; --soft: #444444; --line: #bbbbbb; --page: #ffffff; --band: #f5f7f9;
     --link: #000000; }
-  body { font-size: 9pt; }
+  html { font-size: 11px; }
+  body { font-size: 1rem; }
   main { max-width: none; padding: 0; }
   details::details-content { content-visibility: visible; display: block; }
   details > summary { list-style: none; }

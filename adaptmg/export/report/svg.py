@@ -15,6 +15,7 @@ _SVG, _LINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _FONT = re.compile(r"(font(?:-family)?:[^;'\"]*?)('DejaVu Sans'[^;]*|DejaVu Sans[^;]*)")
+_SPACE = re.compile(r"\s*:\s*")
 _ROUNDED = ("d", "x", "y", "points", "x1", "x2", "y1", "y2")
 
 
@@ -33,8 +34,8 @@ def inline_svg(source: str, prefix: str, label: str, width: int) -> str:
         In CSS pixels, where there is room.
     """
     root = ElementTree.fromstring(source)
-    _remove_foreign(root)
     used = _used(root)
+    _simplify(root, used)
     for element in root.iter():
         element.tag = element.tag.removeprefix(f"{{{_SVG}}}")
         _clean(element, prefix, used)
@@ -45,17 +46,18 @@ def inline_svg(source: str, prefix: str, label: str, width: int) -> str:
     return re.sub(r"\s*\n\s*", "\n", ElementTree.tostring(root, encoding="unicode"))
 
 
-def _remove_foreign(element: ElementTree.Element) -> None:
-    """Take out metadata and styles; of links keep what they hold."""
+def _simplify(element: ElementTree.Element, used: set[str]) -> None:
+    """Take out metadata and styles; keep what is in links and in groups that only carry a name."""
     kept = []
     for child in list(element):
         name = child.tag.removeprefix(f"{{{_SVG}}}") if isinstance(child.tag, str) else ""
         if name in ("", "metadata", "style", "script", "foreignObject") or "}" in name:
             continue
-        _remove_foreign(child)
-        if name == "defs" and not len(child):
+        _simplify(child, used)
+        if name in ("defs", "g") and not len(child):
             continue
-        kept.extend(child if name == "a" else [child])
+        bare = name == "g" and not set(child.attrib) - {"id"} and child.get("id") not in used
+        kept.extend(child if name == "a" or bare else [child])
     for child in list(element):
         element.remove(child)
     element.extend(kept)
@@ -89,6 +91,9 @@ def _clean(element: ElementTree.Element, prefix: str, used: set[str]) -> None:
         elif name.startswith("on") or "}" in name:
             continue
         value = _REFERENCE.sub(lambda match: f"url(#{prefix}-{match[1]})", value)
-        attributes[name] = _FONT.sub(r"\1'DejaVu Sans',Verdana,sans-serif", " ".join(value.split()))
+        if name == "style":
+            value = _FONT.sub(r"\1'DejaVu Sans',Verdana,sans-serif", value)
+            value = ";".join(_SPACE.sub(":", part.strip(), count=1) for part in value.split(";") if part.strip())
+        attributes[name] = " ".join(value.split())
     element.attrib.clear()
     element.attrib.update(attributes)
