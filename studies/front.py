@@ -104,12 +104,13 @@ def adaptive(frames: Mapping[str, pd.DataFrame]) -> Headline:
     """Error against nodes and against seconds, uniform and refined near contact."""
     errors, costs = frames["adaptive_bar_accuracy"], frames["adaptive_bar_cost"]
     rows = errors.assign(total=costs["total"].to_numpy())
-    figure, axes = plt.subplots(1, 2, figsize=(5.6, 2.5), sharey=True)
     families = {"uniform": GREY, "Netgen, contact 4x finer": BLUE}
+    missing = set(families) - set(rows["grid"])
+    if missing:
+        raise KeyError(*missing)
+    figure, axes = plt.subplots(1, 2, figsize=(5.6, 2.5), sharey=True)
     for name, color in families.items():
         part = rows[rows["grid"] == name].sort_values("nodes")
-        if part.empty:
-            raise KeyError(name)
         for ax, column in zip(axes, ("nodes", "total"), strict=True):
             ax.loglog(part[column], part["max error A-E"], marker="o", color=color,
                       label="uniform" if name == "uniform" else "4 times finer at contact")
