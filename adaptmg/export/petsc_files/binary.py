@@ -55,7 +55,7 @@ def index_set(name: str, values: np.ndarray) -> bytes:
 
 
 def options(kind: str, block: int) -> bytes:
-    """The ``.info`` file that tells PETSc the block size; ``kind`` is "mat" or "vec"."""
+    """The ``.info`` file: options that PETSc reads before it loads; ``kind`` is "mat" or "vec"."""
     return f"-{kind}load_block_size {block}\n".encode()
 
 

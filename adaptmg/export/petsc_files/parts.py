@@ -46,9 +46,11 @@ class Part:
         return write(self.name, self.values)
 
     def info(self) -> bytes | None:
-        """The file beside it that tells PETSc the block size, where there are blocks."""
-        kind = self.kind.lower()
-        return binary.options(kind, self.block) if self.block > 1 and kind in ("mat", "vec") else None
+        """The file beside it that tells PETSc the block size; None for an index set.
+
+        Where there are no blocks too: PETSc takes a size that it read for one file for those read later as well.
+        """
+        return None if self.kind == "IS" else binary.options(self.kind.lower(), self.block)
 
     def described(self) -> dict[str, object]:
         """Its entry in the manifest."""
