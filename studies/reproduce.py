@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import logging
+import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -95,9 +96,18 @@ def page_of(sections: Mapping[str, Section], quick: bool) -> Report:
         for item in in_sight_first(section.items):
             add(page, item)
     seeds = "; ".join(f"{name}: {section.seeds}" for name, section in sections.items() if section.seeds)
-    page.made(seeds=seeds or "no study of this run draws random numbers", command=" ".join(
+    page.made(commit=commit(), seeds=seeds or "no study of this run draws random numbers", command=" ".join(
         ["python studies/reproduce.py", *["--quick"] * quick, *([] if tuple(sections) == STUDIES else sections)]))
     return page
+
+
+def commit() -> str:
+    """Of the source, and whether it was changed since; unknown outside a repository."""
+    try:
+        return subprocess.run(["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, check=True,
+                              capture_output=True, text=True, timeout=10).stdout.strip() or "unknown"
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
 
 
 def in_sight_first(items: Sequence[Table | Figure]) -> list[Table | Figure]:

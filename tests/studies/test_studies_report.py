@@ -52,7 +52,7 @@ def test_where_nothing_has_run_the_first_screen_says_so():
     page = made({})
     assert len(page.all("div", "absent")) == len(front.PLACES) == 5
     for place in front.PLACES.values():
-        assert place.title in page.text("h3") and f"Not in this run: python studies/reproduce.py {place.study}" \
+        assert place.title in page.text("h2") and f"Not in this run: python studies/reproduce.py {place.study}" \
             in page.text("p")
         assert place.study in reproduce.STUDIES
 

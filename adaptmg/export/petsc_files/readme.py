@@ -27,6 +27,7 @@ Files
 
 In Python (petsc4py)
 
+    import numpy
     from petsc4py import PETSc
     def load(new, name):
         viewer = PETSc.Viewer().createBinary(f"{{name}}.petsc", "r")
@@ -34,8 +35,11 @@ In Python (petsc4py)
     A = load(PETSc.Mat(), "{finest}matrix")
     b = load(PETSc.Vec(), "{finest}load")
     fixed = load(PETSc.IS(), "{finest}fixed")
+    nodes = load(PETSc.IS(), "{finest}contact_nodes").getIndices()
     u = load(PETSc.Vec(), "{finest}fixed_values")
-    A.zeroRowsColumns(fixed, 1.0, u, b)       # the linear problem without contact
+    # the linear problem in which the contact nodes do not move
+    held = numpy.union1d(fixed.getIndices(), ({dim} * nodes[:, None] + numpy.arange({dim})).ravel())
+    A.zeroRowsColumns(held.astype(PETSc.IntType), 1.0, u, b)
 {prolongation}
 In C
 

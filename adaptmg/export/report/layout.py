@@ -80,7 +80,7 @@ def _card(card: Card, keys: set[str]) -> str:
         shown = card.shown.plain()
     elif isinstance(card.shown, Picture):
         shown = f'<div class="paper">{card.shown.html}</div>'
-    return f'<div class="{kind}">\n<h3>{title}</h3>\n{shown}\n{folded(card.text)}\n</div>'
+    return f'<div class="{kind}">\n<h2>{title}</h2>\n{shown}\n{folded(card.text)}\n</div>'
 
 
 def _contents(sections: Sequence[Section]) -> str:

@@ -23,7 +23,6 @@ main { max-width: 104rem; margin: 0 auto; padding: 1.1rem clamp(.8rem, 2vw, 2rem
 h1 { font-size: 1.55rem; line-height: 1.25; margin: 0 0 .3rem; }
 h2 { display: flex; justify-content: space-between; align-items: baseline; gap: 1rem; font-size: 1.35rem;
   line-height: 1.3; margin: 2.4rem 0 .5rem; padding-top: .8rem; border-top: 2px solid var(--line); }
-h3 { font-size: 1rem; margin: 0 0 .2rem; }
 p { margin: .45rem 0; max-width: 54rem; }
 a { color: var(--link); text-decoration: none; }
 a:hover, a:focus { text-decoration: underline; }
@@ -49,6 +48,7 @@ _FRONT = """\
 .card { grid-column: span 2; border: 1px solid var(--line); border-radius: 6px; padding: .55rem .8rem .6rem;
   min-width: 0; }
 .card.wide { grid-column: span 3; }
+.card h2 { font-size: 1rem; margin: 0 0 .2rem; padding: 0; border: 0; }
 .card p { font-size: .88rem; line-height: 1.4; margin: .3rem 0; }
 .card table { font-size: .84rem; }
 .card .paper svg { width: 100% !important; max-height: 17.5rem; }

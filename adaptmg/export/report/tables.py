@@ -21,7 +21,7 @@ from adaptmg.study.tables import shown_cells
 __all__ = ["LONGEST", "Table"]
 
 #: rows that are shown at most
-LONGEST = 500
+LONGEST = 200
 #: a table with more columns says once what is the same in every row
 _WIDE = 6
 #: a table with more rows scrolls up and down too
