@@ -58,7 +58,7 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
         raise TypeError(f"table must be a pandas DataFrame, got {type(table).__name__}")
     parameters, hidden = (_columns(name, given, table) for name, given in
                           (("parameters", parameters), ("hidden", hidden)))
-    units, formats = dict(units or {}), dict(formats or {})
+    units, formats = {"seconds": "s"} | dict(units or {}), dict(formats or {})
     done = table[table[_STATUS] == _DONE] if _STATUS in table else table
     drawn = _drawable(done, [*parameters, *hidden]) if results is None else _columns("results", results, table)
     if results is not None:

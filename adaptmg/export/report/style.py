@@ -66,6 +66,7 @@ details.table[open] { padding-bottom: .4rem; }
 .scroll.tall { overflow-y: auto; max-height: 44rem; }
 table { border-collapse: separate; border-spacing: 0; font-size: .84rem; line-height: 1.35; min-width: 100%;
   font-variant-numeric: tabular-nums; }
+table.narrow { min-width: min(100%, 48rem); }
 th, td { padding: .22rem .5rem; text-align: left; vertical-align: baseline; }
 td, tbody th { background: var(--page); max-width: 22rem; }
 tbody tr:nth-child(even) > * { background: var(--band); }

@@ -22,7 +22,7 @@ __all__ = ["LONGEST", "Table"]
 
 #: rows that are shown at most
 LONGEST = 200
-#: a table with more columns says once what is the same in every row
+#: a table with more columns says once what is the same in every row; one with fewer need not be as wide as the page
 _WIDE = 6
 #: a table with more rows scrolls up and down too
 _TALL = 24
@@ -119,5 +119,7 @@ class Table:
             rows.append(f"<tr>{first}{rest}</tr>")
         tall = " tall" * (len(rows) > _TALL)
         label = in_html(one_line(self.caption))
-        return (f'<div class="scroll{tall}" tabindex="0" role="region" aria-label="{label}"><table class="sort">\n'
+        narrow = " narrow" * (len(kept) < _WIDE)
+        return (f'<div class="scroll{tall}" tabindex="0" role="region" aria-label="{label}">'
+                f'<table class="sort{narrow}">\n'
                 f"<thead><tr>{head}</tr></thead>\n<tbody>\n" + "\n".join(rows) + "\n</tbody></table></div>")
