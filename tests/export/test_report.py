@@ -53,7 +53,8 @@ def example(report: Report) -> None:
 def test_a_report_is_one_sound_page_that_needs_nothing_else(tmp_path):
     page, text = made(tmp_path, example, terms="A unit.")
     assert [tmp_path / "report.html"] == list(tmp_path.iterdir())
-    assert len(page.all("svg")) == 3 and not page.all("link") and not re.search(r"@import|https?://", text)
+    assert len(page.all("svg")) == 3 and not page.all("link") and len(page.all("style")) == 1
+    assert not page.all("metadata") and not re.search(r"@import|https?://", text)
     assert {"contents", "first", "section-2", "made"} <= {a["id"] for _, a in page.tags if "id" in a}
     links = [a["href"] for a in page.all("a")]
     assert "#first" in links and "#section-2" in links and "a%20%22b%22.csv" in links and "#nowhere" not in links

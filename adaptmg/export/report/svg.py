@@ -1,7 +1,8 @@
 """SVG of matplotlib made fit to stand inside a page, small and without anything foreign.
 
 Identifiers are those of the picture alone (two pictures of a page share none), coordinates are rounded to a hundredth
-of a point, metadata, styles of the whole page and links go, and fonts are named with those that readers have.
+of a point, metadata, styles of the whole page and targets of links go, and fonts are named beside some that readers
+have.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def inline_svg(source: str, prefix: str, label: str, width: int) -> str:
 
 
 def _simplify(element: ElementTree.Element, used: set[str]) -> None:
-    """Take out metadata and styles; keep what is in links and in groups that only carry a name."""
+    """Take out metadata and styles; of groups that only carry a name keep what they hold."""
     kept = []
     for child in list(element):
         name = child.tag.removeprefix(f"{{{_SVG}}}") if isinstance(child.tag, str) else ""
@@ -57,7 +58,7 @@ def _simplify(element: ElementTree.Element, used: set[str]) -> None:
         if name in ("defs", "g") and not len(child):
             continue
         bare = name == "g" and not set(child.attrib) - {"id"} and child.get("id") not in used
-        kept.extend(child if name == "a" or bare else [child])
+        kept.extend(child if bare else [child])
     for child in list(element):
         element.remove(child)
     element.extend(kept)
