@@ -33,6 +33,7 @@ def page(tmp_path_factory):
         report.table(many, "Wide " * 30, "Note of some words here. " * 60, csv="a.csv")
         report.figure(drawing(14), "caption " * 30)
         report.figure(drawing(4), "caption")
+        report.table(many.head(5), "wide and short", open=True)
         report.table(pd.DataFrame({"x" * 200: ["y" * 300], "n": [1]}), "folded")
     return report.write(tmp_path_factory.mktemp("page") / "report.html")
 

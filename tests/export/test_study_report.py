@@ -67,9 +67,13 @@ def test_any_parameter_is_drawn(tmp_path, frame):
 
 
 def test_the_axis_is_the_number_with_most_values_and_lines_the_other():
-    frame = table()
+    frame = table().assign(number=range(12))
     assert axes_of_study(frame, ["friction", "sweeps"]) == Axis("sweeps", "friction")
     assert axes_of_study(frame, ["method", "seed"]) == Axis("seed", "")
+    assert axes_of_study(frame, ["sweeps", "number"]) == Axis("sweeps", "")  # a seed is in every run another
+    assert axes_of_study(frame, ["number"]) == Axis("number", "")
+    frame["random"] = np.random.default_rng(0).random(len(frame))
+    assert axes_of_study(frame, ["random", "number"]) == Axis("random", "", joined=False)
     assert axes_of_study(frame, ["method"]) is None and axes_of_study(frame, []) is None
 
 

@@ -1,7 +1,8 @@
 """Curves of a study: a numeric result against the parameter that varies most, a line for each value of another one.
 
 Where several runs share a point (repeats, or parameters that are neither on the axis nor a line), the line is their
-median and a band spans the least and the largest.
+median and a band spans the least and the largest. Where no two runs share a value of any parameter (a random design, of
+several parameters) the runs are points without a line.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ __all__ = ["Axis", "axes_of_study", "curves", "numbers"]
 
 #: lines in a picture at most; further values share one colour, without a legend
 _LINES = 7
+#: points that are marked in a line at most
+_MARKED = 60
 #: names along an axis at most
 _NAMES = 40
 #: an axis is logarithmic where the largest value is so many times the least
@@ -30,10 +33,19 @@ _LOGARITHMIC = 30.0
 
 @dataclass(frozen=True)
 class Axis:
-    """What a study's pictures have in common: the parameter along the axis, and the one of the lines ("" for none)."""
+    """What a study's pictures have in common.
+
+    Attributes
+    ----------
+    along, lines : str
+        The parameter along the axis, and the one of the lines, "" for none.
+    joined : bool
+        Whether points are joined.
+    """
 
     along: str
     lines: str
+    joined: bool = True
 
 
 def numbers(column: pd.Series) -> pd.Series | None:
@@ -49,15 +61,19 @@ def numbers(column: pd.Series) -> pd.Series | None:
 
 
 def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:
-    """Which parameter is along the axis: of those that vary the numeric one with most values; None if none varies."""
-    counts = {name: table[name].map(_key).nunique() for name in parameters}
+    """Which parameter is along the axis: of those that vary the numeric one with most values; None if none varies.
+
+    One that is different in every run (a seed) is taken only where all are.
+    """
+    counts = {name: _keys(table[name]).nunique() for name in parameters}
     varied = [name for name in parameters if counts[name] > 1]
     if not varied:
         return None
-    numeric = [name for name in varied if numbers(table[name]) is not None]
-    along = max(numeric or varied, key=lambda name: counts[name])
+    shared = [name for name in varied if counts[name] < len(table)]
+    numeric = [name for name in shared or varied if numbers(table[name]) is not None]
+    along = max(numeric or shared or varied, key=lambda name: counts[name])
     others = [name for name in varied if name != along and counts[name] <= _LINES]
-    return Axis(along, max(others, key=lambda name: counts[name]) if others else "")
+    return Axis(along, max(others, key=lambda name: counts[name]) if others else "", bool(shared) or len(varied) == 1)
 
 
 @styled
@@ -77,14 +93,15 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     figure = Figure(figsize=(6.4, 4.0))
     ax = figure.subplots()
     position = numbers(table[axis.along])
-    names = None if position is not None else list(dict.fromkeys(map(_key, table[axis.along])))[:_NAMES]
+    names = None if position is not None else list(dict.fromkeys(_keys(table[axis.along])))[:_NAMES]
     if position is None:
-        position = table[axis.along].map(_key).map({name: float(k) for k, name in enumerate(names)})
+        position = _keys(table[axis.along]).map({name: float(k) for k, name in enumerate(names)})
     data = pd.DataFrame({"x": position.to_numpy(), "y": numbers(table[result]).to_numpy(),
-                         "line": [""] * len(table) if not axis.lines else table[axis.lines].map(_key).to_numpy()})
+                         "line": [""] * len(table) if not axis.lines else _keys(table[axis.lines]).to_numpy()})
     data = data[np.isfinite(data["x"]) & np.isfinite(data["y"])]
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
-        _line(ax, part, CYCLE[k % len(CYCLE)], f"{plain(axis.lines)} = {plain(line)}", joined=names is None)
+        _line(ax, part, CYCLE[k % len(CYCLE)], f"{plain(axis.lines)} = {plain(line)}",
+              joined=axis.joined and names is None)
     ax.set_xlabel(_name(axis.along, along_unit))
     ax.set_ylabel(_name(result, unit))
     ax.grid(True)
@@ -100,7 +117,7 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
 
 def _line(ax: Axes, part: pd.DataFrame, color: str, label: str, joined: bool) -> None:
     points = part.groupby("x")["y"].agg(["median", "min", "max", "size"])
-    style = {"linestyle": "-" if joined else "", "marker": "o" if len(points) <= 60 else ""}
+    style = {"linestyle": "-" if joined else "", "marker": "o" if len(points) <= _MARKED else "" if joined else "."}
     ax.plot(points.index, points["median"], color=color, label=label, **style)
     if (points["size"] > 1).any():
         if joined:
@@ -128,6 +145,9 @@ def _name(name: str, unit: str) -> str:
     return plain(f"{words} [{unit}]" if unit else words)
 
 
-def _key(value: object) -> str:
-    """A value as text; 1 and 1.0 are one, 1 and True and '1' are not one on an axis of numbers anyway."""
-    return f"{value:g}" if isinstance(value, float) else str(value)
+def _keys(column: pd.Series) -> pd.Series:
+    """Values as texts, floats in few digits where that keeps them apart."""
+    if types.is_float_dtype(column):
+        short = column.map("{:g}".format)
+        return short if short.nunique() == column.nunique(dropna=False) else column.map(repr)
+    return column.map(lambda value: f"{value:g}" if isinstance(value, float) else str(value))
