@@ -16,6 +16,7 @@ from common import Figure, Headline, Section, Table
 from matplotlib import pyplot as plt
 from matplotlib.axis import Axis
 from matplotlib.ticker import LogLocator, NullFormatter
+from paper_runs import CHANGE, TARGET
 
 from adaptmg.plot.style import BLUE, GREY, ORANGE, styled
 
@@ -61,9 +62,10 @@ def grid_counts(frames: Mapping[str, pd.DataFrame]) -> Headline:
     also = "" if best == "monotone, complete" else (
         f" With {best.removeprefix('monotone, ')}-cycles {ours[best][row]:.0f} "
         f"({len(frame['grids'][row].split('/'))} grids).")
-    return Headline("grids", Table("front_grids", shown, "", formats=dict.fromkeys(shown.columns[1:], ".1f")),
-                    "Speed-up over one grid. Paper: CPU time. Ours: work to a true error of 1e-6, coarse problems "
-                    f"solved as in the paper.{also} Its mode: to the paper's test, where it stops at a true error of "
+    units = {"paper": "CPU", "ours": "work", "its mode": "work"}
+    return Headline("grids", Table("front_grids", shown, "", units=units, formats=dict.fromkeys(units, ".1f")),
+                    f"Speed-up over one grid. Ours: work to a true error of {TARGET:g}, with complete coarse solves as "
+                    f"in the paper.{also} Its mode: to the paper's test, where it stops at a true error of "
                     f"{frame['its true error'].iloc[-1]:.0e}.")
 
 
@@ -75,11 +77,13 @@ def smoothings(frames: Mapping[str, pd.DataFrame]) -> Headline:
     printed = tight["paper iterations"].dropna()
     shown = pd.DataFrame({"smoothings": printed.index, "paper": printed.to_numpy(),
                           "ours": tight.loc[printed.index, "cycles"].to_numpy(),
-                          "loose coarse solves": loose["cycles"].reindex(printed.index).to_numpy()})
-    return Headline("smoothings", Table("front_smoothings", shown, "", formats={
-        "paper": ".0f", "ours": ".0f", "loose coarse solves": ".0f"}),
-        "Cycles of two grids (289/81) from zero, frictionless bar, until they change the solution by 1e-6. Ours: "
-        "coarse problems solved to an error of 1e-8; loose: until a sweep changes them by what the outer test allows.")
+                          "ours, loose": loose["cycles"].reindex(printed.index).to_numpy()})
+    names = shown.columns[1:]
+    return Headline("smoothings", Table("front_smoothings", shown, "", units=dict.fromkeys(names, "cycles"),
+                                        formats=dict.fromkeys(names, ".0f")),
+                    "Two grids (289/81) from zero, frictionless bar, until a cycle changes the solution by "
+                    f"{CHANGE:g}. Ours: coarse problems solved to an error of 1e-8; loose: until a sweep changes them by what the "
+                    "outer test allows.")
 
 
 def starts(frames: Mapping[str, pd.DataFrame]) -> Headline:
@@ -93,10 +97,10 @@ def starts(frames: Mapping[str, pd.DataFrame]) -> Headline:
     shown = pd.DataFrame({
         "method": theirs["method"].to_numpy(), "paper": theirs["paper ratio"].to_numpy(),
         "frictionless": theirs["work ratio"].to_numpy(), "friction 1": equal["work ratio"].to_numpy()})
-    return Headline("starts", Table("front_starts", shown, "", formats=dict.fromkeys(shown.columns[1:], ".1f")),
-                    "Cost over two grids with the full start, 289/81 nodes. Paper: CPU time. Ours: work; frictionless "
-                    "in the paper's mode and by its test (a patch test: the start is exact), with friction to equal "
-                    "true error.")
+    units = {"paper": "CPU", "frictionless": "work", "friction 1": "work"}
+    return Headline("starts", Table("front_starts", shown, "", units=units, formats=dict.fromkeys(units, ".1f")),
+                    "Cost over two grids with the full start, 289/81 nodes. Ours: frictionless in the paper's mode and "
+                    "by its test (a patch test: the start is exact), with friction to equal true error.")
 
 
 @styled

@@ -24,6 +24,7 @@ h1 { font-size: 1.55rem; line-height: 1.25; margin: 0 0 .3rem; }
 h2 { display: flex; justify-content: space-between; align-items: baseline; gap: 1rem; font-size: 1.35rem;
   line-height: 1.3; margin: 2.4rem 0 .5rem; padding-top: .8rem; border-top: 2px solid var(--line); }
 p { margin: .45rem 0; max-width: 54rem; }
+main > p { max-width: none; }
 a { color: var(--link); text-decoration: none; }
 a:hover, a:focus { text-decoration: underline; }
 h2 a.up { font-size: .85rem; font-weight: 400; }
@@ -51,8 +52,8 @@ _FRONT = """\
 .card h2 { font-size: 1rem; margin: 0 0 .2rem; padding: 0; border: 0; }
 .card p { font-size: .88rem; line-height: 1.4; margin: .3rem 0; }
 .card table { font-size: .84rem; }
-.card .paper svg { width: 100% !important; max-height: 17.5rem; }
-.card.absent { border-style: dashed; color: var(--soft); }
+.card .paper svg { width: 100% !important; max-height: 15.5rem; }
+.card.absent { border-style: dashed; color: var(--soft); align-self: start; }
 @media (max-width: 68rem) { .card, .card.wide { grid-column: span 3; } }
 @media (max-width: 46rem) { .card, .card.wide { grid-column: span 6; } }
 """
