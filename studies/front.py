@@ -82,8 +82,8 @@ def smoothings(frames: Mapping[str, pd.DataFrame]) -> Headline:
     return Headline("smoothings", Table("front_smoothings", shown, "", units=dict.fromkeys(names, "cycles"),
                                         formats=dict.fromkeys(names, ".0f")),
                     "Two grids (289/81) from zero, frictionless bar, until a cycle changes the solution by "
-                    f"{CHANGE:g}. Ours: coarse problems solved to an error of 1e-8; loose: until a sweep changes them by what the "
-                    "outer test allows.")
+                    f"{CHANGE:g}. Ours: coarse problems solved to an error of 1e-8; loose: until a sweep changes them "
+                    "by what the outer test allows.")
 
 
 def starts(frames: Mapping[str, pd.DataFrame]) -> Headline:
