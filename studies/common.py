@@ -7,7 +7,6 @@ the context; tables and figures are made from what is stored.
 from __future__ import annotations
 
 import argparse
-import io
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -26,9 +25,9 @@ matplotlib.use("Agg")
 import numpy as np
 import pandas as pd
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from PIL import Image
 
 import adaptmg as am
+from adaptmg.export.report.figures import small_png
 from adaptmg.mesh import refine_near, structured
 from adaptmg.runtime.atomic import make_folder, write_bytes
 
@@ -43,7 +42,10 @@ PROBLEMS: Mapping[str, Callable[[], am.ContactProblem]] = {
 
 @dataclass
 class Table:
-    """A table of a study: what is printed, written as CSV and put into the report."""
+    """A table of a study: what is printed, written as CSV and put into the report.
+
+    ``open`` says whether it stands open in the report; None: the first table of a section does.
+    """
 
     name: str
     frame: pd.DataFrame
@@ -51,6 +53,7 @@ class Table:
     note: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, str] = field(default_factory=dict)
+    open: bool | None = None
 
 
 @dataclass
@@ -63,12 +66,32 @@ class Figure:
 
 
 @dataclass
+class Headline:
+    """What a study has to say on the first screen of the report, at a place that :data:`front.PLACES` names.
+
+    ``item`` is a small table (five rows, five columns) or a figure of some 5.6 x 2.5 inches, ``text`` a sentence or
+    two.
+    """
+
+    place: str
+    item: Table | Figure
+    text: str
+
+
+@dataclass
 class Section:
-    """What a study returns."""
+    """What a study returns.
+
+    ``summary`` says what was asked, what came out and why it differs from the paper, in few sentences; ``text`` has
+    the reasons, most of it folded. ``seeds`` names the random numbers, if any.
+    """
 
     title: str
     text: str
     items: list[Table | Figure] = field(default_factory=list)
+    summary: str = ""
+    headline: list[Headline] = field(default_factory=list)
+    seeds: str = ""
 
 
 @dataclass
@@ -192,19 +215,16 @@ def paper(name: str) -> pd.DataFrame:
 
 def write_picture(figure: Any, path: Path, dpi: int = 130) -> None:
     """Write a figure as PNG with 256 colours, whole or not at all."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=dpi, bbox_inches="tight")
-    small = io.BytesIO()
-    Image.open(buffer).convert("RGB").quantize(256, kmeans=1).save(small, format="png", optimize=True)
     make_folder("--out", path.parent)
-    write_bytes(path, small.getvalue())
+    write_bytes(path, small_png(figure, dpi))
 
 
 def show(section: Section, out: Path) -> None:
     """Print a section's tables; write them as CSV and the figures as PNG."""
     from adaptmg.study.tables import as_text
 
-    print(f"\n{section.title}\n{'=' * len(section.title)}\n{section.text}")
+    said = "\n\n".join(text for text in (section.summary, section.text) if text)
+    print(f"\n{section.title}\n{'=' * len(section.title)}\n{said}")
     for item in section.items:
         if isinstance(item, Table):
             print("\n" + as_text(item.frame, caption=item.caption, note=item.note, units=item.units,

@@ -12,7 +12,7 @@ import pandas as pd
 
 from adaptmg.runtime.text import in_html, printable
 
-__all__ = ["as_html", "as_text", "cells"]
+__all__ = ["as_html", "as_text", "cells", "shown_cells"]
 
 
 def as_text(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
@@ -70,6 +70,12 @@ def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
     bottom = f'\n<p class="note">{in_html(note)}</p>' if note else ""
     return (f'<figure class="table">\n{top}<div class="scroll"><table>\n<thead><tr>{head}</tr></thead>\n'
             f"<tbody>\n{body}\n</tbody>\n</table></div>{bottom}\n</figure>")
+
+
+def shown_cells(table: pd.DataFrame, *, units: Mapping[str, str] | None = None,
+                formats: Mapping[str, str] | None = None) -> tuple[list[list[str]], list[bool]]:
+    """The cells as text, column by column, and which columns hold numbers; arguments as of :func:`as_text`."""
+    return cells(table, units, formats)[1], [_numeric(table[name]) for name in table.columns]
 
 
 def cells(table: pd.DataFrame, units: Mapping[str, str] | None,

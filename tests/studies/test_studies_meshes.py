@@ -13,6 +13,7 @@ upset = load("adaptive_upset")
 families = load("mesh_families")
 transfers = load("transfer_operators")
 amg = load("amg_comparison")
+front = load("front")
 
 
 def test_a_geometric_sequence_has_its_limit():
@@ -129,6 +130,7 @@ def test_adaptive_against_uniform(tmp_path):
     assert (cost["residual"] < 1e-7).all()
     uniform = accuracy[accuracy["grid"] == "uniform"]
     assert (np.diff(uniform["max error A-E"]) < 0).all()
+    assert "times the nodes" in front.adaptive(tables).text
     assert uniform["max error A-E"].iloc[-1] < 0.1
     graded = accuracy[accuracy["grid"] == "Netgen, contact 4x finer"]
     assert (graded["gain A-E"] > 2).all()
@@ -178,6 +180,7 @@ def test_algebraic_multigrid(tmp_path):
     by = {name: rows.set_index(["grid", "nodes"]) for name, rows in glued.groupby("method")}
     assert (by["AMG-CG, rigid-body modes"]["iterations"] < by["AMG-CG, constants"]["iterations"]).all()
     assert (glued["energy error"] < 2e-8).all()
+    assert "linear solve" in front.linear(tables).text
     contact = tables["amg_contact"]
     assert (contact["status"] == "CONVERGED").all()
     assert (contact["true error"] < 5e-8).all()

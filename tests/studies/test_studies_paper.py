@@ -10,7 +10,7 @@ import pytest
 from study_scripts import load
 
 grid_count, smoothing_count, full_multigrid = load("grid_count"), load("smoothing_count"), load("full_multigrid")
-paper_runs, common = load("paper_runs"), load("common")
+paper_runs, common, front = load("paper_runs"), load("common"), load("front")
 
 
 def quick(module, out: Path) -> dict:
@@ -169,6 +169,16 @@ class TestFullMultigrid:
         frame = start_items["nested_start"].frame
         assert rows(frame, start="zero")["start work"].isna().all()
         assert (frame["zero over this"][frame["start"] != "zero"] > 1).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("place", "items"), [("grids", "grid_items"), ("smoothings", "smoothing_items"),
+                                              ("starts", "start_items")])
+def test_the_first_screen_of_the_report_finds_its_tables(place, items, request):
+    frames = {name: item.frame for name, item in request.getfixturevalue(items).items()
+              if isinstance(item, common.Table)}
+    shown = front.PLACES[place].make(frames).item.frame
+    assert 3 <= len(shown) <= 5 and 3 <= len(shown.columns) <= 5 and shown["paper"].notna().all()
 
 
 def test_chain_and_nodes_are_those_of_the_paper():

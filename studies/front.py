@@ -1,0 +1,185 @@
+"""The first screen of the report: the paper's three tables beside ours, and two pictures.
+
+A section says itself what stands there (``Section.headline``); for one that does not, what stands here is made from its
+tables. Nothing is computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import common
+import numpy as np
+import pandas as pd
+from common import Figure, Headline, Section, Table
+from matplotlib import pyplot as plt
+from matplotlib.axis import Axis
+from matplotlib.ticker import LogLocator, NullFormatter
+from paper_runs import CHANGE, TARGET
+
+from adaptmg.plot.style import BLUE, GREY, ORANGE, styled
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place on the first screen: its title, the study it is of, and what to make of that study's tables."""
+
+    title: str
+    study: str
+    make: Callable[[Mapping[str, pd.DataFrame]], Headline]
+
+
+def headlines(sections: Mapping[str, Section]) -> dict[str, Headline | str]:
+    """For each place what stands there, or why nothing does."""
+    given = {line.place: line for section in sections.values() for line in section.headline}
+    unknown = sorted(set(given) - set(PLACES))
+    if unknown:
+        raise ValueError(f"headline: there is no place {unknown} on the first screen; there are {list(PLACES)}")
+    return {name: given.get(name) or _made(name, sections) for name in PLACES}
+
+
+def _made(name: str, sections: Mapping[str, Section]) -> Headline | str:
+    place = PLACES[name]
+    if place.study not in sections:
+        return f"Not in this run: python studies/reproduce.py {place.study}"
+    frames = {item.name: item.frame for item in sections[place.study].items if isinstance(item, Table)}
+    try:
+        return place.make(frames)
+    except (KeyError, IndexError) as error:
+        return f"The tables of this run have nothing for this place ({type(error).__name__}: {error})."
+
+
+def grid_counts(frames: Mapping[str, pd.DataFrame]) -> Headline:
+    """Table 1: like with like, complete coarse solutions; the best variant is named after it."""
+    frame = frames["table1"]
+    ours = {name: frame[name] for name in frame.columns if name.startswith("monotone, ")}
+    like = ours["monotone, complete"]
+    shown = pd.DataFrame({"grids": frame["grids"], "paper": frame["paper"], "ours": like,
+                          "its mode": frame["paper's mode"]})
+    best = max(ours, key=lambda name: ours[name].max())
+    row = int(ours[best].idxmax())
+    also = "" if best == "monotone, complete" else (
+        f" With {best.removeprefix('monotone, ')}-cycles {ours[best][row]:.0f} "
+        f"({len(frame['grids'][row].split('/'))} grids).")
+    units = {"paper": "CPU", "ours": "work", "its mode": "work"}
+    return Headline("grids", Table("front_grids", shown, "", units=units, formats=dict.fromkeys(units, ".1f")),
+                    f"Speed-up over one grid. Ours: work to a true error of {TARGET:g}, with complete coarse solves as "
+                    f"in the paper.{also} Its mode: to the paper's test, where it stops at a true error of "
+                    f"{frame['its true error'].iloc[-1]:.0e}.")
+
+
+def smoothings(frames: Mapping[str, pd.DataFrame]) -> Headline:
+    """Table 2: cycles for 1 to 4 smoothings, from zero with tight coarse solves."""
+    frame = frames["smoothing_count"]
+    tight = frame[(frame["start"] == "zero") & (frame["coarse solve"] == "error 1e-8")].set_index("smoothings")
+    loose = frame[(frame["start"] == "zero") & (frame["coarse solve"] == "change 1 x outer")].set_index("smoothings")
+    printed = tight["paper iterations"].dropna()
+    shown = pd.DataFrame({"smoothings": printed.index, "paper": printed.to_numpy(),
+                          "ours": tight.loc[printed.index, "cycles"].to_numpy(),
+                          "ours, loose": loose["cycles"].reindex(printed.index).to_numpy()})
+    names = shown.columns[1:]
+    return Headline("smoothings", Table("front_smoothings", shown, "", units=dict.fromkeys(names, "cycles"),
+                                        formats=dict.fromkeys(names, ".0f")),
+                    "Two grids (289/81) from zero, frictionless bar, until a cycle changes the solution by "
+                    f"{CHANGE:g}. Ours: coarse problems solved to an error of 1e-8; loose: until a sweep changes them "
+                    "by what the outer test allows.")
+
+
+def starts(frames: Mapping[str, pd.DataFrame]) -> Headline:
+    """Table 3: the cost of each method over that of two grids with the full start."""
+    frame = frames["full_multigrid"]
+    theirs = frame[(frame["problem"] == "frictionless bar") & (frame["mode"] == "paper")]
+    equal = frame[(frame["problem"] == "Coulomb bar") & (frame["mode"] == "monotone")
+                  & frame["test"].str.startswith("true error")]
+    if not len(theirs) == len(equal) == 3:
+        raise KeyError("three methods on the frictionless and on the Coulomb bar")
+    shown = pd.DataFrame({
+        "method": theirs["method"].to_numpy(), "paper": theirs["paper ratio"].to_numpy(),
+        "frictionless": theirs["work ratio"].to_numpy(), "friction 1": equal["work ratio"].to_numpy()})
+    units = {"paper": "CPU", "frictionless": "work", "friction 1": "work"}
+    return Headline("starts", Table("front_starts", shown, "", units=units, formats=dict.fromkeys(units, ".1f")),
+                    "Cost over two grids with the full start, 289/81 nodes. Ours: frictionless in the paper's mode and "
+                    "by its test (a patch test: the start is exact), with friction to equal true error.")
+
+
+@styled
+def adaptive(frames: Mapping[str, pd.DataFrame]) -> Headline:
+    """Error against nodes and against seconds, uniform and refined near contact."""
+    errors, costs = frames["adaptive_bar_accuracy"], frames["adaptive_bar_cost"]
+    rows = errors.assign(total=costs["total"].to_numpy())
+    families = {"uniform": GREY, "Netgen, contact 4x finer": BLUE}
+    missing = set(families) - set(rows["grid"])
+    if missing:
+        raise KeyError(*missing)
+    figure, axes = plt.subplots(1, 2, figsize=(5.6, 2.5), sharey=True)
+    for name, color in families.items():
+        part = rows[rows["grid"] == name].sort_values("nodes")
+        for ax, column in zip(axes, ("nodes", "total"), strict=True):
+            ax.loglog(part[column], part["max error A-E"], marker="o", color=color,
+                      label="uniform" if name == "uniform" else "4 times finer at contact")
+    axes[0].set(xlabel="nodes", ylabel="error at A-E [%]")
+    axes[1].set(xlabel="time, mesh to solution [s]")
+    common.plain_ticks(axes[0].yaxis)
+    for ax in axes:
+        _decades(ax.xaxis)
+        ax.grid(True)
+    axes[1].legend()
+    return Headline("adaptive", Figure("front_adaptive", figure, "GRECO bar, friction 1: largest error of the "
+                                       "displacement at five points against nodes and against seconds"),
+                    _who_gains(rows, *families))
+
+
+def _decades(axis: Axis) -> None:
+    """Labels at powers of ten alone."""
+    axis.set_major_locator(LogLocator())
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _who_gains(rows: pd.DataFrame, uniform: str, graded: str) -> str:
+    """Nodes and seconds of the two at the error of the finest graded mesh that uniform ones reach too."""
+    found = {}
+    for name in (uniform, graded):
+        part = rows[rows["grid"] == name].sort_values("nodes")
+        error = np.log(np.minimum.accumulate(part["max error A-E"].to_numpy()))[::-1]
+        found[name] = {"least": error[0], **{column: (error, np.log(part[column].to_numpy())[::-1])
+                                             for column in ("nodes", "total")}}
+    target = max(found[uniform]["least"], found[graded]["least"])
+    nodes, seconds = (float(np.exp(np.interp(target, *found[uniform][column])
+                                   - np.interp(target, *found[graded][column]))) for column in ("nodes", "total"))
+    return (f"GRECO bar, friction 1. At an error of {np.exp(target):.2g} % uniform grids take {nodes:.1f} times the "
+            f"nodes and {seconds:.1f} times the seconds of meshes graded towards contact; seconds count meshing and "
+            "assembly.")
+
+
+@styled
+def linear(frames: Mapping[str, pd.DataFrame]) -> Headline:
+    """Seconds of the contact problem by multigrid and of the linear one by algebraic multigrid."""
+    frame = frames["amg_glued"]
+    rows = frame[frame["grid"] == "uniform"]
+    ours, amg = (rows[rows["method"] == name].sort_values("nodes")
+                 for name in ("contact, FullMultigrid", "AMG-CG, rigid-body modes"))
+    if ours.empty or amg.empty:
+        raise KeyError("FullMultigrid and AMG-CG on uniform grids")
+    figure, ax = plt.subplots(figsize=(5.6, 2.5))
+    ax.loglog(amg["nodes"], amg["total"], marker="s", color=ORANGE, label="linear (glued) problem, pyamg AMG-CG")
+    ax.loglog(ours["nodes"], ours["total"], marker="o", color=BLUE, label="contact with friction, multigrid")
+    ax.set(xlabel="nodes", ylabel="set-up and solve [s]")
+    common.plain_ticks(ax.xaxis, ax.yaxis)
+    ax.grid(True)
+    ax.legend()
+    ratio = (ours.set_index("nodes")["total"] / amg.set_index("nodes")["total"]).dropna()
+    return Headline("linear", Figure("front_linear", figure, "Seconds of set-up and solve against nodes: the contact "
+                                     "problem by multigrid, the linear problem by pyamg"),
+                    f"GRECO bar on uniform grids, one thread. The contact problem takes {ratio.min():.2f} to "
+                    f"{ratio.max():.2f} times the seconds of one linear solve of the same matrix (contact nodes "
+                    f"fixed), {ratio.iloc[-1]:.2f} on {ratio.index[-1]} nodes.")
+
+
+PLACES: Mapping[str, Place] = {
+    "grids": Place("Table 1: more grids", "grid_count", grid_counts),
+    "smoothings": Place("Table 2: smoothings", "smoothing_count", smoothings),
+    "starts": Place("Table 3: full start", "full_multigrid", starts),
+    "adaptive": Place("Adaptive against uniform meshes", "adaptive_vs_uniform", adaptive),
+    "linear": Place("Contact against a linear solve", "amg_comparison", linear),
+}
