@@ -181,7 +181,8 @@ def run(context: common.Context) -> common.Section:
     fixed = {"rtol": RTOL, "max_cycles": MAX_CYCLES, "repetitions": REPETITIONS}
 
     def rows(function: Callable[..., dict[str, Any]], families: Mapping[str, tuple[int, ...]]) -> pd.DataFrame:
-        tables = [context.study(function, {"grid": [grid], "size": sizes}, **fixed) for grid, sizes in families.items()]
+        tables = [context.study(function, {"grid": [grid], "size": sizes}, timed=True, **fixed)
+                  for grid, sizes in families.items()]
         return long_form(pd.concat(tables, ignore_index=True))
 
     glued_rows = rows(linear, QUICK_LINEAR if context.quick else LINEAR)

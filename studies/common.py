@@ -10,6 +10,7 @@ import argparse
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -94,6 +95,11 @@ class Section:
     seeds: str = ""
 
 
+def in_this_process(study: am.Study, timed: bool) -> pd.DataFrame:
+    """The rows of a study, run after run."""
+    return study.run(throw=True)
+
+
 @dataclass
 class Context:
     """How a study is to run.
@@ -104,18 +110,34 @@ class Context:
         Smaller grids, seconds instead of minutes.
     out : Path
         Directory of CSV files, pictures and the store.
+    full : bool
+        More than the paper asks: fine references, histories, campaigns.
+    compute : callable
+        Gives the rows of a study, told whether its runs are timed; :mod:`together` has one for a cluster.
+    alone : callable
+        A context manager for what is measured without a study: entered when nothing else computes.
     """
 
     quick: bool
     out: Path
+    full: bool = False
+    compute: Callable[[am.Study, bool], pd.DataFrame] = in_this_process
+    alone: Callable[[], AbstractContextManager[None]] = nullcontext
 
-    def study(self, run: Callable[..., dict[str, Any]], parameters: Mapping[str, Sequence[Any]],
-              **fixed: Any) -> pd.DataFrame:
-        """Run a parameter study through the store of this context; rows that are stored are not computed again."""
+    def study(self, run: Callable[..., dict[str, Any]], parameters: Mapping[str, Sequence[Any]], *,
+              timed: bool = False, **fixed: Any) -> pd.DataFrame:
+        """Run a parameter study through the store of this context; rows that are stored are not computed again.
+
+        Parameters
+        ----------
+        run, parameters, fixed : as of :class:`adaptmg.Study`
+        timed : bool
+            The seconds of its runs are a result: they run alone, when all others are done.
+        """
         make_folder("--out", self.out)
         study = am.Study(run, parameters, self.out / "studies.sqlite", fixed=fixed,
                          name=f"{Path(run.__code__.co_filename).stem}.{run.__name__}")
-        return study.run(throw=True)
+        return self.compute(study, timed)
 
 
 @lru_cache(maxsize=32)
@@ -219,8 +241,8 @@ def write_picture(figure: Any, path: Path, dpi: int = 130) -> None:
     write_bytes(path, small_png(figure, dpi))
 
 
-def show(section: Section, out: Path) -> None:
-    """Print a section's tables; write them as CSV and the figures as PNG."""
+def show(section: Section, out: Path, pictures: bool = True) -> None:
+    """Print a section's tables; write them as CSV, and the figures as PNG if they are wanted."""
     from adaptmg.study.tables import as_text
 
     said = "\n\n".join(text for text in (section.summary, section.text) if text)
@@ -232,7 +254,7 @@ def show(section: Section, out: Path) -> None:
             make_folder("--out", out)
             text = item.frame.to_csv(index=False)
             write_bytes(out / f"{item.name}.csv", text.encode("utf-8", "backslashreplace"))
-        else:
+        elif pictures:
             target = out / f"{item.name}.png"
             write_picture(item.figure, target)
             print(f"\n[figure {target}] {item.caption}")
@@ -241,9 +263,11 @@ def show(section: Section, out: Path) -> None:
 def main(run: Callable[[Context], Section], description: str) -> None:
     """Command line of a study script."""
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--quick", action="store_true", help="smaller grids, seconds instead of minutes")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="smaller grids, seconds instead of minutes")
+    size.add_argument("--full", action="store_true", help="more than the paper asks; minutes")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
                         help="where CSV files, pictures and the store go (default: results)")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    show(run(Context(arguments.quick, arguments.out)), arguments.out)
+    show(run(Context(arguments.quick, arguments.out, arguments.full)), arguments.out)

@@ -1,13 +1,12 @@
-"""All studies, one HTML report that opens offline, with the tables as CSV and the figures as PNG beside it.
+"""All studies, one HTML report that opens offline, with the tables as CSV beside it.
 
-    python studies/reproduce.py [--quick] [--out DIR] [--fresh] [STUDY ...]
+    python studies/reproduce.py [--quick | --full] [--workers N] [--out DIR] [--fresh] [--pictures] [STUDY ...]
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
-import logging
+import os
 import subprocess
 import sys
 import time
@@ -16,15 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import front
+import together
 from common import Context, Figure, Section, Table, show
 
 if TYPE_CHECKING:
     from adaptmg.export import Report
 
 STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "hertz",
-           "adaptive_vs_uniform", "goal_greco", "transfer_operators", "amg_comparison", "kernels")
-#: run only where they are named: minutes on large grids, and campaigns of hundreds of problems
-LARGE = ("benchmark", "robustness", "true_errors")
+           "adaptive_vs_uniform", "goal_greco", "transfer_operators", "amg_comparison")
+#: only with --full, or where they are named: minutes on large grids, and campaigns of hundreds of problems
+LARGE = ("kernels", "benchmark", "robustness", "true_errors")
 TITLE = "adaptmg: multigrid for frictional contact"
 SUMMARY = "'Multigrid in Structure Assembling Problem' recomputed: its tables beside ours, and what they leave open."
 TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,
@@ -38,50 +38,77 @@ Seconds are of this machine and this run, on one thread. The paper counts grid 1
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
-                                     epilog="example: python studies/reproduce.py --quick --out /tmp/report")
-    parser.add_argument("studies", nargs="*", metavar="STUDY",
-                        help=f"some of: {', '.join(STUDIES + LARGE)} (default: all but the last three)")
-    parser.add_argument("--quick", action="store_true", help="smaller grids: some three minutes")
-    parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
-                        help="where report.html, CSV files, pictures and the store go (default: results)")
-    parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")
-    arguments = parser.parse_args()
+    arguments = _parser().parse_args()
     unknown = sorted(set(arguments.studies) - set(STUDIES + LARGE))
     if unknown:
-        parser.error(f"unknown study {', '.join(unknown)}; there are {', '.join(STUDIES + LARGE)}")
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+        raise SystemExit(f"reproduce.py: unknown study {', '.join(unknown)}; there are {', '.join(STUDIES + LARGE)}")
     out = arguments.out / "quick" if arguments.quick else arguments.out
     if arguments.fresh:
         (out / "studies.sqlite").unlink(missing_ok=True)
-    report(Context(arguments.quick, out), arguments.studies or STUDIES)
+    names = arguments.studies or (STUDIES + LARGE if arguments.full else STUDIES)
+    report(Context(arguments.quick, out, arguments.full), names, arguments.workers, arguments.pictures)
 
 
-def report(context: Context, names: tuple[str, ...] | list[str]) -> Path:
-    """Run studies, show them, and write the report.
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
+                                     epilog="example: python studies/reproduce.py --quick --out /tmp/report")
+    parser.add_argument("studies", nargs="*", metavar="STUDY",
+                        help=f"some of: {', '.join(STUDIES)} (default: these), {', '.join(LARGE)} (with --full)")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="smaller grids: a minute and a half at most")
+    size.add_argument("--full", action="store_true", help="beyond the paper: fine references, histories, campaigns")
+    parser.add_argument("--workers", type=_workers, default=cores(), metavar="N",
+                        help="processes that compute; 0 or 1: this one alone (default: one a core, here %(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
+                        help="where report.html, CSV files, pictures and the store go (default: results)")
+    parser.add_argument("--pictures", action="store_true", help="write the figures as PNG too")
+    parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")
+    return parser
+
+
+def _workers(text: str) -> int:
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"a whole number, 0 or more, not {text!r}")
+    return int(text)
+
+
+def cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def report(context: Context, names: Sequence[str], workers: int, pictures: bool = False) -> Path:
+    """Run studies, show them as they are done, and write the report.
 
     Returns
     -------
     Path
         Of the HTML file.
     """
-    sections = {}
-    for number, name in enumerate(names, start=1):
-        print(f"[{number}/{len(names)}] {name} ...", file=sys.stderr, flush=True)
-        begin = time.perf_counter()
-        sections[name] = importlib.import_module(name).run(context)
-        show(sections[name], context.out)
-        print(f"[{number}/{len(names)}] {name}: {time.perf_counter() - begin:.1f} s", file=sys.stderr, flush=True)
-    target = page_of(sections, context.quick).write(context.out / "report.html")
+    begin, sections = time.perf_counter(), {}
+
+    def done(name: str, section: Section, seconds: float) -> None:
+        sections[name] = section
+        show(section, context.out, pictures)
+        print(f"[{len(sections)}/{len(names)}] {name}: done after {seconds:.0f} s", file=sys.stderr, flush=True)
+
+    if workers > 1:
+        print(f"{len(names)} studies on {workers} workers ...", file=sys.stderr, flush=True)
+        together.at_once(context, names, done, workers)
+    else:
+        together.in_turn(context, names, done)
+    page = page_of({name: sections[name] for name in names}, context)
+    target = page.write(context.out / "report.html")
     print(f"\nreport: {target}")
+    print(f"all done after {time.perf_counter() - begin:.0f} s", file=sys.stderr)
     return target
 
 
-def page_of(sections: Mapping[str, Section], quick: bool) -> Report:
+def page_of(sections: Mapping[str, Section], context: Context) -> Report:
     """The report of what studies returned, by their names: first screen, a section each, how it was made."""
     from adaptmg.export import Report
 
-    page = Report(TITLE, SUMMARY + " This is a quick run, on smaller grids." * quick, terms=TERMS)
+    page = Report(TITLE, SUMMARY + " This is a quick run, on smaller grids." * context.quick, terms=TERMS)
     for name, line in front.headlines(sections).items():
         place = front.PLACES[name]
         if isinstance(line, str):
@@ -97,7 +124,8 @@ def page_of(sections: Mapping[str, Section], quick: bool) -> Report:
             add(page, item)
     seeds = "; ".join(f"{name}: {section.seeds}" for name, section in sections.items() if section.seeds)
     page.made(commit=commit(), seeds=seeds or "no study of this run draws random numbers", command=" ".join(
-        ["python studies/reproduce.py", *["--quick"] * quick, *([] if tuple(sections) == STUDIES else sections)]))
+        ["python studies/reproduce.py", *["--quick"] * context.quick, *["--full"] * context.full,
+         *([] if tuple(sections) in (STUDIES, STUDIES + LARGE) else sections)]))
     return page
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -43,7 +45,7 @@ def linear(ratio: float = 0.5):
 
 def made(sections) -> Page:
     """The page of the studies, parsed."""
-    text = reproduce.page_of(sections, False).page()
+    text = reproduce.page_of(sections, common.Context(False, Path())).page()
     assert not plt.get_fignums()
     return Page(text)
 
