@@ -218,14 +218,21 @@ def quickest(hierarchy: am.Hierarchy, solver: Any, seconds: float = 0.5, times: 
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float:
-    """Exponent of y ~ x^slope, fitted by least squares to the logarithms."""
+    """Exponent of y ~ x^slope, fitted by least squares to the logarithms; NaN of fewer than three points."""
+    if len(x) < 3:
+        return float("nan")
     return float(np.polyfit(np.log(np.asarray(x, dtype=float)), np.log(np.asarray(y, dtype=float)), 1)[0])
 
 
 def plain_ticks(*axes: Any) -> None:
-    """Label logarithmic axes (``ax.xaxis``, ...) at 1, 2, 5 times powers of ten, without exponents."""
+    """Label logarithmic axes (``ax.xaxis``, ...) without exponents, at 1, 2, 5 times powers of ten where there is room.
+
+    Over more than a decade and a half such labels would overlap: then at the powers alone.
+    """
     for axis in axes:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        low, high = axis.get_view_interval()
+        wide = low > 0 and high / low > 30
+        axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 

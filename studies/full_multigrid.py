@@ -65,7 +65,7 @@ def deeper(problem: str, divisions: int, levels: int, start: str, cycle: str, rt
 def run(context: Context) -> Section:
     """Tables and figures; see the module."""
     pairs = methods(context)
-    levels = (3, 4, 5) if context.quick else (3, 4, 5, 6)
+    levels = (3, 4, 5, 6) if context.full and not context.quick else (3, 4, 5)
     rows = [context.study(deeper, {"start": STARTS, "cycle": ("V", "W")}, problem=problem, levels=count,
                           divisions=4 * 2**(count - 1), rtol=RTOL, target=TARGET, times=repeats(context)
                           ).assign(problem=problem, levels=count, divisions=4 * 2**(count - 1))

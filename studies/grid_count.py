@@ -74,15 +74,16 @@ def run(context: Context) -> Section:
     tested = at_own_test(context)
     items: list[Table | Figure] = [headline(bar, tested), gain_table("grid_count", bar, BAR, 32),
                                    own_test_table(tested)]
-    if not context.quick:
+    largest = None
+    if context.full and not context.quick:
         for problem in ("frictionless bar", "curved obstacle"):
             frame = methods(context, problem, 32, (2, 3, 4))
             items.append(gain_table(f"grid_count_{problem.split()[0]}", frame, problem, 32))
         finer = methods(context, BAR, 64, (2, 3, 4, 5))
-        finest = larger(context, bar, finer)
-        items += [gain_table("grid_count_65", finer, BAR, 64), gain_table("grid_count_129", finest, BAR, 128)]
+        largest = larger(context, bar, finer)
+        items += [gain_table("grid_count_65", finer, BAR, 64), gain_table("grid_count_129", largest, BAR, 128)]
     items.append(omega_table(context))
-    items.append(error_figure([(bar, 32)] if context.quick else [(bar, 32), (finest, 128)], tested))
+    items.append(error_figure([(bar, 32)] if largest is None else [(bar, 32), (largest, 128)], tested))
     items += [*paper_choices.tables(context), *cycle_rates.tables(context), path_figure()]
     return Section("Table 1: number of grids", text(bar, tested), items)
 
@@ -289,7 +290,8 @@ def own_test_table(frame: pd.DataFrame) -> Table:
 
 def omega_table(context: Context) -> Table:
     """The search for the best omega."""
-    problems = [(BAR, 32)] if context.quick else [*((name, 32) for name in common.PROBLEMS), (BAR, 64)]
+    more = context.full and not context.quick
+    problems = [*((name, 32) for name in common.PROBLEMS), (BAR, 64)] if more else [(BAR, 32)]
     columns, failed = {}, []
     for problem, divisions in problems:
         for condensed in (False, True):

@@ -42,7 +42,7 @@ def chain(finest: int, levels: int) -> tuple[int, ...]:
 
 def repeats(context: common.Context) -> int:
     """How often a short solve is repeated for its seconds."""
-    return 1 if context.quick else 3
+    return 3 if context.full and not context.quick else 1
 
 
 def nodes_text(divisions: tuple[int, ...]) -> str:
