@@ -1,14 +1,18 @@
-"""The pictures of the README: the bar (problem, non-nested grids, contact line, convergence), and the dovetail.
+"""The pictures of the README: the bar (problem, grids, contact line, convergence), the dovetail, and adaptive meshes.
 
-    python studies/overview.py [--out DIR]
+    python studies/overview.py [--out DIR] [NAME ...]
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
+import adaptive_runs as runs
 import matplotlib.pyplot as plt
+import pandas as pd
+from adaptive_figures import picture, steps_of
 from common import write_picture
 from matplotlib.figure import Figure
 
@@ -59,15 +63,32 @@ def dovetail() -> Figure:
     return figure
 
 
+def adaptive() -> Figure:
+    """Adaptive meshes of the dovetail, and errors against uniform ones and those graded by hand."""
+    case, reference = "dovetail", 150_000
+    rows = [pd.DataFrame(json.loads(runs.family(case, family, 250_000 if family == "uniform" else 20_000, reference)
+                                    ["meshes"])).assign(case=case, family=family) for family in runs.FAMILIES]
+    steps = steps_of(case, 4000)
+    return picture(pd.concat(rows, ignore_index=True), case, (steps[-3], steps[-1]))
+
+
+PICTURES = {"overview": bar, "dovetail": dovetail, "adaptive": adaptive}
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Draw the pictures of the README.",
                                      epilog="example: python studies/overview.py --out /tmp/pictures")
     parser.add_argument("--out", type=Path, default=Path("data/pictures"), metavar="DIR")
-    out = parser.parse_args().out
-    for name, draw in {"overview": bar, "dovetail": dovetail}.items():
-        write_picture(draw(), out / f"{name}.png", dpi=90)
-        print(out / f"{name}.png")
+    parser.add_argument("pictures", nargs="*", metavar="NAME", help=f"some of: {', '.join(PICTURES)} (default: all)")
+    arguments = parser.parse_args()
+    unknown = sorted(set(arguments.pictures) - set(PICTURES))
+    if unknown:
+        parser.error(f"unknown picture {', '.join(unknown)}; there are {', '.join(PICTURES)}")
+    for name in arguments.pictures or PICTURES:
+        target = arguments.out / f"{name}.png"
+        write_picture(PICTURES[name](), target, dpi=90)
+        print(target)
 
 
 if __name__ == "__main__":

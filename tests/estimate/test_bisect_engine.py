@@ -127,3 +127,24 @@ def test_bad_arguments():
         engine.refine(PROBLEM, SQUARE, estimate, np.arange(18))
     with pytest.raises(ValueError, match="max_nodes must be >= 1"):
         engine.refine(PROBLEM, SQUARE, estimate, marked, max_nodes=0)
+
+
+def test_rectangles_and_boxes_begin_with_a_regular_mesh():
+    mesh = am.Bisect().first(am.cases.upset_block(), 12e-3)
+    # 40 mm in cells of 12 mm at most
+    assert mesh.n_nodes == 25
+    assert mesh.volumes == pytest.approx(1e-4 / 2)
+    block = am.Bisect().first(am.cases.greco_block(depth=10e-3), 20e-3)
+    assert block.n_nodes == 27
+    pair = am.cases.two_block_patch(size=0.1)
+    assert am.Bisect().first(pair, 0.05).bodies == ("upper", "lower")
+    assert am.Bisect().first(am.cases.dovetail(), 5e-3) is None
+
+
+def test_the_loop_begins_with_the_mesh_of_its_engine():
+    problem = am.cases.upset_block()
+    step = next(am.adapt(problem, 10e-3, engine=am.Bisect(), max_nodes=30))
+    assert step.hierarchy.finest.mesh.volumes == pytest.approx(0.5e-4)
+    other = next(am.adapt(problem, 10e-3, engine=am.Remesh(), max_nodes=30))
+    assert np.ptp(other.hierarchy.finest.mesh.volumes) > 1e-6
+    assert next(am.adapt(am.cases.dovetail(), 6e-3, engine=am.Bisect(), max_nodes=100)).nodes > 50

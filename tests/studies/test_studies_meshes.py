@@ -8,46 +8,15 @@ from study_scripts import load
 import adaptmg as am
 
 common = load("common")
-adaptive = load("adaptive_vs_uniform")
-upset = load("adaptive_upset")
 families = load("mesh_families")
 transfers = load("transfer_operators")
 amg = load("amg_comparison")
 front = load("front")
 
 
-def test_a_geometric_sequence_has_its_limit():
-    assert adaptive.limit(3.0 + 2.0 * 0.3 ** np.arange(5)) == pytest.approx(3.0)
-
-
 def test_slope_of_a_power():
     x = np.array([10.0, 40.0, 90.0])
     assert common.slope(x, 7 * x**-0.4) == pytest.approx(-0.4)
-
-
-def test_the_gain_of_uniform_grids_is_one_and_unknown_outside():
-    bars = pd.DataFrame({"family": ["uniform", "uniform", "other", "other"], "nodes": [100, 10_000, 1000, 5],
-                         "max_error": [1.0, 0.01, 0.05, 0.5]})
-    assert adaptive.gain(bars, "max_error")[:3].tolist() == pytest.approx([1.0, 1.0, 2.0])
-    assert np.isnan(adaptive.gain(bars, "max_error")[3])
-
-
-def test_the_mesh_needed_is_the_first_from_which_on_the_error_is_small():
-    rows = pd.DataFrame({"nodes": [10, 20, 40, 80], "max_error": [0.5, 0.05, 0.2, 0.01]})
-    assert adaptive.needed(rows, 0.1)["nodes"] == 80
-    assert adaptive.needed(rows, 1.0)["nodes"] == 10
-    assert adaptive.needed(rows, 0.001) is None
-
-
-def test_zone_ends_lie_between_nodes_of_different_state():
-    grids = families.grids_of(am.cases.greco_bar(), "uniform", 16)
-    result = am.solve(grids, am.FullMultigrid())
-    h = families.SIDE / 16
-    for state, end in ((am.OPEN, 3.32e-3), (am.SLIP, 29.86e-3)):
-        found = adaptive.zone_end(result, state)
-        assert (found / h) % 1 == pytest.approx(0.5)
-        assert abs(found - end) <= h
-    assert np.isnan(adaptive.zone_end(result, am.STICK))
 
 
 def test_bisected_families_are_nested_and_refine_the_contact_line():
@@ -120,31 +89,6 @@ def section_of(module, folder):
                for item in section.items}
     assert all(path.stat().st_size > 100 for path in written.values())
     return {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
-
-
-@pytest.mark.slow
-def test_adaptive_against_uniform(tmp_path):
-    tables = section_of(adaptive, tmp_path)
-    accuracy, cost = tables["adaptive_bar_accuracy"], tables["adaptive_bar_cost"]
-    assert (cost["status"] == "CONVERGED").all()
-    assert (cost["residual"] < 1e-7).all()
-    uniform = accuracy[accuracy["grid"] == "uniform"]
-    assert (np.diff(uniform["max error A-E"]) < 0).all()
-    assert "times the nodes" in front.adaptive(tables).text
-    assert uniform["max error A-E"].iloc[-1] < 0.1
-    graded = accuracy[accuracy["grid"] == "Netgen, contact 4x finer"]
-    assert (graded["gain A-E"] > 2).all()
-    # the line alone leaves the error of the bulk in the contact force
-    line = accuracy[accuracy["grid"] == "8 cells, contact line bisected"]
-    assert (line["T error"] > 1).all()
-    inside = accuracy["contact h"] / 2
-    assert (abs(accuracy["open to"] - 3.32) <= inside + 0.6).all()
-    assert (abs(accuracy["slip to"] - 29.86) <= inside + 0.6).all()
-    assert (tables["adaptive_upset"]["status"] == "CONVERGED").all()
-    assert (tables["adaptive_upset"]["energy error"] > 0).all()
-    rates = tables["adaptive_upset_rates"].set_index("grid")["fitted, all"]
-    assert rates["uniform"] == pytest.approx(-0.39, abs=0.04)
-    assert rates["Netgen, to the corner"] < rates["uniform"] - 0.08
 
 
 @pytest.mark.slow

@@ -45,7 +45,8 @@ def adapt(problem: ContactProblem, start: Any = 5e-3, indicator: Any = None, mar
         Anything with ``mark(estimate) -> mask of elements``. Default ``Doerfler(0.5)``.
     engine : Remesh, Bisect or one's own, optional
         Anything with ``refine(problem, mesh, estimate, marked, max_nodes=None) -> MeshArrays``, and perhaps
-        ``intermediate(problem, coarse, fine) -> MeshArrays``, where sizes fall too much for neighbouring levels.
+        ``intermediate(problem, coarse, fine) -> MeshArrays``, where sizes fall too much for neighbouring levels, and
+        ``first(problem, size) -> MeshArrays or None``, where ``start`` is a size (default, and for None: by Netgen).
         Default ``Remesh()``, and ``Bisect()`` for a problem without a domain.
     tolerance : float, optional
         Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity).
@@ -92,7 +93,7 @@ def adapt(problem: ContactProblem, start: Any = 5e-3, indicator: Any = None, mar
     parts = Parts(*_parts(problem, indicator, mark, engine), solver, load_path, adapt_on)
     _check(parts)
     checks.optional_callable("progress", progress, "what is being done")
-    first = _first(problem, start, transfer)
+    first = _first(problem, start, transfer, parts.engine)
     kept = None
     if store is not None:
         options = {"indicator": parts.indicator, "mark": parts.mark, "engine": parts.engine, "solver": parts.solver,
@@ -128,7 +129,7 @@ def _check(parts: Parts) -> None:
     checks.choice("adapt_on", parts.adapt_on, ("last", "worst"))
 
 
-def _first(problem: ContactProblem, start: Any, transfer: Transfer | None) -> Hierarchy:
+def _first(problem: ContactProblem, start: Any, transfer: Transfer | None, engine: Any) -> Hierarchy:
     """The hierarchy that the loop begins with."""
     if isinstance(start, Hierarchy):
         if start.problem is not problem:
@@ -141,5 +142,9 @@ def _first(problem: ContactProblem, start: Any, transfer: Transfer | None) -> Hi
             raise ValueError(f"start: levels {without} of the hierarchy have no mesh; make it from meshes")
         return start
     if isinstance(start, (int, float)) or hasattr(start, "__float__"):
-        return Hierarchy.graded(problem, (checks.positive("start", start),), transfer=transfer)
+        size, make = checks.positive("start", start), getattr(engine, "first", None)
+        mesh = make(problem, size) if callable(make) else None
+        if mesh is None:
+            return Hierarchy.graded(problem, (size,), transfer=transfer)
+        start = mesh
     return Hierarchy.from_meshes(problem, (start,), transfer)

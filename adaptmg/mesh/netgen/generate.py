@@ -76,7 +76,9 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
     for step in range(rounds + 1):
         # the steps that improve shapes take most of the time; of a draft only the centroids are used
         draft = {"optsteps2d": 0} if not callable(sizes) and step < rounds else {}
-        options = netgen.meshing.MeshingParameters(maxh=max_size / scale, grading=grading, **draft)
+        # its threads spend more time waiting than the work takes
+        options = netgen.meshing.MeshingParameters(maxh=max_size / scale, grading=grading, parallel_meshing=False,
+                                                   **draft)
         if mesh is not None:
             centroids = mesh.points[mesh.elements].mean(axis=1)
             wanted = (sizes if callable(sizes) else sizes[step - 1])(centroids)
