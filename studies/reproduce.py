@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from adaptmg.export import Report
 
 STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "hertz",
-           "adaptive_vs_uniform", "goal_greco", "transfer_operators", "amg_comparison")
+           "adaptive_vs_uniform", "transfer_operators", "amg_comparison")
 #: only with --full, or where they are named: minutes on large grids, and campaigns of hundreds of problems
-LARGE = ("kernels", "benchmark", "robustness", "true_errors")
+LARGE = ("estimator_effectivity", "goal_greco", "kernels", "benchmark", "robustness", "true_errors")
 TITLE = "adaptmg: multigrid for frictional contact"
 SUMMARY = "'Multigrid in Structure Assembling Problem' recomputed: its tables beside ours, and what they leave open."
 TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,

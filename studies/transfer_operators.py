@@ -2,8 +2,10 @@
 
 1. Each transfer on independent Netgen meshes in 2D and 3D (nested uniform grids as the base line): seconds to build,
    entries, complexity of the Galerkin matrices, affine fields reproduced, whether the monotone correction is proven.
-2. Cycles and work units of V(2,0) and W(2,0) with each of them, from a zero and from a nested start.
+2. Cycles and work units with each of them, from a zero and from a nested start: the default method, and the monotone
+   one with V(2,0) and W(2,0) beside it.
 3. Two grids with a growing ratio of their mesh sizes, everywhere or at contact only.
+4. The same on the levels that adaptive loops leave: transfers, and size ratios by leaving levels out.
 
     python studies/transfer_operators.py [--quick] [--out DIR]
 """
@@ -22,6 +24,7 @@ import common
 import numpy as np
 import pandas as pd
 from matplotlib import pyplot as plt
+from transfer_adaptive import adaptive_items
 
 import adaptmg as am
 from adaptmg.mesh import MeshArrays, graded, structured
@@ -68,6 +71,8 @@ CASES: Mapping[str, Case] = {
     "2D nested": NESTED, "2D graded": GRADED, "2D graded, fine": Case((*GRADED.sizes, 0.625e-3), 4, CHOICES[:5]),
     "3D graded": Case((20e-3, 10e-3, 5e-3), 2, dim=3)}
 QUICK_CASES: Mapping[str, Case] = {"2D nested": NESTED, "2D graded": Case(GRADED.sizes[:-1], 4)}
+#: the default method, and the monotone correction in two cycles
+METHODS = {"default": "default", "V": "monotone V(2,0)", "W": "monotone W(2,0)"}
 RATIOS, QUICK_RATIOS = (2, 3, 4, 6), (2, 4)
 
 
@@ -129,15 +134,15 @@ def negative_contact_weights(hierarchy: am.Hierarchy) -> bool:
 
 def convergence(dim: int, sizes: tuple[float, ...], contact_ratio: float, transfer: str, contact_rows: bool, shape: str,
                 rtol: float, max_cycles: int) -> dict[str, Any]:
-    """Cycles and work from a zero start and from a nested one."""
+    """Cycles and work from a zero start and from a nested one; ``shape`` "default" is the default method."""
     common.warm_up(dim)
     problem, meshes = posed(dim, sizes, contact_ratio)
     hierarchy = am.Hierarchy.from_meshes(problem, meshes, TRANSFERS[transfer], contact_rows=contact_rows)
     row: dict[str, Any] = {"nodes": hierarchy.finest.discrete.n_nodes}
-    refused = negative_contact_weights(hierarchy)
+    refused = shape != "default" and negative_contact_weights(hierarchy)
+    parts = {} if shape == "default" else {"cycle": am.Cycle(shape=shape, pre=2, post=0), "correction": am.Monotone()}
     for start, method in (("zero", am.Multigrid), ("full", am.FullMultigrid)):
-        solver = method(cycle=am.Cycle(shape=shape, pre=2, post=0), correction=am.Monotone(), rtol=rtol,
-                        max_cycles=max_cycles)
+        solver = method(rtol=rtol, max_cycles=max_cycles, **parts)
         if refused:
             row |= {f"{start}_{name}": float("nan") for name in ("cycles", "rate", "work", "s", "residual")}
             row[f"{start}_outcome"] = "REFUSED"
@@ -157,22 +162,26 @@ def two_grids(where: str, ratio: int, rtol: float, max_cycles: int) -> dict[str,
     coarse = (graded(problem.domain, 2.5e-3 * ratio, "bottom", 8) if where == "everywhere" else
               graded(problem.domain, 5e-3, "bottom", 16 / ratio))
     hierarchy = am.Hierarchy.from_meshes(problem, [coarse, fine])
-    result = am.solve(hierarchy, am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="V", pre=2, post=0),
-                                              rtol=rtol, max_cycles=max_cycles), throw=False)
+    stop = {"rtol": rtol, "max_cycles": max_cycles}
+    result = am.solve(hierarchy, am.Multigrid(**stop), throw=False)
+    monotone = am.solve(hierarchy, am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="V", pre=2, post=0),
+                                                **stop), throw=False)
     return {"coarse_nodes": coarse.n_nodes, "nodes": fine.n_nodes, "largest_ratio": mesh_ratio(coarse, fine),
             "median_ratio": mesh_ratio(coarse, fine, quantile=0.5), "cycles": result.cycles, "rate": result.rate,
-            "work_units": result.work_units, "residual": result.residual, "outcome": result.status.name}
+            "work_units": result.work_units, "residual": result.residual, "outcome": result.status.name,
+            "monotone_cycles": monotone.cycles, "monotone_rate": monotone.rate,
+            "monotone_outcome": monotone.status.name}
 
 
 def run(context: common.Context) -> common.Section:
-    """All three parts."""
+    """All four parts."""
     kept, cycles = [], []
     stop = {"rtol": RTOL, "max_cycles": MAX_CYCLES}
     for name, case in (QUICK_CASES if context.quick else CASES).items():
         meshes = {"dim": case.dim, "sizes": case.sizes, "contact_ratio": case.contact_ratio}
         for transfer, rows in case.choices:
             choice = {"transfer": [transfer], "contact_rows": [rows]}
-            shapes = choice | {"shape": ["V", "W"]}
+            shapes = choice | {"shape": list(METHODS)}
             kept.append(context.study(properties, choice, **meshes).assign(case=name))
             cycles.append(context.study(convergence, shapes, **meshes, **stop).assign(case=name))
     ratios = context.study(two_grids, {"where": ["everywhere", "at contact"],
@@ -180,11 +189,13 @@ def run(context: common.Context) -> common.Section:
     kept, cycles = pd.concat(kept, ignore_index=True), pd.concat(cycles, ignore_index=True)
     text = ("The GRECO bar with friction 1 (2D) and the block with friction .3 (3D) on independent Netgen meshes, "
             "four times (3D: twice) finer at contact, sizes halved from level to level. Every prolongation is "
-            "tried with the monotone correction; with contact rows, fine contact nodes interpolate along the coarse "
+            "tried with the default method and with the monotone correction; with contact rows, fine contact nodes "
+            "interpolate along the coarse "
             f"contact boundary whatever the transfer does elsewhere. Tolerance {RTOL:g} (estimated relative energy "
             f"error), at most {MAX_CYCLES} cycles.")
     return common.Section("Transfers between non-nested meshes", text, [
-        property_table(kept), cycle_table(cycles), ratio_table(ratios), work_figure(cycles), ratio_figure(ratios)])
+        property_table(kept), cycle_table(cycles), ratio_table(ratios), work_figure(cycles), ratio_figure(ratios),
+        *adaptive_items(context)])
 
 
 def property_table(kept: pd.DataFrame) -> common.Table:
@@ -220,27 +231,30 @@ def cycle_table(cycles: pd.DataFrame) -> common.Table:
     """Cycles, rates and work."""
     frame = pd.DataFrame({
         "case": cycles["case"], "nodes": cycles["nodes"], "transfer": cycles["transfer"],
-        "contact rows": cycles["contact_rows"], "cycle": cycles["shape"] + "(2,0)",
+        "contact rows": cycles["contact_rows"], "method": cycles["shape"].map(METHODS),
         "cycles": cycles["zero_cycles"], "rate": cycles["zero_rate"], "WU": cycles["zero_work"],
         "status": cycles["zero_outcome"], "full: cycles": cycles["full_cycles"], "full: rate": cycles["full_rate"],
         "full: WU": cycles["full_work"], "full: residual": cycles["full_residual"],
         "full: status": cycles["full_outcome"], "full: time": cycles["full_s"]})
-    block = cycles[cycles["case"].str.startswith("3D") & (cycles["full_outcome"] == "CONVERGED")]
-    limits = (f" On the block every transfer that converges does so at a rate of {span(block['full_rate'], '.2f')}, V "
-              "as W, so it is not the transfer that limits it; likely it is that in 3D the monotone correction lets a "
-              "coarse node slip on only if all slips over its support are parallel." if len(block) else "")
+    block = cycles[cycles["case"].str.startswith("3D") & (cycles["shape"] != "default")
+                   & (cycles["full_outcome"] == "CONVERGED")]
+    limits = (f" On the block every transfer with which the monotone method converges has a rate of "
+              f"{span(block['full_rate'], '.2f')}, V as W, so it is not the transfer that limits it; likely it is that "
+              "in 3D a coarse node slips on only if all slips over its support are parallel." if len(block) else "")
     note = ("Left from a zero start, right with the nested start (full), its work included. WU: passes over the finest "
-            f"matrix. {work_words(cycles)} REFUSED: a weight between contact nodes is negative, which the monotone "
+            f"matrix. {work_words(cycles, 'default')} {work_words(cycles, 'monotone')} REFUSED: a weight between "
+            "contact nodes is negative, which the monotone "
             f"correction does not accept. rate: geometric mean of the last cycles.{limits}")
-    return common.Table("transfer_cycles", frame, f"Monotone multigrid with each transfer (rtol {RTOL:g})", note,
+    return common.Table("transfer_cycles", frame, f"Multigrid with each transfer (rtol {RTOL:g})", note,
                         {"full: time": "s"},
                         {"rate": ".2f", "WU": ".0f", "full: rate": ".2f", "full: WU": ".0f", "full: residual": ".1e",
                          "full: time": ".2f"})
 
 
-def work_words(cycles: pd.DataFrame) -> str:
-    """Work of the other transfers over that of interpolation, in words."""
-    rows = cycles[cycles["case"].str.contains("graded")]
+def work_words(cycles: pd.DataFrame, method: str) -> str:
+    """Work of the other transfers over that of interpolation, in words: of the default method or the monotone one."""
+    mine = (cycles["shape"] == "default") == (method == "default")
+    rows = cycles[mine & cycles["case"].str.contains("graded")]
     key = ["case", "shape"]
     base = rows[(rows["transfer"] == "Interpolation") & rows["contact_rows"]].set_index(key)["full_work"]
     words, failed = [], []
@@ -252,8 +266,8 @@ def work_words(cycles: pd.DataFrame) -> str:
         ratio = (group[group["full_outcome"] == "CONVERGED"].set_index(key)["full_work"] / base).dropna()
         if len(ratio) and label != "Interpolation":
             words.append(f"{label} {span(ratio, '.2f')}")
-    return ("Work with the nested start over that of interpolation with contact rows, over cases and cycles: "
-            + "; ".join(words) + "." + "".join(failed))
+    return (f"Work of the {method} method with the nested start over that of interpolation with contact rows, over "
+            "cases: " + "; ".join(words) + "." + "".join(failed))
 
 
 def span(values: pd.Series, spec: str) -> str:
@@ -265,26 +279,29 @@ def span(values: pd.Series, spec: str) -> str:
 def ratio_table(ratios: pd.DataFrame) -> common.Table:
     """Two grids, by the ratio of their sizes."""
     frame = ratios[["where", "ratio", "coarse_nodes", "nodes", "median_ratio", "largest_ratio", "cycles", "rate",
-                    "work_units", "residual", "outcome"]].rename(columns={
+                    "work_units", "residual", "outcome", "monotone_cycles", "monotone_rate"]].rename(columns={
                         "coarse_nodes": "coarse nodes", "median_ratio": "median ratio", "work_units": "WU",
-                        "largest_ratio": "largest ratio", "outcome": "status"})
+                        "largest_ratio": "largest ratio", "outcome": "status", "monotone_cycles": "monotone: cycles",
+                        "monotone_rate": "monotone: rate"})
     words = []
     for where, group in ratios.groupby("where", sort=False):
         first, last = group.iloc[0], group.iloc[-1]
         words.append(f"{where} from {first['rate']:.2f} ({first['cycles']} cycles) at {first['ratio']} to "
-                     f"{last['rate']:.2f} ({last['cycles']}) at {last['ratio']}")
-    note = ("Interpolation with contact rows, from a zero start, two grids, V(2,0). ratio: sizes asked for, coarse "
+                     f"{last['rate']:.2f} ({last['cycles']}) at {last['ratio']}, of the monotone method from "
+                     f"{first['monotone_rate']:.2f} to {last['monotone_rate']:.2f}")
+    note = ("Interpolation with contact rows, from a zero start, two grids; the monotone method with V(2,0). ratio: "
+            "sizes asked for, coarse "
             "over fine, everywhere, or at contact with 2 in the bulk; median and largest are measured element by "
             f"element. The rate goes {'; '.join(words)}: what the smoother does not reach between the two sizes stays.")
     return common.Table("transfer_mesh_ratio", frame, f"GRECO bar: ratio of mesh sizes (rtol {RTOL:g})", note,
                         formats={"median ratio": ".2f", "largest ratio": ".2f", "rate": ".2f", "WU": ".0f",
-                                 "residual": ".1e"})
+                                 "residual": ".1e", "monotone: rate": ".2f"})
 
 
 @styled
 def work_figure(cycles: pd.DataFrame) -> common.Figure:
-    """Work units of V-cycles with the nested start."""
-    rows = cycles[(cycles["shape"] == "V") & cycles["contact_rows"]]
+    """Work units of the default method with the nested start."""
+    rows = cycles[(cycles["shape"] == "default") & cycles["contact_rows"]]
     cases = [case for case in rows["case"].unique() if "graded" in case]
     figure, ax = plt.subplots(figsize=(7.0, 3.8))
     width = 0.8 / len(TRANSFERS)
@@ -302,7 +319,9 @@ def work_figure(cycles: pd.DataFrame) -> common.Figure:
     ax.grid(True, axis="y")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return common.Figure("transfer_work", figure,
-                         f"Work to {RTOL:g} with the nested start, V(2,0); above the bars cycles on the finest grid")
+                         f"Work of the default method to {RTOL:g} with the nested start; above the bars cycles on "
+                         "the finest "
+                         "grid")
 
 
 @styled
@@ -311,13 +330,15 @@ def ratio_figure(ratios: pd.DataFrame) -> common.Figure:
     figure, ax = plt.subplots(figsize=(5.4, 3.8))
     for k, (where, group) in enumerate(ratios.groupby("where", sort=False)):
         ax.plot(group["ratio"], group["rate"], marker="os"[k], color=CYCLE[k], label=where)
+        ax.plot(group["ratio"], group["monotone_rate"], ":", marker="os"[k], color=CYCLE[k])
     ax.set_xlabel("ratio of mesh sizes, coarse over fine")
     ax.set_ylabel("rate a cycle")
     ax.set_ylim(0.0, 1.0)
     ax.set_xticks(sorted(ratios["ratio"].unique()))
     ax.grid(True)
     ax.legend(loc="lower right")
-    return common.Figure("transfer_mesh_ratio", figure, "Two-grid rate against the ratio of mesh sizes")
+    return common.Figure("transfer_mesh_ratio", figure,
+                         "Two-grid rate against the ratio of mesh sizes; default method solid, monotone dotted")
 
 
 if __name__ == "__main__":

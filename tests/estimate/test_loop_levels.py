@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import adaptmg as am
 from adaptmg.estimate.loop.expected import Limits, algebraic_tolerance, expected_estimate, expected_seconds
-from adaptmg.estimate.loop.levels import CLOSE, RATIO, appended, carried, thinned
+from adaptmg.estimate.loop.levels import CLOSE, RATIO, THINNED, appended, carried, thinned
 from adaptmg.mesh import structured
 from adaptmg.transfer import mesh_ratio, size_ratio
 
@@ -67,7 +67,7 @@ def test_thinning_as_levels_come_keeps_ratios_and_leaves_no_two_needlessly_close
     for k in range(1, len(left) - 1):
         close = kept[k + 1].n_nodes < CLOSE * kept[k].n_nodes
         if k >= len(left) - 2:
-            assert not close or left[k + 1] >= RATIO * left[k - 1]
+            assert not close or left[k + 1] >= THINNED * left[k - 1]
     for a, b in pairwise(left):
         assert b <= max(RATIO * a, a + max(steps)) + 1e-9
 
@@ -75,6 +75,11 @@ def test_thinning_as_levels_come_keeps_ratios_and_leaves_no_two_needlessly_close
 def test_the_coarsest_and_the_finest_level_stay():
     assert nodes(thinned(grids(6, 7))) == [6, 7]
     assert nodes(thinned(grids(6, 7, 8))) == [6, 8]
+
+
+def test_a_level_stays_without_which_the_sizes_of_its_neighbours_are_far_apart():
+    assert nodes(thinned(grids(6, 17, 20))) == [6, 20]
+    assert nodes(thinned(grids(6, 20, 24))) == [6, 20, 24]
 
 
 def test_the_ratio_of_a_sample_is_that_of_all():

@@ -109,11 +109,18 @@ def test_transfers(tmp_path):
     assert (with_rows["status"] == "CONVERGED").all()
     assert (with_rows["full: status"] == "CONVERGED").all()
     assert (with_rows["full: WU"] <= with_rows["WU"]).all()
-    refused = cycles[(cycles["transfer"] == "PseudoL2") & ~cycles["contact rows"]]
+    refused = cycles[(cycles["transfer"] == "PseudoL2") & ~cycles["contact rows"] & (cycles["method"] != "default")]
     assert (refused["status"] == "REFUSED").all()
     for _, rows in tables["transfer_mesh_ratio"].groupby("where"):
         assert (np.diff(rows["rate"]) > 0).all()
         assert (np.diff(rows["largest ratio"]) > 0).all()
+    adapted = tables["transfer_adaptive"]
+    assert (adapted["status"] == "CONVERGED").all()
+    assert (adapted["WU"] < adapted["monotone: WU"]).all()
+    apart = tables["transfer_size_ratio"]
+    assert (np.diff(apart["size ratio"]) > 0).all()
+    assert (np.diff(apart["rate"]) > 0).all()
+    assert apart["rate"].iloc[0] < 0.6 < apart["rate"].iloc[-1]
 
 
 @pytest.mark.slow
