@@ -50,8 +50,8 @@ def gain(runs: int, divisions: int, turns: int) -> dict[str, float]:
         for workers in (1, 2):
             with local_cluster(workers) as client:
                 # kernels and imports
-                Study(bar, {"friction": [0.15 + 0.01 * k for k in range(workers)],
-                            "divisions": [32]}).run(False, scheduler=client)
+                Study(bar, {"friction": [0.15 + 0.01 * k for k in range(2 * workers)],
+                            "divisions": [divisions]}).run(False, scheduler=client)
                 begin = time.perf_counter()
                 Study(bar, grid).run(False, scheduler=client)
                 seconds = time.perf_counter() - begin
@@ -75,7 +75,7 @@ def main() -> None:
             found = overhead(arguments.runs or (300 if arguments.quick else 10_000), workers, Path(folder))
             print("  " + ", ".join(f"{name} {value:.4g}" for name, value in found.items()))
     print("gain of two workers")
-    found = gain(*((8, 32) if arguments.quick else (64, 128)), 1 if arguments.quick else arguments.turns)
+    found = gain(*((8, 64) if arguments.quick else (64, 128)), 1 if arguments.quick else arguments.turns)
     print("  " + ", ".join(f"{name} {value:.4g}" for name, value in found.items()))
 
 

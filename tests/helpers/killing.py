@@ -37,8 +37,14 @@ study.run(workers=int(sys.argv[3]) or None, progress=False)
 """
 
 
-def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
+def campaign(runs: int, kills: int, seed: int = 0, longest_s: float = 12.0) -> dict[str, object]:
     """Kill main process, a worker, or all, in turn, at random moments; then finish, and compare with a serial run.
+
+    Parameters
+    ----------
+    runs, kills, seed : int
+    longest_s : float
+        Until a kill.
 
     Returns
     -------
@@ -56,7 +62,7 @@ def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
         left: list[psutil.Process] = []
         for k in range(kills):
             process = _started(script, path, runs, 2)
-            time.sleep(chance.uniform(0.5, 12.0))
+            time.sleep(chance.uniform(0.5, longest_s))
             kind = ("main", "worker", "all")[k % 3]
             children = _children(process)
             if process.poll() is not None:

@@ -143,7 +143,11 @@ def test_a_value_that_was_set_in_a_module_does_not_reach_workers_in_silence(clus
     with pytest.raises(RuntimeError, match=r"worker tcp.*value of test_cluster.SETTING is changed.*as parameters"):
         Study(run, {"n": [1]}).run(progress=False, scheduler=cluster)
     monkeypatch.setattr(settings, "SETTING", 1)
-    assert Study(run, {"n": [1]}).run(progress=False, scheduler=cluster)["m"].tolist() == [1]
+    study = Study(run, {"n": [1]})
+    assert study.run(progress=False, scheduler=cluster)["m"].tolist() == [1]
+    monkeypatch.setattr(settings, "SETTING", 3)
+    with pytest.raises(RuntimeError, match=r"SETTING is changed"):
+        study.run(progress=False, scheduler=cluster)
 
 
 def test_long_runs_go_first(cluster):

@@ -71,6 +71,18 @@ def test_runs_limits_and_deaths(address, tmp_path):
     assert table["error"][6] == "WorkerDied: worker died 8 times during this run"
 
 
+def test_runs_that_are_given_up_do_not_go_on(address):
+    def run(n):
+        time.sleep(60 if n else 1)
+        raise ValueError("so")
+
+    with pytest.raises(ValueError, match="so"):
+        Study(run, {"n": [0, 1]}).run(progress=False, scheduler=address, throw=True)
+    begin = time.monotonic()
+    table = Study(lambda n: {"m": time.sleep(1.5)}, {"n": range(6)}).run(progress=False, scheduler=address)
+    assert (table["status"] == "done").all() and time.monotonic() - begin < 20
+
+
 def test_workers_of_several_threads_are_refused(address):
     from distributed import Client
 

@@ -167,8 +167,20 @@ class _Runs:
         finally:
             with contextlib.suppress(Exception):  # the scheduler may be gone, and its client closed
                 self._client.unsubscribe_topic(self._name)
-                if self._out:
-                    self._client.cancel([run.future for run in self._out.values()], force=True)
+                self._drop()
+
+    def _drop(self) -> None:
+        """Give up what is out; on a cluster that goes on, workers that compute it are started anew."""
+        if not self._out:
+            return
+        if self._allowed:
+            # what was sent a moment ago is not told of yet
+            time.sleep(0.2)
+        busy = [address for address, keys in self._client.processing().items() if set(keys) & set(self._out)] \
+            if self._allowed else []
+        self._client.cancel([run.future for run in self._out.values()], force=True)
+        if busy:
+            self._client.restart_workers(busy, timeout=3, raise_for_error=False)
 
     def _send(self) -> None:
         """As many runs as there are workers free for."""

@@ -61,7 +61,8 @@ class Order:
 
 
 _MOST_FUNCTIONS = 32
-_functions: dict[bytes, Callable[..., Any]] = {}
+#: by their bytes and the fingerprint that they were found to have here
+_functions: dict[tuple[bytes, str], Callable[..., Any]] = {}
 _warmed = False
 
 
@@ -84,7 +85,8 @@ def readied(order: Order, parts: dict[str, str] | None = None) -> Callable[..., 
     told = differences(order.identity, identity())
     if told:
         raise UnfitWorker(f"it has {told}")
-    if order.function not in _functions:
+    known = order.function, order.code
+    if known not in _functions:
         try:
             function = received(order.function)
         except ModuleNotFoundError as error:
@@ -100,8 +102,8 @@ def readied(order: Order, parts: dict[str, str] | None = None) -> Callable[..., 
                               "parameters or fixed={...}")
         while len(_functions) >= _MOST_FUNCTIONS:
             del _functions[next(iter(_functions))]
-        _functions[order.function] = function
-    return _functions[order.function]
+        _functions[known] = function
+    return _functions[known]
 
 
 def _warm() -> None:
