@@ -18,12 +18,12 @@ import common  # noqa: F401  (one BLAS thread)
 import numpy as np
 from adaptive_cases import CASES
 from adaptive_runs import first_mesh, known
+from adaptmg.solver.warm import WarmMultigrid
 
 import adaptmg as am
 from adaptmg.estimate import energy_error
 from adaptmg.estimate.loop.levels import carried
 from adaptmg.mesh import graded
-from adaptmg.solver.warm import WarmMultigrid
 from adaptmg.transfer import size_ratio
 
 ENGINES = {"remeshed": am.Remesh(), "bisected": am.Bisect()}

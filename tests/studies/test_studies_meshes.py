@@ -83,7 +83,7 @@ def test_negative_contact_weights_are_seen():
 
 def section_of(module, folder):
     """A quick run: the section, and its tables by name."""
-    section = module.run(common.Context(quick=True, out=folder))
+    section = module.run(common.Context(quick=True, out=folder, full=True))
     common.show(section, folder)
     written = {item.name: (folder / f"{item.name}.{'csv' if isinstance(item, common.Table) else 'png'}")
                for item in section.items}
