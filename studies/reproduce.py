@@ -20,11 +20,12 @@ from common import Context, Figure, Section, Table, show
 
 if TYPE_CHECKING:
     from adaptmg.export import Report
+    from adaptmg.export.report.figures import Picture
 
-STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "hertz",
-           "adaptive_vs_uniform", "transfer_operators", "amg_comparison")
+STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "adaptive_vs_uniform",
+           "transfer_operators", "amg_comparison")
 #: only with --full, or where they are named: minutes on large grids, and campaigns of hundreds of problems
-LARGE = ("estimator_effectivity", "goal_greco", "kernels", "benchmark", "robustness", "true_errors")
+LARGE = ("hertz", "estimator_effectivity", "goal_greco", "kernels", "benchmark", "robustness", "true_errors")
 TITLE = "adaptmg: multigrid for frictional contact"
 SUMMARY = "'Multigrid in Structure Assembling Problem' recomputed: its tables beside ours, and what they leave open."
 TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,
@@ -85,10 +86,11 @@ def report(context: Context, names: Sequence[str], workers: int, pictures: bool 
     Path
         Of the HTML file.
     """
-    begin, sections = time.perf_counter(), {}
+    begin, sections, drawn = time.perf_counter(), {}, {}
 
-    def done(name: str, section: Section, seconds: float) -> None:
+    def done(name: str, section: Section, made: dict[str, Picture], seconds: float) -> None:
         sections[name] = section
+        drawn.update(made)
         show(section, context.out, pictures)
         print(f"[{len(sections)}/{len(names)}] {name}: done after {seconds:.0f} s", file=sys.stderr, flush=True)
 
@@ -97,15 +99,18 @@ def report(context: Context, names: Sequence[str], workers: int, pictures: bool 
         together.at_once(context, names, done, workers)
     else:
         together.in_turn(context, names, done)
-    page = page_of({name: sections[name] for name in names}, context)
+    page = page_of({name: sections[name] for name in names}, context, drawn)
     target = page.write(context.out / "report.html")
     print(f"\nreport: {target}")
     print(f"all done after {time.perf_counter() - begin:.0f} s", file=sys.stderr)
     return target
 
 
-def page_of(sections: Mapping[str, Section], context: Context) -> Report:
-    """The report of what studies returned, by their names: first screen, a section each, how it was made."""
+def page_of(sections: Mapping[str, Section], context: Context, drawn: Mapping[str, Picture] | None = None) -> Report:
+    """The report of what studies returned, by their names: first screen, a section each, how it was made.
+
+    ``drawn`` has figures by their names that are pictures already.
+    """
     from adaptmg.export import Report
 
     page = Report(TITLE, SUMMARY + " This is a quick run, on smaller grids." * context.quick, terms=TERMS)
@@ -121,7 +126,7 @@ def page_of(sections: Mapping[str, Section], context: Context) -> Report:
     for name, section in sections.items():
         page.section(section.title, section.text, summary=section.summary, key=name)
         for item in in_sight_first(section.items):
-            add(page, item)
+            add(page, item, drawn or {})
     seeds = "; ".join(f"{name}: {section.seeds}" for name, section in sections.items() if section.seeds)
     page.made(commit=commit(), seeds=seeds or "no study of this run draws random numbers", command=" ".join(
         ["python studies/reproduce.py", *["--quick"] * context.quick, *["--full"] * context.full,
@@ -146,13 +151,13 @@ def in_sight_first(items: Sequence[Table | Figure]) -> list[Table | Figure]:
     return [*opened, *figures, *(item for item in tables if not any(item is one for one in opened))]
 
 
-def add(page: Report, item: Table | Figure) -> None:
+def add(page: Report, item: Table | Figure, drawn: Mapping[str, Picture]) -> None:
     """A table or figure of a section."""
     if isinstance(item, Table):
         page.table(item.frame, caption=item.caption, note=item.note, units=item.units, formats=item.formats,
                    open=item.open, csv=f"{item.name}.csv")
     else:
-        page.figure(item.figure, caption=item.caption)
+        page.figure(drawn.get(item.name, item.figure), caption=item.caption)
 
 
 if __name__ == "__main__":

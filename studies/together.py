@@ -16,10 +16,12 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
+import matplotlib.pyplot as plt
 import pandas as pd
-from common import Context, Section
+from common import Context, Figure, Section
 
 import adaptmg as am
+from adaptmg.export.report.figures import Picture, picture_of
 
 
 class Turns:
@@ -45,6 +47,17 @@ class Turns:
                 return study.run(progress=False, scheduler=self._client, throw=True)
             self._wait_for_quiet()
             return study.run(progress=False, throw=True)
+        finally:
+            self._turn.acquire()
+
+    def draw(self, figures: dict[str, tuple[Any, str, str]]) -> dict[str, Picture]:
+        """Pictures, made by the workers."""
+        sent = [self._client.submit(picture_of, *given, pure=False) for given in figures.values()]
+        for figure, _, _ in figures.values():
+            plt.close(figure)
+        self._turn.release()
+        try:
+            return dict(zip(figures, self._client.gather(sent), strict=True))
         finally:
             self._turn.acquire()
 
@@ -80,15 +93,23 @@ class Turns:
             self._quiet.notify()
 
 
-Done = Callable[[str, Section, float], None]
+#: given the name of a study, its section, its pictures by name, and seconds since it began
+Done = Callable[[str, Section, dict[str, Picture], float], None]
 
 
 def in_turn(context: Context, names: Sequence[str], done: Done) -> None:
-    """Section after section in this process; ``done`` is given the name, the section and its seconds."""
+    """Section after section in this process."""
     for name in names:
         begin = time.perf_counter()
         section = importlib.import_module(name).run(context)
-        done(name, section, time.perf_counter() - begin)
+        pictures = {key: picture_of(*given) for key, given in to_draw(name, section).items()}
+        done(name, section, pictures, time.perf_counter() - begin)
+
+
+def to_draw(name: str, section: Section) -> dict[str, tuple[Any, str, str]]:
+    """What pictures of a page are made of: figure, caption, prefix."""
+    figures = [item for item in section.items if isinstance(item, Figure)]
+    return {item.name: (item.figure, item.caption, f"{name}-{k}") for k, item in enumerate(figures)}
 
 
 def at_once(context: Context, names: Sequence[str], done: Done, workers: int) -> None:
@@ -106,7 +127,7 @@ def at_once(context: Context, names: Sequence[str], done: Done, workers: int) ->
                 with turns.turn():
                     begin = time.perf_counter()
                     section = modules[name].run(own)
-                    done(name, section, time.perf_counter() - begin)
+                    done(name, section, turns.draw(to_draw(name, section)), time.perf_counter() - begin)
             except BaseException as error:
                 ended.put(error)
             else:

@@ -152,12 +152,13 @@ class Report:
         self._sections[-1].parts.append(Table(frame=table, caption=caption, note=note, units=units, formats=formats,
                                               open=open, csv=csv))
 
-    def figure(self, figure: Figure, caption: str) -> None:
+    def figure(self, figure: Figure | Picture, caption: str) -> None:
         """Add a picture as it is now; pyplot then forgets it (an open figure costs memory).
 
-        Drawings become SVG, dense ones (meshes) PNG, both inside the page.
+        Drawings become SVG, dense ones (meshes) PNG, both inside the page. One that was made elsewhere, in another
+        process, is taken as it is: :func:`adaptmg.export.report.figures.picture_of`.
         """
-        self._sections[-1].parts.append(self._picture(figure, caption))
+        self._sections[-1].parts.append(figure if isinstance(figure, Picture) else self._picture(figure, caption))
 
     def made(self, **facts: str) -> None:
         """Say more of how the page was made (seeds, command), beside versions, machine and time."""
