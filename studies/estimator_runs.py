@@ -18,12 +18,16 @@ import common  # noqa: F401  (one BLAS thread)
 import numpy as np
 from adaptive_cases import CASES
 from adaptive_runs import first_mesh, known
-from adaptmg.solver.warm import WarmMultigrid
+from adaptmg.solver.truncated.warm import WarmMultigrid
 
 import adaptmg as am
 from adaptmg.estimate import energy_error
 from adaptmg.estimate.loop.levels import carried
+<<<<<<< HEAD
 from adaptmg.mesh import graded
+=======
+from adaptmg.solver.truncated.warm import WarmMultigrid
+>>>>>>> 2eade5afbc5d6704e1b9e1adee9e408aa05c8190
 from adaptmg.transfer import size_ratio
 
 ENGINES = {"remeshed": am.Remesh(), "bisected": am.Bisect()}
@@ -43,14 +47,14 @@ EXACT_RTOL = 1e-10
 RATE_CYCLES = 8
 
 
-def posed(case: str) -> tuple[am.ContactProblem, am.MeshArrays]:
-    """Problem and first mesh of a case by name."""
+def posed(case: str) -> tuple[am.ContactProblem, float | am.MeshArrays]:
+    """A problem by name, and what its loops start from: an element size, m, or a mesh."""
     if case in EXACT:
         kind, sign = EXACT[case]
-        problem = am.cases.coulomb_transition(kind=kind, sign=sign)
-        return problem, graded(problem.domain, EXACT_START)
+        return am.cases.coulomb_transition(kind=kind, sign=sign), EXACT_START
     problem = CASES[case].problem()
-    return problem, first_mesh(CASES[case], problem).finest.mesh
+    start = first_mesh(CASES[case], problem)
+    return problem, start.finest.mesh if isinstance(start, am.Hierarchy) else start
 
 
 def error_of(case: str, result: am.Result, reference_nodes: int) -> Any:
@@ -159,7 +163,7 @@ def cost(case: str, engine: str, theta: float, most: int, turns: int) -> dict[st
         "tight_status": full.status.name}
 
 
-def timed_loop(problem: am.ContactProblem, start: am.MeshArrays, engine: Any, mark: Any, most: int
+def timed_loop(problem: am.ContactProblem, start: Any, engine: Any, mark: Any, most: int
                ) -> tuple[dict[str, float], am.Step]:
     """Processor seconds by phase (mesh, assembly, solve, estimate), without the first mesh, and the last step."""
     seconds = dict.fromkeys(("mesh", "assembly", "solve", "estimate"), 0.0)

@@ -133,7 +133,9 @@ def cost_table(costs: pd.DataFrame) -> common.Table:
     alone = costs["build_s"] + costs["alone_s"]
     frame = pd.DataFrame({
         "case": costs["case"], "engine": costs["engine"], "theta": costs["theta"], "nodes": costs["nodes"],
-        "levels": costs["levels"], "rate": costs["rate"], "loop WU": costs["loop_work"], "nested WU": costs["nested_work"],
+        "levels": costs["levels"], "rate": costs["rate"],
+        "loop WU": costs["loop_work"],
+        "nested WU": costs["nested_work"],
         "work": costs["loop_work"] / costs["nested_work"], "over 1e-8": costs["loop_work"] / costs["tight_work"],
         "meshes": costs["mesh_s"], "assembly": costs["assembly_s"], "solves": costs["solve_s"],
         "estimates": costs["estimate_s"], "nested": costs["alone_s"], "its levels": costs["build_s"],
@@ -153,9 +155,9 @@ def cost_table(costs: pd.DataFrame) -> common.Table:
     return common.Table("estimator_costs", frame, "The whole loop over a nested start on its last meshes", note,
                         {name: "s" for name in ("meshes", "assembly", "solves", "estimates", "nested", "its levels")},
                         {"theta": ".1f", "rate": ".2f", "loop WU": ".1f", "nested WU": ".1f", "work": ".2f",
-                         "over 1e-8": ".2f", "meshes": ".3f", "assembly": ".3f", "solves": ".3f", "estimates": ".3f", "nested": ".3f",
-                         "its levels": ".3f", "without meshes": ".2f", "with meshes": ".2f", "solves alone": ".2f",
-                         "all/nested": ".2f"})
+                         "over 1e-8": ".2f", "meshes": ".3f", "assembly": ".3f", "solves": ".3f", "estimates": ".3f",
+                         "nested": ".3f", "its levels": ".3f", "without meshes": ".2f", "with meshes": ".2f",
+                         "solves alone": ".2f", "all/nested": ".2f"})
 
 
 def common_span(values: pd.Series) -> str:
