@@ -18,16 +18,11 @@ import common  # noqa: F401  (one BLAS thread)
 import numpy as np
 from adaptive_cases import CASES
 from adaptive_runs import first_mesh, known
-from adaptmg.solver.truncated.warm import WarmMultigrid
 
 import adaptmg as am
 from adaptmg.estimate import energy_error
 from adaptmg.estimate.loop.levels import carried
-<<<<<<< HEAD
-from adaptmg.mesh import graded
-=======
 from adaptmg.solver.truncated.warm import WarmMultigrid
->>>>>>> 2eade5afbc5d6704e1b9e1adee9e408aa05c8190
 from adaptmg.transfer import size_ratio
 
 ENGINES = {"remeshed": am.Remesh(), "bisected": am.Bisect()}
