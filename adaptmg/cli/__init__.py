@@ -1,6 +1,6 @@
-"""The command ``adaptmg``: ``cases``, ``solve CASE``, ``adapt CASE``, ``study FILE.toml``, ``runs STORE``."""
+"""The command ``adaptmg``: ``cases``, ``solve CASE``, ``adapt CASE``, ``study FILE``, ``runs STORE``, ``report STORE``."""
 
-from adaptmg.cli import runs, study  # each adds its command
+from adaptmg.cli import report, runs, study  # each adds its command
 from adaptmg.cli.command import app, main
 
-__all__ = ["app", "main", "runs", "study"]
+__all__ = ["app", "main", "report", "runs", "study"]
