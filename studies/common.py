@@ -100,6 +100,16 @@ def in_this_process(study: am.Study, timed: bool) -> pd.DataFrame:
     return study.run(throw=True)
 
 
+def with_texts(study: am.Study, table: pd.DataFrame) -> pd.DataFrame:
+    """The table with the long texts themselves, which the store keeps as files."""
+    for name in table.columns.difference(study.parameters):
+        kept = [isinstance(value, str) and value.endswith(".txt") for value in table[name]]
+        if any(kept):
+            table[name] = [study.load(k, name) if long else value
+                           for k, (value, long) in enumerate(zip(table[name], kept, strict=True))]
+    return table
+
+
 @dataclass
 class Context:
     """How a study is to run.
@@ -137,7 +147,7 @@ class Context:
         make_folder("--out", self.out)
         study = am.Study(run, parameters, self.out / "studies.sqlite", fixed=fixed,
                          name=f"{Path(run.__code__.co_filename).stem}.{run.__name__}")
-        return self.compute(study, timed)
+        return with_texts(study, self.compute(study, timed))
 
 
 @lru_cache(maxsize=32)

@@ -1,4 +1,4 @@
-"""The command ``adaptmg``: ``cases``, ``solve CASE``, ``adapt CASE``, ``study FILE``, ``runs STORE``, ``report STORE``."""
+"""The command ``adaptmg``: ``cases``, ``solve``, ``adapt``, ``study FILE.toml``, ``runs STORE``, ``report STORE``."""
 
 from adaptmg.cli import report, runs, study  # each adds its command
 from adaptmg.cli.command import app, main
