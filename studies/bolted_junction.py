@@ -113,14 +113,14 @@ def run(context: Context) -> Section:
     items: list[Table | Figure] = [
         posed(), counts_table(counts), smoothing_table(context, smoothing, smoothings, NAME, fixed),
         start_table(context, start, NAME, fixed), cost_table(rows), friction_table(rows)]
-    said = text(counts, rows)
+    said = summary(counts, rows)
     if context.full:
         pressure, found, steps = bolted_pressure.items(context)
         items += pressure
         said += leak_text(found)
         if not context.quick:
             items += bolted_sector.items(context, steps)
-    return Section("Example 3: the bolted junction", said, items)
+    return Section("Example 3: the bolted junction", "", items, summary=said)
 
 
 @styled
@@ -207,8 +207,8 @@ def friction_table(rows: pd.DataFrame) -> Table:
                         "bolt force [MN]": ".4f", "difference": ".1e"})
 
 
-def text(counts: pd.DataFrame, rows: pd.DataFrame) -> str:
-    """What the section says first."""
+def summary(counts: pd.DataFrame, rows: pd.DataFrame) -> str:
+    """What was asked and what came out."""
     last = counts[counts["label"].str.endswith("truncated")].iloc[-1]
     singles = counts[counts["label"].str.startswith("one grid")]["work_at"].min()
     at = rows[rows["friction"] == 0.2].set_index("case")

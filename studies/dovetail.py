@@ -117,13 +117,13 @@ def run(context: Context) -> Section:
     items += [smoothing_table(context, smoothing, smoothings, NAME, fixed), local_table(context, fixed),
               start_table(context, start, NAME, fixed, START_REMARK)]
     items += dovetail_pictures.solution(context.quick)
-    said = text(counts)
+    said = summary(counts)
     if context.full:
         sweeps, ratios = dovetail_sweeps.items(context)
         history, costs = dovetail_history.items(context)
         items += [*sweeps, *history]
         said += further_text(ratios, costs)
-    return Section("Example 2: the dovetail joint", said, items)
+    return Section("Example 2: the dovetail joint", "", items, summary=said)
 
 
 def grid_counts(context: Context, fixed: dict[str, Any]) -> pd.DataFrame:
@@ -182,8 +182,8 @@ def local_table(context: Context, fixed: dict[str, Any]) -> Table:
                  {"interface sweeps": "d", "coarse sweeps": "d"})
 
 
-def text(counts: pd.DataFrame) -> str:
-    """What the section says first."""
+def summary(counts: pd.DataFrame) -> str:
+    """What was asked and what came out."""
     last = counts[counts["label"].str.endswith("truncated")].iloc[-1]
     singles = counts[counts["label"].str.startswith("one grid")]["work_at"].min()
     return ("A tongue pulled out of its notch, one half by symmetry, plane strain, Coulomb friction .2; geometry and "

@@ -17,7 +17,7 @@ def quick(module, out: Path) -> dict:
     """Run, print and write; the tables by name, and the directory."""
     section = module.run(common.Context(True, out))
     common.show(section, out, pictures=False)
-    assert section.title and section.text
+    assert section.title and section.summary
     assert all((out / f"{item.name}.csv").stat().st_size > 100 for item in section.items
                if isinstance(item, common.Table))
     return {item.name: item for item in section.items}
