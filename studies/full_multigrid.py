@@ -23,7 +23,6 @@ from paper_runs import (
     chain,
     discretisation_error,
     draw_error,
-    listed,
     measured,
     nodes_text,
     repeats,

@@ -318,12 +318,13 @@ def summary(bar: pd.DataFrame, tested: pd.DataFrame) -> str:
     gains = (bar["work_at"][0] / four["work_at"]).set_axis(four["cycle"] + four["order"].map(
         {"forward": "", "backward": " (backward sweeps)"}))
     best = gains.idxmax()
-    also = "" if best == "complete" else f", with {best.replace('V', 'V-cycles').replace('W', 'W-cycles')} {gains.max():.0f}"
+    name = best.replace("V", "V-cycles").replace("W", "W-cycles")
+    also = "" if best == "complete" else f", with {name} {gains.max():.0f}"
     ours = tested[(tested["correction"] == "paper") & (tested["levels"] == 4)]
     return ("What do two, three and four grids gain over one? With complete coarse solves, as in the paper, four grids "
             f"(1089/289/81/25 nodes, friction 1) need {gains['complete']:.0f} times less work than one grid with omega "
-            f"1 to the same true error of {TARGET:g}{also}; the paper reports 27.3 in CPU time. Its own mode keeps slip "
-            "and sliding limit of the first coarse solution, and with four grids stops at a true error of "
+            f"1 to the same true error of {TARGET:g}{also}; the paper reports 27.3 in CPU time. Its own mode keeps "
+            "slip and sliding limit of the first coarse solution, and with four grids stops at a true error of "
             f"{ours['true_error'].min():.0e} to {ours['true_error'].max():.0e}, which its test on the change cannot "
             "see.")
 

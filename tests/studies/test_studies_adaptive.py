@@ -102,4 +102,6 @@ def test_adaptive_against_uniform(tmp_path):
     assert (meshes["status"] == "CONVERGED").all()
     gains = found["adaptive_gains"]
     adaptive = gains[~gains["meshes"].isin(["graded by hand"]) & gains["case"].isin(plane)]
-    assert (adaptive["energy"] > 1.1).all()
+    # none on the flat punch, where the coarsest uniform mesh is finer than the others get in a quick run
+    assert (adaptive["energy"].dropna() > 1.1).all()
+    assert len(adaptive["energy"].dropna()) == 12
