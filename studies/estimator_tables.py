@@ -55,8 +55,8 @@ def summary_table(steps: pd.DataFrame) -> common.Table:
             "loop left, in estimates. rate: asymptotic, on the last hierarchy; largest rate: of all steps. Aimed at: "
             f"spread <= {SPREAD:g}, ZZ/error in [{RECOVERED[0]:g}, {RECOVERED[1]:g}], needed <= {CYCLES[0]} (pairs, "
             f"punch {CYCLES[1]}), rate <= {RATES[0]:g} (pairs {RATES[1]:g}): met by {len(frame) - len(missed)} of "
-            f"{len(frame)}; the junction (axisymmetric, with stress that varies inside elements near its bolts) "
-            "stands apart.")
+            f"{len(frame)}. The junction is axisymmetric and stands apart; on the first meshes of any loop all is "
+            "coarse.")
     return common.Table("estimator_summary", frame, "Effectivity and multigrid on adaptive meshes", note, {},
                         {"size ratio": ".2f", "least eta/error": ".2f", "largest eta/error": ".2f", "spread": ".2f",
                          "with the start": ".2f", "least ZZ/error": ".2f", "largest ZZ/error": ".2f", "needed": ".0f",
@@ -150,8 +150,9 @@ def cost_table(costs: pd.DataFrame) -> common.Table:
             "the nested start and its levels (assembly, transfers). without meshes: assembly, solves and estimates "
             f"of the loop over both (<= {WITHOUT:g}: {common_span(frame['without meshes'])}); with meshes, in 2D "
             f"bisected, <= {WITH:g}: {common_span(plane['with meshes'])}. all/nested: the same as without meshes "
-            "over the nested start only, as if levels came for nothing. rate: asymptotic, to 1e-10 on the last "
-            "hierarchy.")
+            "over the nested start only, as if levels came for nothing. Ratios follow the growth of the meshes: "
+            "where the limit of nodes cuts the last one short, the one before it is nearly as large. rate: "
+            "asymptotic, to 1e-10 on the last hierarchy.")
     return common.Table("estimator_costs", frame, "The whole loop over a nested start on its last meshes", note,
                         {name: "s" for name in ("meshes", "assembly", "solves", "estimates", "nested", "its levels")},
                         {"theta": ".1f", "rate": ".2f", "loop WU": ".1f", "nested WU": ".1f", "work": ".2f",
