@@ -28,6 +28,8 @@ _CONFIG = {
     "distributed.worker.memory.target": False, "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False, "distributed.worker.memory.terminate": False,
     "distributed.worker.multiprocessing-method": "spawn",
+    # nobody looks at the dashboard: no samples of what is running a hundred times a second
+    "distributed.worker.profile.enabled": False, "distributed.admin.system-monitor.interval": "5s",
 }
 #: how dask calls its processes
 _NAME = "Dask Worker process"
