@@ -224,9 +224,9 @@ def summary(frame: pd.DataFrame, omegas: pd.DataFrame) -> str:
     best = rest.loc[rest.groupby("problem")["work_at"].idxmin()].set_index("problem")
     plain = rest[rest["omega"] == 1.0].set_index("problem")["work_at"]
     saved = 1 - (best["work_at"] / plain).min()
-    return ("How many smoothings before each coarse correction? The paper counts "
-            f"{listed(printed, 'd')} cycles for 1 to 4 on 289/81 nodes, we {listed(bar, 'd')} from zero with tight coarse solves (from the full start its bar "
-            "without friction is solved at once, a patch test). In the monotone mode the work is least at "
+    return (f"How many smoothings before each coarse correction? The paper counts {listed(printed, 'd')} cycles for 1 "
+            f"to 4 on 289/81 nodes, we {listed(bar, 'd')} from zero with tight coarse solves (from the full start its "
+            "bar without friction is solved at once, a patch test). In the monotone mode the work is least at "
             f"{tight.min()} to {tight.max()} smoothings with tight coarse solves by sweeps, at {loose.min()} to "
             f"{loose.max()} with those that stop at the outer tolerance; the paper found two a good compromise. Within "
             f"the method the best omega of the smoother, {listed(sorted(set(best['omega'])))}, saves at most "
