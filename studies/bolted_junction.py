@@ -140,8 +140,12 @@ def grid_counts(context: Context, fixed: dict[str, Any]) -> pd.DataFrame:
                               max_sweeps=MOST_SWEEPS // 10 if context.quick else MOST_SWEEPS, rtol=RTOL, **fixed)
         frame["label"] = [f"one grid, {'condensed, ' if condensed else ''}omega {omega:g}" for omega in frame["omega"]]
         over = frame.iloc[1:]
-        best = over.loc[[over["work_at"].idxmin()]] if over["work_at"].notna().any() else over.iloc[-1:]
-        parts += [frame.iloc[:1], best.assign(label=best["label"] + " (best)")]
+        if over["work_at"].notna().any():
+            best = over.loc[[over["work_at"].idxmin()]]
+            over = best.assign(label=best["label"] + (" (best)" if len(omegas) > 1 else ""))
+        else:
+            over = over.iloc[-1:]
+        parts += [frame.iloc[:1], over]
     for levels in range(2, fixed["finest"] + 2):
         frame = context.study(several_grids, {"method": ("monotone", "truncated")}, levels=levels, rtol=RTOL, **fixed)
         parts.append(frame.assign(label=[f"{COUNT[levels]}, {method}" for method in frame["method"]], levels=levels))

@@ -29,6 +29,7 @@ from paper_runs import (
     nodes_text,
     repeats,
     short,
+    span,
     table,
 )
 
@@ -325,8 +326,7 @@ def summary(bar: pd.DataFrame, tested: pd.DataFrame) -> str:
             f"(1089/289/81/25 nodes, friction 1) need {gains['complete']:.0f} times less work than one grid with omega "
             f"1 to the same true error of {TARGET:g}{also}; the paper reports 27.3 in CPU time. Its own mode keeps "
             "slip and sliding limit of the first coarse solution, and with four grids stops at a true error of "
-            f"{ours['true_error'].min():.0e} to {ours['true_error'].max():.0e}, which its test on the change cannot "
-            "see.")
+            f"{span(ours['true_error'], '.0e')}, which its test on the change cannot see.")
 
 
 if __name__ == "__main__":

@@ -117,6 +117,12 @@ def listed(values: Any, spec: str = ".1f") -> str:
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts) or "none"
 
 
+def span(values: Any, spec: str) -> str:
+    """'smallest to largest', or the one value where both print alike."""
+    low, high = format(min(values), spec), format(max(values), spec)
+    return low if low == high else f"{low} to {high}"
+
+
 def short(tolerance: float) -> str:
     """1e-2 for 0.01."""
     return f"{tolerance:.0e}".replace("e-0", "e-")

@@ -34,7 +34,9 @@ inside coarse solves and in nested starts too. Direct factorisations are reporte
 True error: ||u - u_h||_A / ||u_h||_A against the exact discrete solution, found by an independent method (semismooth
 Newton with direct solves).
 
-Seconds are of this machine and this run, on one thread. The paper counts grid 1 as the finest."""
+Seconds are of this machine and this run, on one thread. Those of adaptive meshes, of building transfers and of
+algebraic multigrid were measured alone; elsewhere other runs may have gone on beside, so that they are rough. The paper
+counts grid 1 as the finest."""
 
 
 def main() -> None:

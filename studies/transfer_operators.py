@@ -193,12 +193,13 @@ def run(context: common.Context) -> common.Section:
     ratios = context.study(two_grids, {"where": ["everywhere", "at contact"],
                                        "ratio": QUICK_RATIOS if context.quick else RATIOS}, **stop)
     kept, cycles = pd.concat(kept, ignore_index=True), pd.concat(cycles, ignore_index=True)
-    text = ("The GRECO bar with friction 1 (2D) and the block with friction .3 (3D) on independent Netgen meshes, "
-            "four times (3D: twice) finer at contact, sizes halved from level to level. Every prolongation is "
-            "tried with the default method and with the monotone correction; with contact rows, fine contact nodes "
-            "interpolate along the coarse "
-            f"contact boundary whatever the transfer does elsewhere. Tolerance {RTOL:g} (estimated relative energy "
-            f"error), at most {MAX_CYCLES} cycles.")
+    solid = any(case.dim == 3 for case in cases.values())
+    block, twice = (" and the block with friction .3 (3D)", " (3D: twice)") if solid else ("", "")
+    text = (f"The GRECO bar with friction 1 (2D){block} on independent Netgen meshes, four times{twice} finer at "
+            "contact, sizes halved from level to level. Every prolongation is tried with the default method and with "
+            "the monotone correction; with contact rows, fine contact nodes interpolate along the coarse contact "
+            f"boundary whatever the transfer does elsewhere. Tolerance {RTOL:g} (estimated relative energy error), at "
+            f"most {MAX_CYCLES} cycles.")
     return common.Section("Transfers between non-nested meshes", text, [
         property_table(kept), cycle_table(cycles), ratio_table(ratios), work_figure(cycles), ratio_figure(ratios),
         *further])
