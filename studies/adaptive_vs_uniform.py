@@ -3,7 +3,7 @@
 Seven problems (one body and pairs, plane, axisymmetric and 3D), on uniform meshes, on meshes graded by hand, and on
 those of the adaptive loop by two engines and three indicators. Errors are against references on far finer meshes.
 
-    python studies/adaptive_vs_uniform.py [--quick] [--out DIR]
+    python studies/adaptive_vs_uniform.py [--quick | --full] [--out DIR]
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from adaptive_tables import tables
 
 #: dimension -> nodes of adaptive and graded meshes, of the reference, of uniform meshes; at most
 FULL: Mapping[int, tuple[int, int, int]] = {2: (30_000, 300_000, 300_000), 3: (12_000, 250_000, 300_000)}
+SIZES: Mapping[int, tuple[int, int, int]] = {2: (6000, 60_000, 70_000), 3: (2000, 25_000, 20_000)}
 QUICK: Mapping[int, tuple[int, int, int]] = {2: (2000, 18_000, 18_000), 3: (800, 6000, 6000)}
 #: families of solids in a quick run
 QUICK_3D = ("uniform", "residual, remeshed", "residual, bisected")
@@ -38,21 +39,27 @@ TEXT = (
 
 def run(context: common.Context) -> common.Section:
     """All cases and families."""
-    sizes = QUICK if context.quick else FULL
-    found, references = [], []
+    sizes = QUICK if context.quick else FULL if context.full else SIZES
+    references = pd.concat([context.study(runs.reference, {"case": of_dim(dim)}, nodes=nodes)
+                            for dim, (_, nodes, _) in sizes.items()], ignore_index=True)
+    found = []
     for name, case in CASES.items():
         most, nodes, uniform = sizes[case.dim]
-        uniform = uniform if context.quick else FURTHER.get(name, uniform)
-        row = context.study(runs.reference, {"case": [name]}, nodes=nodes).iloc[0]
-        references.append(row)
-        runs.YARDSTICKS[name, nodes] = runs.yardstick(name, row)
+        if sizes is FULL:
+            uniform = FURTHER.get(name, uniform)
+        runs.YARDSTICKS[name, nodes] = runs.yardstick(name, references[references["case"] == name].iloc[0])
         for family in QUICK_3D if context.quick and case.dim == 3 else runs.FAMILIES:
-            study = context.study(runs.family, {"case": [name], "family": [family]},
+            study = context.study(runs.family, {"case": [name], "family": [family]}, timed=True,
                                   most=uniform if family == "uniform" else most, reference_nodes=nodes)
             found.append(pd.DataFrame(json.loads(study["meshes"].iloc[0])).assign(case=name, family=family))
     rows = pd.concat(found, ignore_index=True)
     return common.Section("Adaptive against uniform meshes", TEXT,
-                          [*tables(rows, pd.DataFrame(references)), *figures(rows, context.quick)])
+                          [*tables(rows, references), *figures(rows, context.quick)])
+
+
+def of_dim(dim: int) -> list[str]:
+    """Names of the cases in 2D or 3D."""
+    return [name for name, case in CASES.items() if case.dim == dim]
 
 
 if __name__ == "__main__":

@@ -1,11 +1,15 @@
 """Algebraic multigrid (pyamg) on the same matrices: the glued problem, the steps of the active set method, and ours.
 
 1. The glued problem (all contact dofs fixed, hence linear): conjugate gradients with smoothed aggregation, with and
-   without rigid-body modes, beside the contact problem solved by FullMultigrid on the same grid.
-2. The contact problem: the active set method with direct and with algebraic linear solves, cold and from coarser
-   grids, against FullMultigrid with the monotone correction.
+   without rigid-body modes, beside the contact problem solved by FullMultigrid on the same grid, as it is by default
+   (truncated mode) and in the monotone mode.
+2. The contact problem: FullMultigrid against the active set method with direct and with algebraic linear solves, cold
+   and from coarser grids.
 
-    python studies/amg_comparison.py [--quick] [--out DIR]
+Algebraic multigrid is smoothed aggregation of pyamg with its default options, block Gauss-Seidel. A compiled block
+sweep is quicker than pyamg's, so that seconds favour ours more than work units do.
+
+    python studies/amg_comparison.py [--quick | --full] [--out DIR]
 """
 
 from __future__ import annotations
@@ -32,11 +36,13 @@ RTOL = 1e-8
 MAX_CYCLES = 400
 
 #: grids -> finest divisions, or halvings of 20 mm
-LINEAR: Mapping[str, tuple[int, ...]] = {"uniform": (32, 64, 128, 256), "graded": (5,), "3D block": (8, 16)}
+LINEAR: Mapping[str, tuple[int, ...]] = {"uniform": (32, 64, 128), "graded": (5,), "3D block": (8,)}
+FULL_LINEAR: Mapping[str, tuple[int, ...]] = {"uniform": (32, 64, 128, 256), "graded": (5,), "3D block": (8, 16)}
 CONTACT: Mapping[str, tuple[int, ...]] = {"uniform": (32, 64, 128), "graded": (5,), "3D block": (8,)}
-QUICK_LINEAR: Mapping[str, tuple[int, ...]] = {"uniform": (32, 64), "graded": (3,), "3D block": (6,)}
+QUICK_LINEAR: Mapping[str, tuple[int, ...]] = {"uniform": (32, 64), "graded": (3,)}
 QUICK_CONTACT: Mapping[str, tuple[int, ...]] = {"uniform": (16, 32), "graded": (3,)}
 REPETITIONS = 3
+MODES, DEFAULT, MONOTONE = "AMG-CG, rigid-body modes", "contact, FullMultigrid", "contact, monotone mode"
 
 
 @lru_cache(maxsize=8)
@@ -122,16 +128,16 @@ def linear(grid: str, size: int, rtol: float, max_cycles: int, repetitions: int)
                 "energy_error": float(np.sqrt(error @ (matrix @ error) / (exact @ (matrix @ exact)))),
                 "residual": solution.residual, "outcome": "CONVERGED" if solution.converged else "LIMIT"}
 
-    def by_multigrid() -> dict[str, Any]:
-        result = am.solve(hierarchy, am.FullMultigrid(correction=am.Monotone(), rtol=rtol, max_cycles=max_cycles),
+    def by_multigrid(correction: Any) -> dict[str, Any]:
+        result = am.solve(hierarchy, am.FullMultigrid(correction=correction, rtol=rtol, max_cycles=max_cycles),
                           throw=False)
         phases = common.seconds_by_phase(hierarchy, result)
         return {"setup_s": phases["setup_s"], "solve_s": phases["solve_s"], "total_s": result.seconds,
                 "iterations": result.cycles, "work": result.work_units, "complexity": hierarchy.operator_complexity,
                 "energy_error": result.error_estimate, "residual": result.residual, "outcome": result.status.name}
 
-    calls = {"AMG-CG, rigid-body modes": lambda: by_amg(modes), "AMG-CG, constants": lambda: by_amg(constants),
-             "contact, FullMultigrid": by_multigrid}
+    calls = {DEFAULT: lambda: by_multigrid(am.Truncated()), MODES: lambda: by_amg(modes),
+             "AMG-CG, constants": lambda: by_amg(constants), MONOTONE: lambda: by_multigrid(am.Monotone())}
     return {"nodes": discrete.n_nodes, "transfer_s": hierarchy.timings["transfer"], **medians(calls, repetitions)}
 
 
@@ -152,16 +158,14 @@ def contact(grid: str, size: int, rtol: float, max_cycles: int, repetitions: int
                 "outcome": result.status.name}
 
     calls = {
+        "FullMultigrid": lambda: by(lambda _: am.FullMultigrid(rtol=rtol, max_cycles=max_cycles)),
         "ActiveSet, direct, cold": lambda: by(lambda _: am.ActiveSet(rtol=rtol)),
         "ActiveSet, direct, nested": lambda: by(lambda _: am.ActiveSet(rtol=rtol, nested_start=True)),
         "ActiveSet, AMG, cold": lambda: by(lambda counted: am.ActiveSet(linear=counted, rtol=rtol)),
         "ActiveSet, AMG, nested": lambda: by(lambda counted: am.ActiveSet(linear=counted, rtol=rtol,
                                                                          nested_start=True)),
-        "FullMultigrid, V": lambda: by(lambda _: am.FullMultigrid(correction=am.Monotone(), rtol=rtol,
-                                                                  max_cycles=max_cycles)),
-        "FullMultigrid, W": lambda: by(lambda _: am.FullMultigrid(correction=am.Monotone(),
-                                                                  cycle=am.Cycle(shape="W"), rtol=rtol,
-                                                                  max_cycles=max_cycles))}
+        "monotone mode": lambda: by(lambda _: am.FullMultigrid(correction=am.Monotone(), rtol=rtol,
+                                                               max_cycles=max_cycles))}
     return {"nodes": hierarchy.finest.discrete.n_nodes, **medians(calls, repetitions)}
 
 
@@ -181,23 +185,45 @@ def run(context: common.Context) -> common.Section:
     fixed = {"rtol": RTOL, "max_cycles": MAX_CYCLES, "repetitions": REPETITIONS}
 
     def rows(function: Callable[..., dict[str, Any]], families: Mapping[str, tuple[int, ...]]) -> pd.DataFrame:
-        tables = [context.study(function, {"grid": [grid], "size": sizes}, **fixed) for grid, sizes in families.items()]
+        tables = [context.study(function, {"grid": [grid], "size": sizes}, timed=True, **fixed)
+                  for grid, sizes in families.items()]
         return long_form(pd.concat(tables, ignore_index=True))
 
-    glued_rows = rows(linear, QUICK_LINEAR if context.quick else LINEAR)
+    glued_rows = rows(linear, QUICK_LINEAR if context.quick else FULL_LINEAR if context.full else LINEAR)
     contact_rows = rows(contact, QUICK_CONTACT if context.quick else CONTACT)
-    text = ("Algebraic multigrid is smoothed aggregation of pyamg with its default options, block Gauss-Seidel. The "
-            "GRECO bar with friction 1 on uniform grids and on a graded Netgen mesh (four times finer at contact), "
-            f"the block with friction 1 in 3D. Seconds are medians of {REPETITIONS} runs in turns in one process, on "
-            "one thread, without meshing and assembly, which all methods share (the coarse grids' share apart).")
+    block = ", the block with friction 1 in 3D" if (glued_rows["grid"] == "3D block").any() else ""
+    text = ("The GRECO bar with friction 1 on uniform grids and on a graded Netgen mesh (four times finer at "
+            f"contact){block}. Algebraic multigrid: smoothed aggregation of pyamg, its defaults. "
+            f"Seconds are medians of {REPETITIONS} runs in turns, run alone on one thread, without meshing and "
+            "assembly, which all methods share (the coarse grids' share apart).")
     return common.Section("Algebraic multigrid on the same matrices", text, [
-        linear_table(glued_rows), contact_table(contact_rows), seconds_figure(glued_rows, contact_rows)])
+        linear_table(glued_rows), contact_table(contact_rows), seconds_figure(glued_rows, contact_rows)],
+        summary=summary(glued_rows, contact_rows))
+
+
+def summary(glued_rows: pd.DataFrame, contact_rows: pd.DataFrame) -> str:
+    """What was asked and what came out."""
+    own, amg, monotone = (by_method(glued_rows, name)["total_s"] for name in (DEFAULT, MODES, MONOTONE))
+    ratio, other = own / amg, monotone / amg
+    uniform = ratio.loc["uniform"].sort_index()
+    by = {name: group.set_index(["grid", "size"])["target_s"] for name, group in contact_rows.groupby("method")}
+    newton = (by["ActiveSet, direct, nested"] / by["FullMultigrid"]).dropna()
+    return ("Does the contact problem cost more than the linear one on the same matrix? FullMultigrid (the default) "
+            f"takes {ratio.min():.2g} to {ratio.max():.2g} times the seconds of AMG-CG on the glued problem, "
+            f"{uniform.iloc[-1]:.2g} times on the finest uniform grid here, the "
+            f"monotone mode {other.min():.2g} to {other.max():.2g} times. The active set method with direct solves and "
+            f"a nested start takes {newton.min():.2g} to {newton.max():.2g} times the seconds of FullMultigrid to the "
+            "same true error.")
+
+
+def by_method(rows: pd.DataFrame, name: str) -> pd.DataFrame:
+    """The rows of a method, by grid and size."""
+    return rows[rows["method"] == name].set_index(["grid", "size"])
 
 
 def linear_table(rows: pd.DataFrame) -> common.Table:
     """The glued problem beside the contact problem."""
-    modes, constants, ours = (rows[rows["method"] == name].set_index(["grid", "size"])
-                              for name in rows["method"].unique())
+    modes, constants, ours = (by_method(rows, name) for name in (MODES, "AMG-CG, constants", DEFAULT))
     ratio = rows.apply(lambda row: row["total_s"] / modes.loc[(row["grid"], row["size"]), "total_s"], axis=1)
     frame = pd.DataFrame({
         "grid": rows["grid"], "nodes": rows["nodes"], "method": rows["method"], "iterations": rows["iterations"],
@@ -211,14 +237,14 @@ def linear_table(rows: pd.DataFrame) -> common.Table:
              "less in some cases, more in others")
     note = (
         f"AMG-CG solves the glued (linear) problem to a residual of {RTOL:g}; FullMultigrid the contact problem, by "
-        "the monotone correction, V(2,0), nested start. iterations: CG steps, cycles on the finest grid. Rigid-body "
+        "default in the truncated mode. iterations: CG steps, cycles on the finest grid. Rigid-body "
         f"modes save iterations by a factor {plain.min():.2f} to {plain.max():.2f} over constant vectors (what pyamg "
-        "takes by default). over AMG: seconds over those of AMG-CG with modes. The contact problem takes "
+        "takes by default). over AMG: seconds over those of AMG-CG with modes. By default the contact problem takes "
         f"{quotient.min():.2f} to {quotient.max():.2f} times the seconds ({words}), "
         f"{quotient.loc[('uniform', largest)]:.2f} on the finest uniform grid; building the transfers adds "
         f"{ours.loc[('uniform', largest), 'transfer_s']:.2f} s there. In work units it takes "
-        f"{(ours['work'] / modes['work']).min():.2f} to {(ours['work'] / modes['work']).max():.2f} times as many; a "
-        "compiled block sweep is quicker than pyamg's, so seconds favour it more than work units do. energy error: "
+        f"{(ours['work'] / modes['work']).min():.2f} to {(ours['work'] / modes['work']).max():.2f} times as many. "
+        "energy error: "
         "relative, of CG against a solution to 1e-11, of FullMultigrid as estimated.")
     caption = f"The glued problem by AMG-CG, the contact problem by multigrid (rtol {RTOL:g})"
     return common.Table("amg_glued", frame, caption, note, {"set-up": "s", "solve": "s", "total": "s"},
@@ -236,7 +262,7 @@ def contact_table(rows: pd.DataFrame) -> common.Table:
         "time to 1e-8": rows["target_s"], "over fastest": rows["target_s"] / fastest,
         "true error": rows["energy_error"], "residual": rows["residual"], "status": rows["outcome"]})
     by = {name: group.set_index(["grid", "size"]) for name, group in rows.groupby("method")}
-    v = by["FullMultigrid, V"]["target_s"]
+    v = by["FullMultigrid"]["target_s"]
     words = []
     for name in ("ActiveSet, direct, nested", "ActiveSet, AMG, cold", "ActiveSet, AMG, nested"):
         ratio = (by[name]["target_s"] / v).dropna()
@@ -249,7 +275,7 @@ def contact_table(rows: pd.DataFrame) -> common.Table:
         "steps: Newton steps or cycles on the finest grid; inner: iterations of the linear solver in all steps and on "
         "all levels. 1e-8: when the true relative energy error first fell below it, interpolated between steps; what "
         "is solved further is in total. Direct factorisations are seconds, not work; the reference of the true error "
-        "is itself found by ActiveSet, direct, nested. Against FullMultigrid V to the same true error, "
+        "is itself found by ActiveSet, direct, nested. Against FullMultigrid to the same true error, "
         f"{'; '.join(words)} the seconds.{failed} Newton steps fall by a factor {steps.min():.1f} to {steps.max():.1f} "
         "with a start from coarser grids.")
     return common.Table("amg_contact", frame, f"The contact problem: active set and multigrid (rtol {RTOL:g})", note,
@@ -262,15 +288,15 @@ def contact_table(rows: pd.DataFrame) -> common.Table:
 def seconds_figure(glued_rows: pd.DataFrame, contact_rows: pd.DataFrame) -> common.Figure:
     """Seconds against nodes on uniform grids."""
     figure, ax = plt.subplots(figsize=(7.4, 4.4))
-    own = contact_rows[(contact_rows["grid"] == "uniform") & ~contact_rows["method"].str.startswith("FullMultigrid")]
+    own = contact_rows[(contact_rows["grid"] == "uniform") & contact_rows["method"].str.startswith("ActiveSet")]
     for k, (name, rows) in enumerate(own.groupby("method", sort=False)):
         ax.loglog(rows["nodes"], rows["target_s"], marker="os^D"[k], color=CYCLE[k], label=name)
     both = glued_rows[glued_rows["grid"] == "uniform"]
-    for k, name in enumerate(("contact, FullMultigrid", "AMG-CG, rigid-body modes")):
+    for k, (name, label) in enumerate({DEFAULT: "FullMultigrid", MONOTONE: "FullMultigrid, monotone mode",
+                                       MODES: "glued (linear) problem, AMG-CG"}.items()):
         rows = both[both["method"] == name]
-        label = "FullMultigrid, V" if k == 0 else "glued (linear) problem, AMG-CG"
-        ax.loglog(rows["nodes"], rows["total_s"], marker="vP"[k], color=CYCLE[(4, 6)[k]], label=label,
-                  linestyle="-" if k == 0 else (0, (4, 3)))
+        ax.loglog(rows["nodes"], rows["total_s"], marker="v<P"[k], color=CYCLE[(4, 5, 6)[k]], label=label,
+                  linestyle=(0, (4, 3)) if name == MODES else "-")
     ax.set_xlabel("nodes")
     ax.set_ylabel("time [s]")
     ax.grid(True)

@@ -7,10 +7,10 @@ the context; tables and figures are made from what is stored.
 from __future__ import annotations
 
 import argparse
-import io
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -26,9 +26,9 @@ matplotlib.use("Agg")
 import numpy as np
 import pandas as pd
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from PIL import Image
 
 import adaptmg as am
+from adaptmg.export.report.figures import small_png
 from adaptmg.mesh import refine_near, structured
 from adaptmg.runtime.atomic import make_folder, write_bytes
 
@@ -43,7 +43,10 @@ PROBLEMS: Mapping[str, Callable[[], am.ContactProblem]] = {
 
 @dataclass
 class Table:
-    """A table of a study: what is printed, written as CSV and put into the report."""
+    """A table of a study: what is printed, written as CSV and put into the report.
+
+    ``open`` says whether it stands open in the report; None: the first table of a section does.
+    """
 
     name: str
     frame: pd.DataFrame
@@ -51,6 +54,7 @@ class Table:
     note: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, str] = field(default_factory=dict)
+    open: bool | None = None
 
 
 @dataclass
@@ -63,12 +67,47 @@ class Figure:
 
 
 @dataclass
+class Headline:
+    """What a study has to say on the first screen of the report, at a place that :data:`front.PLACES` names.
+
+    ``item`` is a small table (five rows, five columns) or a figure of some 5.6 x 2.5 inches, ``text`` a sentence or
+    two.
+    """
+
+    place: str
+    item: Table | Figure
+    text: str
+
+
+@dataclass
 class Section:
-    """What a study returns."""
+    """What a study returns.
+
+    ``summary`` says what was asked, what came out and why it differs from the paper, in few sentences; ``text`` has
+    the reasons, most of it folded. ``seeds`` names the random numbers, if any.
+    """
 
     title: str
     text: str
     items: list[Table | Figure] = field(default_factory=list)
+    summary: str = ""
+    headline: list[Headline] = field(default_factory=list)
+    seeds: str = ""
+
+
+def in_this_process(study: am.Study, timed: bool) -> pd.DataFrame:
+    """The rows of a study, run after run."""
+    return study.run(throw=True)
+
+
+def with_texts(study: am.Study, table: pd.DataFrame) -> pd.DataFrame:
+    """The table with the long texts themselves, which the store keeps as files."""
+    for name in table.columns.difference(study.parameters):
+        kept = [isinstance(value, str) and value.endswith(".txt") for value in table[name]]
+        if any(kept):
+            table[name] = [study.load(k, name) if long else value
+                           for k, (value, long) in enumerate(zip(table[name], kept, strict=True))]
+    return table
 
 
 @dataclass
@@ -81,18 +120,34 @@ class Context:
         Smaller grids, seconds instead of minutes.
     out : Path
         Directory of CSV files, pictures and the store.
+    full : bool
+        More than the paper asks: fine references, histories, campaigns.
+    compute : callable
+        Gives the rows of a study, told whether its runs are timed; :mod:`together` has one for a cluster.
+    alone : callable
+        A context manager for what is measured without a study: entered when nothing else computes.
     """
 
     quick: bool
     out: Path
+    full: bool = False
+    compute: Callable[[am.Study, bool], pd.DataFrame] = in_this_process
+    alone: Callable[[], AbstractContextManager[None]] = nullcontext
 
-    def study(self, run: Callable[..., dict[str, Any]], parameters: Mapping[str, Sequence[Any]],
-              **fixed: Any) -> pd.DataFrame:
-        """Run a parameter study through the store of this context; rows that are stored are not computed again."""
+    def study(self, run: Callable[..., dict[str, Any]], parameters: Mapping[str, Sequence[Any]], *,
+              timed: bool = False, **fixed: Any) -> pd.DataFrame:
+        """Run a parameter study through the store of this context; rows that are stored are not computed again.
+
+        Parameters
+        ----------
+        run, parameters, fixed : as of :class:`adaptmg.Study`
+        timed : bool
+            The seconds of its runs are a result: they run alone, when all others are done.
+        """
         make_folder("--out", self.out)
         study = am.Study(run, parameters, self.out / "studies.sqlite", fixed=fixed,
                          name=f"{Path(run.__code__.co_filename).stem}.{run.__name__}")
-        return study.run(throw=True)
+        return with_texts(study, self.compute(study, timed))
 
 
 @lru_cache(maxsize=32)
@@ -173,14 +228,21 @@ def quickest(hierarchy: am.Hierarchy, solver: Any, seconds: float = 0.5, times: 
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float:
-    """Exponent of y ~ x^slope, fitted by least squares to the logarithms."""
+    """Exponent of y ~ x^slope, fitted by least squares to the logarithms; NaN of fewer than three points."""
+    if len(x) < 3:
+        return float("nan")
     return float(np.polyfit(np.log(np.asarray(x, dtype=float)), np.log(np.asarray(y, dtype=float)), 1)[0])
 
 
 def plain_ticks(*axes: Any) -> None:
-    """Label logarithmic axes (``ax.xaxis``, ...) at 1, 2, 5 times powers of ten, without exponents."""
+    """Label logarithmic axes (``ax.xaxis``, ...) without exponents, at 1, 2, 5 times powers of ten where there is room.
+
+    Over more than a decade and a half such labels would overlap: then at the powers alone.
+    """
     for axis in axes:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        low, high = axis.get_view_interval()
+        wide = low > 0 and high / low > 30
+        axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 
@@ -192,19 +254,16 @@ def paper(name: str) -> pd.DataFrame:
 
 def write_picture(figure: Any, path: Path, dpi: int = 130) -> None:
     """Write a figure as PNG with 256 colours, whole or not at all."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=dpi, bbox_inches="tight")
-    small = io.BytesIO()
-    Image.open(buffer).convert("RGB").quantize(256, kmeans=1).save(small, format="png", optimize=True)
     make_folder("--out", path.parent)
-    write_bytes(path, small.getvalue())
+    write_bytes(path, small_png(figure, dpi))
 
 
-def show(section: Section, out: Path) -> None:
-    """Print a section's tables; write them as CSV and the figures as PNG."""
+def show(section: Section, out: Path, pictures: bool = True) -> None:
+    """Print a section's tables; write them as CSV, and the figures as PNG if they are wanted."""
     from adaptmg.study.tables import as_text
 
-    print(f"\n{section.title}\n{'=' * len(section.title)}\n{section.text}")
+    said = "\n\n".join(text for text in (section.summary, section.text) if text)
+    print(f"\n{section.title}\n{'=' * len(section.title)}\n{said}")
     for item in section.items:
         if isinstance(item, Table):
             print("\n" + as_text(item.frame, caption=item.caption, note=item.note, units=item.units,
@@ -212,7 +271,7 @@ def show(section: Section, out: Path) -> None:
             make_folder("--out", out)
             text = item.frame.to_csv(index=False)
             write_bytes(out / f"{item.name}.csv", text.encode("utf-8", "backslashreplace"))
-        else:
+        elif pictures:
             target = out / f"{item.name}.png"
             write_picture(item.figure, target)
             print(f"\n[figure {target}] {item.caption}")
@@ -221,9 +280,11 @@ def show(section: Section, out: Path) -> None:
 def main(run: Callable[[Context], Section], description: str) -> None:
     """Command line of a study script."""
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--quick", action="store_true", help="smaller grids, seconds instead of minutes")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="smaller grids, seconds instead of minutes")
+    size.add_argument("--full", action="store_true", help="more than the paper asks; minutes")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
                         help="where CSV files, pictures and the store go (default: results)")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    show(run(Context(arguments.quick, arguments.out)), arguments.out)
+    show(run(Context(arguments.quick, arguments.out, arguments.full)), arguments.out)

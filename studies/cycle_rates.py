@@ -39,7 +39,9 @@ def rate(family: str, levels: int, cycle: str, order: str, deepest: int, factor:
 def tables(context: Context) -> list[Table]:
     """One table."""
     both = {"cycle": ("V", "W"), "order": ("backward", "forward")}
-    nested, loose, close = ((3, 4), (3,), (4,)) if context.quick else ((3, 4, 5, 6, 7), (3, 4, 5), (4, 5, 6))
+    nested, loose, close = ((3, 4), (3,), (4,)) if context.quick else ((3, 4, 5, 6), (3, 4), (4, 5))
+    if context.full and not context.quick:
+        nested, loose, close = (*nested, 7), (*loose, 5), (*close, 6)
     frame = pd.concat([context.study(rate, {"family": (family,), "levels": levels} | both, deepest=max(levels),
                                      factor=factor, rtol=RTOL)
                        for family, levels, factor in (("nested", nested, 2.0), ("independent, by 2", loose, 2.0),

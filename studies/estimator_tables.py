@@ -134,7 +134,8 @@ def cost_table(costs: pd.DataFrame) -> common.Table:
     frame = pd.DataFrame({
         "case": costs["case"], "engine": costs["engine"], "theta": costs["theta"], "nodes": costs["nodes"],
         "levels": costs["levels"], "rate": costs["rate"],
-        "loop WU": costs["loop_work"], "nested WU": costs["nested_work"],
+        "loop WU": costs["loop_work"],
+        "nested WU": costs["nested_work"],
         "work": costs["loop_work"] / costs["nested_work"], "over 1e-8": costs["loop_work"] / costs["tight_work"],
         "meshes": costs["mesh_s"], "assembly": costs["assembly_s"], "solves": costs["solve_s"],
         "estimates": costs["estimate_s"], "nested": costs["alone_s"], "its levels": costs["build_s"],

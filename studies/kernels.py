@@ -142,6 +142,12 @@ def interpolation(dim: int, coarse: int, fine: int, repeats: int) -> dict[str, o
 
 def run(context: Context) -> Section:
     """Measure; nothing is stored, as timings of another moment are of no use."""
+    with context.alone():
+        return measured(context)
+
+
+def measured(context: Context) -> Section:
+    """Both tables."""
     repeats = QUICK_REPEATS if context.quick else REPEATS
     speeds = pd.concat([bandwidth(dim, divisions, repeats)
                         for dim, divisions in (QUICK_SIZES if context.quick else SIZES)])

@@ -42,7 +42,7 @@ def chain(finest: int, levels: int) -> tuple[int, ...]:
 
 def repeats(context: common.Context) -> int:
     """How often a short solve is repeated for its seconds."""
-    return 1 if context.quick else 3
+    return 3 if context.full and not context.quick else 1
 
 
 def nodes_text(divisions: tuple[int, ...]) -> str:
@@ -115,6 +115,12 @@ def listed(values: Any, spec: str = ".1f") -> str:
     """Numbers or words for a sentence: '1.2, 3.4 and 5.6'; 'none' if there are none."""
     texts = [value if isinstance(value, str) else format(value, spec) for value in values]
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts) or "none"
+
+
+def span(values: Any, spec: str) -> str:
+    """'smallest to largest', or the one value where both print alike."""
+    low, high = format(min(values), spec), format(max(values), spec)
+    return low if low == high else f"{low} to {high}"
 
 
 def short(tolerance: float) -> str:

@@ -1,88 +1,165 @@
-"""All studies, one HTML report that opens offline, with the tables as CSV and the figures as PNG beside it.
+"""All studies, one HTML report that opens offline, with the tables as CSV beside it.
 
-    python studies/reproduce.py [--quick] [--out DIR] [--fresh] [STUDY ...]
+    python studies/reproduce.py [--quick | --full] [--workers N] [--out DIR] [--fresh] [--pictures] [STUDY ...]
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
-import logging
+import os
+import subprocess
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from common import Context, Section, Table, show
+import front
+import together
+from common import Context, Figure, Section, Table, show
 
-STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "hertz",
-           "adaptive_vs_uniform", "goal_greco", "estimator_effectivity", "transfer_operators",
-           "amg_comparison", "kernels")
-#: run only where they are named: minutes on large grids, and campaigns of hundreds of problems
-LARGE = ("benchmark", "robustness", "true_errors")
+if TYPE_CHECKING:
+    from adaptmg.export import Report
+    from adaptmg.export.report.figures import Picture
+
+STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "adaptive_vs_uniform",
+           "transfer_operators", "amg_comparison")
+#: only with --full, or where they are named: minutes on large grids, and campaigns of hundreds of problems
+LARGE = ("hertz", "estimator_effectivity", "goal_greco", "kernels", "benchmark", "robustness", "true_errors")
 TITLE = "adaptmg: multigrid for frictional contact"
-SUMMARY = """The three tables of 'Multigrid in Structure Assembling Problem' beside ours, the same on its assemblies
-(reconstructed), closed forms of contact, adaptive against uniform meshes, transfers between meshes that are not nested,
-and algebraic multigrid on the same matrices.
+SUMMARY = "'Multigrid in Structure Assembling Problem' recomputed: its tables beside ours, and what they leave open."
+TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,
+inside coarse solves and in nested starts too. Direct factorisations are reported in seconds only.
 
-One work unit is one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros, inside
-coarse solves and in nested starts too. Direct factorisations are reported in seconds only. The true error is
-||u - u_h||_A / ||u_h||_A against the exact discrete solution, found by an independent method (semismooth Newton with
-direct solves). Seconds are of this machine and this run."""
+True error: ||u - u_h||_A / ||u_h||_A against the exact discrete solution, found by an independent method (semismooth
+Newton with direct solves).
+
+Seconds are of this machine and this run, on one thread. Those of adaptive meshes, of building transfers and of
+algebraic multigrid were measured alone; elsewhere other runs may have gone on beside, so that they are rough. The paper
+counts grid 1 as the finest."""
 
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
-                                     epilog="example: python studies/reproduce.py --quick --out /tmp/report")
-    parser.add_argument("studies", nargs="*", metavar="STUDY",
-                        help=f"some of: {', '.join(STUDIES + LARGE)} (default: all but the last three)")
-    parser.add_argument("--quick", action="store_true", help="smaller grids: some three minutes")
-    parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
-                        help="where report.html, CSV files, pictures and the store go (default: results)")
-    parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")
-    arguments = parser.parse_args()
+    arguments = _parser().parse_args()
     unknown = sorted(set(arguments.studies) - set(STUDIES + LARGE))
     if unknown:
-        parser.error(f"unknown study {', '.join(unknown)}; there are {', '.join(STUDIES + LARGE)}")
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+        raise SystemExit(f"reproduce.py: unknown study {', '.join(unknown)}; there are {', '.join(STUDIES + LARGE)}")
     out = arguments.out / "quick" if arguments.quick else arguments.out
     if arguments.fresh:
         (out / "studies.sqlite").unlink(missing_ok=True)
-    report(Context(arguments.quick, out), arguments.studies or STUDIES)
+    names = arguments.studies or (STUDIES + LARGE if arguments.full else STUDIES)
+    report(Context(arguments.quick, out, arguments.full), names, arguments.workers, arguments.pictures)
 
 
-def report(context: Context, names: tuple[str, ...] | list[str]) -> Path:
-    """Run studies, show them, and write the report.
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
+                                     epilog="example: python studies/reproduce.py --quick --out /tmp/report")
+    parser.add_argument("studies", nargs="*", metavar="STUDY",
+                        help=f"some of: {', '.join(STUDIES)} (default: these), {', '.join(LARGE)} (with --full)")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="smaller grids: a minute and a half at most")
+    size.add_argument("--full", action="store_true", help="beyond the paper: fine references, histories, campaigns")
+    parser.add_argument("--workers", type=_workers, default=cores(), metavar="N",
+                        help="processes that compute; 0 or 1: this one alone (default: one a core, here %(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
+                        help="where report.html, CSV files, pictures and the store go (default: results)")
+    parser.add_argument("--pictures", action="store_true", help="write the figures as PNG too")
+    parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")
+    return parser
+
+
+def _workers(text: str) -> int:
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"a whole number, 0 or more, not {text!r}")
+    return int(text)
+
+
+def cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def report(context: Context, names: Sequence[str], workers: int, pictures: bool = False) -> Path:
+    """Run studies, show them as they are done, and write the report.
 
     Returns
     -------
     Path
         Of the HTML file.
     """
-    from adaptmg.export.report import Report
+    begin, sections, drawn = time.perf_counter(), {}, {}
 
-    page = Report(TITLE, SUMMARY + ("\n\nThis is a quick run on smaller grids." if context.quick else ""))
-    for number, name in enumerate(names, start=1):
-        print(f"[{number}/{len(names)}] {name} ...", file=sys.stderr, flush=True)
-        begin = time.perf_counter()
-        section = importlib.import_module(name).run(context)
-        show(section, context.out)
-        add(page, section)
-        print(f"[{number}/{len(names)}] {name}: {time.perf_counter() - begin:.1f} s", file=sys.stderr, flush=True)
-    target = context.out / "report.html"
-    page.write(target)
+    def done(name: str, section: Section, made: dict[str, Picture], seconds: float) -> None:
+        sections[name] = section
+        drawn.update(made)
+        show(section, context.out, pictures)
+        print(f"[{len(sections)}/{len(names)}] {name}: done after {seconds:.0f} s", file=sys.stderr, flush=True)
+
+    if workers > 1:
+        print(f"{len(names)} studies on {workers} workers ...", file=sys.stderr, flush=True)
+        together.at_once(context, names, done, workers)
+    else:
+        together.in_turn(context, names, done)
+    page = page_of({name: sections[name] for name in names}, context, drawn)
+    target = page.write(context.out / "report.html")
     print(f"\nreport: {target}")
+    print(f"all done after {time.perf_counter() - begin:.0f} s", file=sys.stderr)
     return target
 
 
-def add(page: object, section: Section) -> None:
-    """A section of the report."""
-    page.section(section.title, section.text)
-    for item in section.items:
-        if isinstance(item, Table):
-            page.table(item.frame, caption=item.caption, note=item.note, units=item.units, formats=item.formats)
+def page_of(sections: Mapping[str, Section], context: Context, drawn: Mapping[str, Picture] | None = None) -> Report:
+    """The report of what studies returned, by their names: first screen, a section each, how it was made.
+
+    ``drawn`` has figures by their names that are pictures already.
+    """
+    from adaptmg.export import Report
+
+    page = Report(TITLE, SUMMARY + " This is a quick run, on smaller grids." * context.quick, terms=TERMS)
+    for name, line in front.headlines(sections).items():
+        place = front.PLACES[name]
+        if isinstance(line, str):
+            page.card(place.title, line, to=place.study)
+        elif isinstance(line.item, Table):
+            page.card(place.title, line.text, to=place.study, table=line.item.frame, units=line.item.units,
+                      formats=line.item.formats)
         else:
-            page.figure(item.figure, caption=item.caption)
+            page.card(place.title, line.text, to=place.study, figure=line.item.figure)
+    for name, section in sections.items():
+        page.section(section.title, section.text, summary=section.summary, key=name)
+        for item in in_sight_first(section.items):
+            add(page, item, drawn or {})
+    seeds = "; ".join(f"{name}: {section.seeds}" for name, section in sections.items() if section.seeds)
+    page.made(commit=commit(), seeds=seeds or "no study of this run draws random numbers", command=" ".join(
+        ["python studies/reproduce.py", *["--quick"] * context.quick, *["--full"] * context.full,
+         *([] if tuple(sections) in (STUDIES, STUDIES + LARGE) else sections)]))
+    return page
+
+
+def commit() -> str:
+    """Of the source, and whether it was changed since; unknown outside a repository."""
+    try:
+        return subprocess.run(["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, check=True,
+                              capture_output=True, text=True, timeout=10).stdout.strip() or "unknown"
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+
+
+def in_sight_first(items: Sequence[Table | Figure]) -> list[Table | Figure]:
+    """Tables that stand open, then the figures side by side, then the tables that are folded."""
+    tables = [item for item in items if isinstance(item, Table)]
+    opened = [item for item in tables if item.open] or [item for item in tables[:1] if item.open is None]
+    figures = [item for item in items if isinstance(item, Figure)]
+    return [*opened, *figures, *(item for item in tables if not any(item is one for one in opened))]
+
+
+def add(page: Report, item: Table | Figure, drawn: Mapping[str, Picture]) -> None:
+    """A table or figure of a section."""
+    if isinstance(item, Table):
+        page.table(item.frame, caption=item.caption, note=item.note, units=item.units, formats=item.formats,
+                   open=item.open, csv=f"{item.name}.csv")
+    else:
+        page.figure(drawn.get(item.name, item.figure), caption=item.caption)
 
 
 if __name__ == "__main__":

@@ -129,7 +129,8 @@ def run(context: Context) -> Section:
                     Table("robustness_cases", rows[what + columns], "Every case of one body."),
                     Table("robustness_pair_cases", bodies[["seed", "nested", "law", "friction", "slave", "stiffness",
                                                            "nodes", *columns]],
-                          "Every case of two; stiffness: modulus of the slave over that of the master.")])
+                          "Every case of two; stiffness: modulus of the slave over that of the master.")],
+                   seeds=f"{FIRST_SEED} to {FIRST_SEED + max(cases, pairs) - 1}")
 
 
 def _summary(rows: pd.DataFrame) -> pd.DataFrame:

@@ -69,7 +69,7 @@ def run(context: Context) -> Section:
     omegas = context.study(relaxed, {"problem": tuple(common.PROBLEMS), "omega": OMEGAS}, smoothings=2, rtol=RTOL,
                            max_cycles=CYCLES, target=TARGET, times=repeats(context))
     items = [paper_table(frame), counts_table(frame), cost_figure(frame), omega_table(omegas), omega_figure(omegas)]
-    return Section("Table 2: number of smoothings", text(frame, omegas), items)
+    return Section("Table 2: number of smoothings", "", items, summary=summary(frame, omegas))
 
 
 def paper_table(frame: pd.DataFrame) -> Table:
@@ -211,20 +211,26 @@ def omega_figure(frame: pd.DataFrame) -> Figure:
                   "cycles and work to equal true error; omega 1 is marked.")
 
 
-def text(frame: pd.DataFrame, omegas: pd.DataFrame) -> str:
-    """What the section says first."""
+def summary(frame: pd.DataFrame, omegas: pd.DataFrame) -> str:
+    """What was asked, what came out, and why it differs from the paper."""
     real = frame[(frame["correction"] == "monotone")
                  & ((frame["problem"] != "frictionless bar") | (frame["start"] == "zero"))]
     least = real.loc[real.groupby(["problem", "start", "coarse"])["work"].idxmin()]
     tight, loose = least[least["coarse"] == COARSE[0]]["smoothings"], least[least["coarse"] == COARSE[2]]["smoothings"]
+    printed = common.paper("table2_smoothing")["iterations"]
+    bar = frame[(frame["problem"] == "frictionless bar") & (frame["correction"] == "paper") & (frame["start"] == "zero")
+                & (frame["coarse"] == COARSE[0])].sort_values("smoothings")["cycles"].tolist()[:len(printed)]
     rest = omegas[omegas["problem"] != "frictionless bar"]
-    best = rest.loc[rest.groupby("problem")["work_at"].idxmin(), "omega"]
-    return ("How many smoothings before each coarse correction, on the paper's two grids of 289 and 81 nodes, at the "
-            f"paper's own test. In the monotone mode the work is least at {tight.min()} to {tight.max()} smoothings "
-            "with tight coarse solves, which by sweeps cost far more than a smoothing, and at "
-            f"{loose.min()} to {loose.max()} with coarse solves that stop at the outer tolerance; the paper found two "
-            "a good compromise. The best omega of the smoother inside the method is "
-            f"{listed(sorted(set(best)))}, hardly better than 1.")
+    best = rest.loc[rest.groupby("problem")["work_at"].idxmin()].set_index("problem")
+    plain = rest[rest["omega"] == 1.0].set_index("problem")["work_at"]
+    saved = 1 - (best["work_at"] / plain).min()
+    return (f"How many smoothings before each coarse correction? The paper counts {listed(printed, 'd')} cycles for 1 "
+            f"to 4 on 289/81 nodes, we {listed(bar, 'd')} from zero with tight coarse solves (from the full start its "
+            "bar without friction is solved at once, a patch test). In the monotone mode the work is least at "
+            f"{tight.min()} to {tight.max()} smoothings with tight coarse solves by sweeps, at {loose.min()} to "
+            f"{loose.max()} with those that stop at the outer tolerance; the paper found two a good compromise. Within "
+            f"the method the best omega of the smoother, {listed(sorted(set(best['omega'])))}, saves at most "
+            f"{saved:.0%} of the work of omega 1.")
 
 
 if __name__ == "__main__":

@@ -67,8 +67,10 @@ class Case:
 
 NESTED = Case((4, 8, 16, 32), 0, (("Interpolation", True),))
 GRADED = Case((20e-3, 10e-3, 5e-3, 2.5e-3, 1.25e-3), 4)
+#: with --full alone
+FINE = "2D graded, fine"
 CASES: Mapping[str, Case] = {
-    "2D nested": NESTED, "2D graded": GRADED, "2D graded, fine": Case((*GRADED.sizes, 0.625e-3), 4, CHOICES[:5]),
+    "2D nested": NESTED, "2D graded": GRADED, FINE: Case((*GRADED.sizes, 0.625e-3), 4, CHOICES[:5]),
     "3D graded": Case((20e-3, 10e-3, 5e-3), 2, dim=3)}
 QUICK_CASES: Mapping[str, Case] = {"2D nested": NESTED, "2D graded": Case(GRADED.sizes[:-1], 4)}
 #: the default method, and the monotone correction in two cycles
@@ -177,25 +179,30 @@ def run(context: common.Context) -> common.Section:
     """All four parts."""
     kept, cycles = [], []
     stop = {"rtol": RTOL, "max_cycles": MAX_CYCLES}
-    for name, case in (QUICK_CASES if context.quick else CASES).items():
-        meshes = {"dim": case.dim, "sizes": case.sizes, "contact_ratio": case.contact_ratio}
-        for transfer, rows in case.choices:
-            choice = {"transfer": [transfer], "contact_rows": [rows]}
-            shapes = choice | {"shape": list(METHODS)}
-            kept.append(context.study(properties, choice, **meshes).assign(case=name))
-            cycles.append(context.study(convergence, shapes, **meshes, **stop).assign(case=name))
+    cases = QUICK_CASES if context.quick else {name: CASES[name] for name in CASES if context.full or name != FINE}
+    meshes = {name: {"dim": case.dim, "sizes": case.sizes, "contact_ratio": case.contact_ratio}
+              for name, case in cases.items()}
+    choices = [(name, {"transfer": [transfer], "contact_rows": [rows]})
+               for name, case in cases.items() for transfer, rows in case.choices]
+    for name, choice in choices:
+        cycles.append(context.study(convergence, choice | {"shape": list(METHODS)}, **meshes[name], **stop)
+                      .assign(case=name))
+    further = adaptive_items(context) if context.full else []
+    for name, choice in choices:
+        kept.append(context.study(properties, choice, timed=True, **meshes[name]).assign(case=name))
     ratios = context.study(two_grids, {"where": ["everywhere", "at contact"],
                                        "ratio": QUICK_RATIOS if context.quick else RATIOS}, **stop)
     kept, cycles = pd.concat(kept, ignore_index=True), pd.concat(cycles, ignore_index=True)
-    text = ("The GRECO bar with friction 1 (2D) and the block with friction .3 (3D) on independent Netgen meshes, "
-            "four times (3D: twice) finer at contact, sizes halved from level to level. Every prolongation is "
-            "tried with the default method and with the monotone correction; with contact rows, fine contact nodes "
-            "interpolate along the coarse "
-            f"contact boundary whatever the transfer does elsewhere. Tolerance {RTOL:g} (estimated relative energy "
-            f"error), at most {MAX_CYCLES} cycles.")
+    solid = any(case.dim == 3 for case in cases.values())
+    block, twice = (" and the block with friction .3 (3D)", " (3D: twice)") if solid else ("", "")
+    text = (f"The GRECO bar with friction 1 (2D){block} on independent Netgen meshes, four times{twice} finer at "
+            "contact, sizes halved from level to level. Every prolongation is tried with the default method and with "
+            "the monotone correction; with contact rows, fine contact nodes interpolate along the coarse contact "
+            f"boundary whatever the transfer does elsewhere. Tolerance {RTOL:g} (estimated relative energy error), at "
+            f"most {MAX_CYCLES} cycles.")
     return common.Section("Transfers between non-nested meshes", text, [
         property_table(kept), cycle_table(cycles), ratio_table(ratios), work_figure(cycles), ratio_figure(ratios),
-        *adaptive_items(context)])
+        *further])
 
 
 def property_table(kept: pd.DataFrame) -> common.Table:

@@ -180,7 +180,8 @@ def run(context: Context) -> Section:
     return Section("True errors", __doc__.split("\n\n")[1],
                    [Table("true_errors", table, f"Outcomes by method; wrong: CONVERGED with a true error above "
                                                 f"{ALLOWED:g} rtol; failed: the status says that the tolerance was "
-                                                "not reached.")])
+                                                "not reached.")],
+                   seeds=f"{FIRST_SEED} to {FIRST_SEED + cases - 1}")
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:

@@ -54,6 +54,6 @@ def _once(family: str, size: int) -> dict[str, Any]:
 def table(context: Context) -> Table:
     """All rows."""
     sizes = QUICK if context.quick else SIZES
-    rows = [context.study(wait, {"family": [family], "size": list(each)}) for family, each in sizes.items()]
+    rows = [context.study(wait, {"family": [family], "size": list(each)}, timed=True) for family, each in sizes.items()]
     return Table("benchmark_waiting", pd.concat(rows, ignore_index=True).drop(columns="size"),
                  "What a user waits for: wall seconds by phase, GRECO, friction 1, to an estimated error of 1e-8.")

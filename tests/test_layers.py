@@ -19,7 +19,7 @@ import adaptmg
 ROOT = Path(adaptmg.__file__).parent
 LAYERS = ("runtime", "problem", "geometry", "discrete_input", "contact_nodes", "exchange", "coupling", "discrete",
           "mesh", "discretisation", "transfer", ("level", "hierarchy_input"), "meshed_levels", "levels", "hierarchy",
-          "smoother", "multigrid", "solver", "estimate", "cases", "study", ("plot", "export"), "cli")
+          "smoother", "multigrid", "solver", "estimate", "cases", "study", "plot", "export", "cli")
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in ([names] if isinstance(names, str) else names)}
 MAY_USE_NGSOLVE = {"mesh", "discretisation", "export"}
 FILES = sorted(ROOT.rglob("*.py"))

@@ -1,16 +1,18 @@
-"""Files for other programs: VTK, and one HTML page a study."""
+"""Files for other programs: VTK, PETSc, and one HTML page a study."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from adaptmg.export.report import Report
+    from adaptmg.export.petsc_files import petsc
+    from adaptmg.export.report import Report, study_report
     from adaptmg.export.vtu import vtk, vtk_series
 
-_WHERE = {"Report": "adaptmg.export.report", "vtk": "adaptmg.export.vtu", "vtk_series": "adaptmg.export.vtu"}
+_WHERE = {"Report": "adaptmg.export.report", "petsc": "adaptmg.export.petsc_files",
+          "study_report": "adaptmg.export.report", "vtk": "adaptmg.export.vtu", "vtk_series": "adaptmg.export.vtu"}
 
-__all__ = ["Report", "vtk", "vtk_series"]
+__all__ = ["Report", "petsc", "study_report", "vtk", "vtk_series"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,16 +1,23 @@
-"""Parameter sweeps: a function and a grid of parameters, a durable store, a table."""
+"""Parameter sweeps: a function and points of its parameters, a durable store, a table."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from adaptmg.study.cluster import local_cluster
+    from adaptmg.study.designs import Grid, LatinHypercube, Points, Random, Repeated, Sobol, Zip
+    from adaptmg.study.status import Status
     from adaptmg.study.study import Study
     from adaptmg.study.tables import as_html, as_text
 
-_WHERE = {"Study": "adaptmg.study.study", "as_html": "adaptmg.study.tables", "as_text": "adaptmg.study.tables"}
+_WHERE = {"Study": "adaptmg.study.study", "Status": "adaptmg.study.status", "as_html": "adaptmg.study.tables",
+          "as_text": "adaptmg.study.tables", "local_cluster": "adaptmg.study.cluster"}
+_WHERE |= dict.fromkeys(("Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Zip"),
+                        "adaptmg.study.designs")
 
-__all__ = ["Study", "as_html", "as_text"]
+__all__ = ["Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Status", "Study", "Zip", "as_html",
+           "as_text", "local_cluster"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,47 +1,139 @@
 """Execution of runs: the seam between a study and whatever computes its rows.
 
-An executor takes the run function and the points to compute, and yields ``(point, outcome)`` as they finish, in any
-order. The study stores each outcome when it comes, so what was yielded is never lost.
+An executor takes a task (the run function and its limits) and the points to compute, and yields what is finished as
+lists of ``(point, outcome)``, in any order. The study stores each list when it comes, so what was yielded is never
+lost. :func:`in_turn` computes in this process; :mod:`adaptmg.study.cluster` on the workers of dask.
 """
 
 from __future__ import annotations
 
+import platform
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
-from adaptmg.study.record import Scalar, Value, plain_results
+from adaptmg.runtime.text import printable
+from adaptmg.study.fingerprint import Fingerprint
+from adaptmg.study.machine.memory import forget_peak, peak_memory
+from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, check_size, plain_results
+from adaptmg.study.stored.kept import Packed, pack
 
-__all__ = ["Execute", "Finished", "compute", "in_turn"]
+__all__ = ["Execute", "Finished", "Point", "RunFunction", "Task", "compute", "error_text", "in_turn"]
 
 Point = dict[str, Value]
 RunFunction = Callable[..., Any]
 
 
 @dataclass(frozen=True)
+class Task:
+    """What is to be done at each point.
+
+    Parameters
+    ----------
+    function : function
+        The run function.
+    fingerprint : Fingerprint
+        What it depends on.
+    depends : tuple of str
+        Names that were left out of that, see :class:`adaptmg.study.study.Study`.
+    limit_s : float, optional
+        Seconds after which a run is stopped.
+    memory_limit : int, optional
+        Bytes that the process of a run may hold.
+    """
+
+    function: RunFunction
+    fingerprint: Fingerprint
+    depends: tuple[str, ...] = ()
+    limit_s: float | None = None
+    memory_limit: int | None = None
+
+
+@dataclass(frozen=True)
 class Finished:
-    """What came of one run: results, or the exception; and the seconds it took."""
+    """What came of one run.
 
-    results: dict[str, Scalar]
-    error: Exception | None
-    seconds: float
+    Attributes
+    ----------
+    results : dict
+        Empty if it failed.
+    error : str
+        Type and text of the exception, empty if it did not fail.
+    exception : BaseException or None
+        The exception itself, where it can be had.
+    others : as in :class:`adaptmg.study.record.Record`
+    """
+
+    results: dict[str, Scalar] = field(default_factory=dict)
+    packed: dict[str, Packed] = field(default_factory=dict)
+    error: str = ""
+    traceback: str = ""
+    exception: BaseException | None = None
+    seconds: float = 0.0
+    peak_memory: int = 0
+    started: str = ""
+    machine: str = ""
+    tries: int = 1
 
 
-Execute = Callable[[RunFunction, Iterable[Point]], Iterator[tuple[Point, Finished]]]
+Execute = Callable[[Task, Sequence[Point]], Iterator[list[tuple[Point, Finished]]]]
 
 
 def compute(function: RunFunction, point: Point) -> Finished:
     """One run. An exception of the function, or results that cannot be stored, are part of the outcome."""
+    started = now()
+    forget_peak()
     begin = time.perf_counter()
     try:
-        results = plain_results(function(**point), point)
-    except Exception as error:
-        return Finished({}, error, time.perf_counter() - begin)
-    return Finished(results, None, time.perf_counter() - begin)
+        returned = function(**point)
+        seconds = time.perf_counter() - begin
+        results, packed = _sorted_out(returned, point)
+    except (Exception, SystemExit) as error:
+        return Finished(error=error_text(error), traceback=_trace(error), exception=error,
+                        seconds=time.perf_counter() - begin, peak_memory=peak_memory(), started=started,
+                        machine=platform.node())
+    return Finished(results, packed, seconds=seconds, peak_memory=peak_memory(), started=started,
+                    machine=platform.node())
 
 
-def in_turn(function: RunFunction, points: Iterable[Point]) -> Iterator[tuple[Point, Finished]]:
+def in_turn(task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, Finished]]]:
     """Run after run, in this process."""
     for point in points:
-        yield point, compute(function, point)
+        yield [(point, compute(task.function, point))]
+
+
+def now() -> str:
+    """UTC, ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def error_text(error: BaseException) -> str:
+    """Type and text of an exception, bounded, whatever it does when it is asked for its text."""
+    try:
+        text = str(error)
+    except Exception as worse:
+        text = f"<its text cannot be had: {type(worse).__name__}>"
+    return bounded(printable(f"{type(error).__name__}: {text}"), MOST_ERROR)
+
+
+def _trace(error: BaseException) -> str:
+    try:
+        text = "".join(traceback.format_exception(error))
+    except Exception as worse:
+        text = f"<the traceback cannot be had: {type(worse).__name__}>"
+    return bounded(printable(text), MOST_TRACEBACK)
+
+
+def _sorted_out(returned: Any, point: Point) -> tuple[dict[str, Scalar], dict[str, Packed]]:
+    """Results that go into the row, and those that are kept as files (empty texts in the row for now)."""
+    packed = {}
+    if isinstance(returned, Mapping):
+        found = {name: pack(value) for name, value in returned.items()}
+        packed = {name: item for name, item in found.items() if item is not None}
+        returned = {name: "" if name in packed else value for name, value in returned.items()}
+    results = plain_results(returned, point)
+    check_size(results)
+    return results, packed

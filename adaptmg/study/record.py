@@ -1,8 +1,8 @@
 """Record: one run of a study as plain values, and the canonical text by which a run is known.
 
 A run is known by the JSON of its parameters with sorted keys, so the order in which parameters are given does not
-matter; 1 and 1.0 are different values. NaN and the infinities are written as ``NaN`` and ``Infinity``, which Python
-reads back.
+matter. Values are the same where their texts are: 1, 1.0, True and "1" are four different values (``1``, ``1.0``,
+``true``, ``"1"``), a number of numpy is Python's number of the same kind, NaN is itself (``NaN``), and 0.0 is not -0.0.
 """
 
 from __future__ import annotations
@@ -10,17 +10,28 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from json.encoder import encode_basestring
 from typing import Any
 
 import numpy as np
 
-__all__ = ["Record", "Scalar", "Value", "canonical", "parameter_value", "plain_results", "restored"]
+from adaptmg.problem import checks
+
+__all__ = ["DETAILS", "RESERVED", "Record", "Scalar", "Value", "bounded", "canonical", "parameter_value",
+           "plain_results", "restored"]
 
 Scalar = bool | int | float | str | None
 Value = Scalar | tuple["Value", ...]
 
-#: columns that :meth:`adaptmg.study.Study.run` adds to parameters and results
+#: columns that :meth:`adaptmg.study.Study.table` adds to parameters and results
 RESERVED = ("status", "seconds", "error")
+#: columns that it adds beside those when it is asked for details
+DETAILS = ("tries", "peak_memory", "started", "finished", "machine", "commit", "traceback")
+
+#: characters of an error and of a traceback that are stored
+MOST_ERROR, MOST_TRACEBACK = 4_000, 20_000
+#: characters of all results of a run as JSON; longer texts are kept as files
+MOST_RESULTS = 200_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,17 +44,29 @@ class Record:
         All of them, the fixed ones too.
     status : {"done", "failed"}
     results : dict of str to bool, int, float, str or None
-        Empty where the run failed.
+        Empty where the run failed. A result that is kept as a file stands there with the name of the file.
     error : str
         Type and text of the exception of a failed run, else empty.
     seconds : float
         Wall time of the run.
     code : str
-        Hash of the source the results depend on, see :mod:`adaptmg.study.fingerprint`.
+        Fingerprint of what the run depends on, see :mod:`adaptmg.study.fingerprint`.
     versions : dict of str to str
         Of Python and of the packages the results depend on.
-    finished : str
+    finished, started : str
         When, UTC, ISO 8601.
+    traceback : str
+        Of a failed run, its middle left out where it is long.
+    peak_memory : int
+        The most memory that the process held during the run, bytes; 0 where the system does not say.
+    machine : str
+        On which it ran.
+    commit : str
+        Of adaptmg, where it lies in a git repository.
+    tries : int
+        How often it was started until it came to this end: more than once where workers died.
+    files : dict of str to str
+        Results that are kept as files, by name of the result: path from the folder of the store's files.
     """
 
     parameters: dict[str, Value]
@@ -54,6 +77,13 @@ class Record:
     code: str = ""
     versions: dict[str, str] = field(default_factory=dict)
     finished: str = ""
+    traceback: str = ""
+    peak_memory: int = 0
+    started: str = ""
+    machine: str = ""
+    commit: str = ""
+    tries: int = 1
+    files: dict[str, str] = field(default_factory=dict)
 
 
 def _scalar(value: Any) -> Any:
@@ -70,32 +100,63 @@ def parameter_value(name: str, value: Any) -> Value:
         raise ValueError(f"parameter {name!r} must be text that can be stored, got lone surrogates: {value!a}")
     if value is None or type(value) in (bool, int, float, str):
         return value
-    raise TypeError(f"parameter {name!r} must be a number, string, bool, None or a tuple of those, got {value!r}; "
-                    "pass a name or a number and build the object in the run function")
+    raise TypeError(f"parameter {name!r} must be a number, string, bool, None or a tuple of those, got "
+                    f"{checks.shown(value)}; pass a name or a number and build the object in the run function")
 
 
 def plain_results(results: Any, parameters: Mapping[str, Value]) -> dict[str, Scalar]:
     """What a run function returned, checked: a flat mapping of names to numbers, strings, bools or None."""
     if not isinstance(results, Mapping):
-        raise TypeError(f"the run function must return a dict of numbers, strings and bools, got {results!r}")
+        raise TypeError(f"the run function must return a dict of numbers, strings and bools, got "
+                        f"{checks.shown(results)}")
     plain = {}
     for name, value in results.items():
         if not isinstance(name, str):
-            raise TypeError(f"the names of results must be strings, got {name!r}")
+            raise TypeError(f"the names of results must be strings, got {checks.shown(name)}")
         if name in parameters or name in RESERVED:
             taken = "a parameter" if name in parameters else "a column of the study"
             raise ValueError(f"result {name!r} has the name of {taken}: rename it (e.g. 'solver_{name}')")
         value = _scalar(value)
         if value is not None and type(value) not in (bool, int, float, str):
-            raise TypeError(f"result {name!r} must be a number, string, bool or None, got {value!r}; "
-                            "reduce arrays to numbers, or save them to a file and return its name")
+            raise TypeError(f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "
+                            "reduce arrays to numbers, or return a numpy array, which is kept as a file")
         plain[name] = value
     return plain
 
 
+def check_size(results: Mapping[str, Scalar]) -> None:
+    """ValueError if results are too long, or of numbers too long, to be stored in a row."""
+    length = len(json.dumps(results))
+    if length > MOST_RESULTS:
+        raise ValueError(f"the results take {length} characters, at most {MOST_RESULTS} go into a row; return arrays, "
+                         "which are kept as files")
+
+
+def bounded(text: str, most: int) -> str:
+    """A text with its middle left out where it is longer than ``most`` characters."""
+    if len(text) <= most:
+        return text
+    half = (most - 60) // 2
+    return f"{text[:half]}\n... {len(text) - 2 * half} characters left out ...\n{text[-half:]}"
+
+
 def canonical(parameters: Mapping[str, Value]) -> str:
     """The text by which a run is known."""
-    return json.dumps(parameters, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return "{" + ",".join([f"{_encoded(name)}:{_encoded(parameters[name])}" for name in sorted(parameters)]) + "}"
+
+
+def _encoded(value: Value) -> str:
+    """As ``json.dumps(value, separators=(",", ":"), ensure_ascii=False)``, five times as fast for what is short."""
+    kind = type(value)
+    if kind is str:
+        return encode_basestring(value)
+    if kind is int:
+        return int.__repr__(value)
+    if kind is float and value - value == 0:
+        return float.__repr__(value)
+    if kind is tuple:
+        return f"[{','.join(map(_encoded, value))}]"
+    return json.dumps(value)
 
 
 def restored(value: Any) -> Any:

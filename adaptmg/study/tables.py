@@ -12,7 +12,7 @@ import pandas as pd
 
 from adaptmg.runtime.text import in_html, printable
 
-__all__ = ["as_html", "as_text"]
+__all__ = ["as_html", "as_text", "cells", "shown_cells"]
 
 
 def as_text(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
@@ -37,7 +37,7 @@ def as_text(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
     str
         Lines without trailing blanks, no newline at the end.
     """
-    headers, columns = _cells(table, units, formats)
+    headers, columns = cells(table, units, formats)
     widths = [max(map(len, (header, *cells)), default=0) for header, cells in zip(headers, columns, strict=True)]
     right = [_numeric(table[name]) for name in table.columns]
 
@@ -60,7 +60,7 @@ def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
     table, caption, note, units, formats
         As in :func:`as_text`.
     """
-    headers, columns = _cells(table, units, formats)
+    headers, columns = cells(table, units, formats)
     classes = [' class="n"' if _numeric(table[name]) else "" for name in table.columns]
     head = "".join(f"<th{c}>{in_html(h)}</th>" for h, c in zip(headers, classes, strict=True))
     rows = ("".join(f"<td{c}>{in_html(cell)}</td>" for cell, c in zip(row, classes, strict=True))
@@ -72,8 +72,15 @@ def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
             f"<tbody>\n{body}\n</tbody>\n</table></div>{bottom}\n</figure>")
 
 
-def _cells(table: pd.DataFrame, units: Mapping[str, str] | None,
-           formats: Mapping[str, str] | None) -> tuple[list[str], list[list[str]]]:
+def shown_cells(table: pd.DataFrame, *, units: Mapping[str, str] | None = None,
+                formats: Mapping[str, str] | None = None) -> tuple[list[list[str]], list[bool]]:
+    """The cells as text, column by column, and which columns hold numbers; arguments as of :func:`as_text`."""
+    return cells(table, units, formats)[1], [_numeric(table[name]) for name in table.columns]
+
+
+def cells(table: pd.DataFrame, units: Mapping[str, str] | None,
+          formats: Mapping[str, str] | None) -> tuple[list[str], list[list[str]]]:
+    """Headers, and the texts of each column."""
     units, formats = units or {}, formats or {}
     if not table.columns.is_unique:
         raise ValueError(f"table has columns of the same name: {list(table.columns)}")

@@ -1,34 +1,24 @@
-"""VTK files hold the result exactly; reports are one page that needs nothing else."""
+"""VTK files hold the result exactly, and series list what is there."""
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 import os
 import re
-from html.parser import HTMLParser
 from xml.etree import ElementTree
 
-import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 import pytest
 from made import cube, result_on, square
 from made_bodies import two_bodies
+from nasty_texts import NASTY
 
 import adaptmg as am
 from adaptmg.discretisation.measures import StressData
-from adaptmg.export import Report, vtk, vtk_series, vtu
-from adaptmg.export import report as report_module
+from adaptmg.export import vtk, vtk_series, vtu
 from adaptmg.runtime.text import printable
 
 meshio = pytest.importorskip("meshio")
-
-
-@pytest.fixture(autouse=True)
-def known_versions(monkeypatch):
-    monkeypatch.setattr(report_module, "environment", lambda: {"python": "3.x", "adaptmg": "0.0"})
-
 
 RESULTS = {"2D": lambda: result_on(square(4)), "3D": lambda: result_on(cube(2)), "two bodies": two_bodies,
            "two solids": lambda: two_bodies(3, 3, 2)}
@@ -132,11 +122,6 @@ def test_vtk_refuses_what_it_cannot_write(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-#: names that end an attribute, open a tag, or are not allowed in XML or UTF-8 at all
-NASTY = ("a<b>&\"'", "]]>", "<!--", "&#0;", "line\nbreak\ttab", "\x00\x01\x1b[31m\x7f\x9f", "\udcff\ud800",
-         "\ufffe\uffff", "\U0001fffe", "\u00b5 \u4e2d \U0001f600", " ")
-
-
 @pytest.mark.parametrize("name", NASTY, ids=ascii)
 def test_any_name_gives_a_well_formed_vtu_file(tmp_path, name):
     made = two_bodies(2, 3, 2)
@@ -150,24 +135,6 @@ def test_any_name_gives_a_well_formed_vtu_file(tmp_path, name):
     assert [array.get("Name") for array in fields] == [f"body:{shown}", f"body:{shown}2", f"contact:{shown}|{shown}2"]
     read = meshio.read(tmp_path / "r.vtu")
     np.testing.assert_array_equal(read.point_data["displacement"][:, :2], made.displacement)
-
-
-@pytest.mark.parametrize("name", NASTY, ids=ascii)
-def test_any_text_gives_a_well_formed_report(tmp_path, name):
-    page = Report(f"t{name}", name)
-    page.section(f"s{name}", name)
-    page.table(pd.DataFrame({f"c{name}": [name]}), f"t{name}", name, units={f"c{name}": f"u{name}"})
-    figure = plt.figure(figsize=(0.5, 0.5))
-    page.figure(figure, f"f{name}")
-    text = page.write(tmp_path / "r.html").read_text(encoding="utf-8")
-    tags = _Tags()
-    tags.feed(text)
-    assert not tags.open and not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\ufffe\uffff]", text)
-    # but for its void elements the page is XML, too
-    page = ElementTree.fromstring(re.sub(r"<(meta|img)([^>]*)>", r"<\1\2/>", text).replace("<!DOCTYPE html>", ""))
-    assert page.findtext("head/title") == "t" + printable(name)
-    assert page.findtext(".//td") == printable(" ".join(name.split()))
-    assert page.find(".//img").get("alt").split() == ("f" + printable(name)).split()
 
 
 def test_texts_stay_what_they_are_where_they_can():
@@ -260,68 +227,3 @@ def test_a_series_checks_what_it_is_given(tmp_path):
     with pytest.raises(FileNotFoundError):
         vtk_series(_steps(1), tmp_path / "nowhere" / "deep" / "run.pvd")
     assert not list(tmp_path.iterdir())
-
-
-class _Tags(HTMLParser):
-    """Collects start tags, and checks that they nest."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.seen: list[tuple[str, dict]] = []
-
-    def handle_starttag(self, tag, attrs):
-        self.seen.append((tag, dict(attrs)))
-        if tag not in ("meta", "img", "br", "link"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-
-def _page(tmp_path) -> str:
-    page = Report("Smoothing & <co>", "One.\n\nTwo <b>.")
-    page.section("Sweeps <1>", "Text & more.")
-    page.table(pd.DataFrame({"n<": [1], "t": ["<script>"]}), "Table 1 & so on", "note <i>", units={"t": "µs"})
-    figure, ax = plt.subplots()
-    ax.plot([0, 1])
-    page.figure(figure, 'A "picture" <x>')
-    assert not plt.fignum_exists(figure.number)
-    page.section("Second")
-    return page.write(tmp_path / "report.html").read_text(encoding="utf-8")
-
-
-def test_a_report_is_one_well_formed_page_with_everything_in_it(tmp_path):
-    text = _page(tmp_path)
-    tags = _Tags()
-    tags.feed(text)
-    assert not tags.open
-    assert [tmp_path / "report.html"] == list(tmp_path.iterdir())
-    (image,) = [a for t, a in tags.seen if t == "img"]
-    kind, data = image["src"].split(",")
-    assert kind == "data:image/png;base64" and base64.b64decode(data).startswith(b"\x89PNG")
-    assert not re.search(r"https?://|<script|<link|@import|url\(", text)
-    targets = {a["id"] for t, a in tags.seen if "id" in a}
-    links = [a["href"] for t, a in tags.seen if t == "a"]
-    assert links == ["#section-1", "#section-2"] and {x[1:] for x in links} <= targets
-
-
-def test_a_report_escapes_everything(tmp_path):
-    text = _page(tmp_path)
-    for raw in ("<script>", "<co>", "<b>", "<i>", "<x>", "Sweeps <1>", "n<<"):
-        assert raw not in text
-    assert "Smoothing &amp; &lt;co&gt;" in text and "A &quot;picture&quot;" in text and "adaptmg 0.0" in text
-
-
-def test_a_report_checks_what_it_is_given(tmp_path):
-    page = Report("x")
-    with pytest.raises(TypeError, match="DataFrame"):
-        page.table([[1]], "caption")
-    with pytest.raises(ValueError, match="caption"):
-        page.table(pd.DataFrame({"a": [1]}), "")
-    with pytest.raises(TypeError, match="Figure"):
-        page.figure("file.png", "caption")
-    with pytest.raises(ValueError, match="title"):
-        Report("")
-    with pytest.raises(FileNotFoundError):
-        page.write(tmp_path / "nowhere" / "x.html")

@@ -56,11 +56,8 @@ def test_paths_by_multigrid_and_by_the_active_set_method_agree():
 
 @pytest.mark.slow
 def test_bolted_junction(tmp_path):
-    section = junction.run(common.Context(quick=True, out=tmp_path))
-    common.show(section, tmp_path)
-    for item in section.items:
-        path = tmp_path / f"{item.name}.{'csv' if isinstance(item, common.Table) else 'png'}"
-        assert path.stat().st_size > 100
+    section = junction.run(common.Context(quick=True, out=tmp_path, full=True))
+    common.show(section, tmp_path, pictures=False)
     tables = {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
     counts = tables["bolted_grids"].set_index("method")
     several = counts[~counts.index.str.startswith("one grid")]

@@ -11,6 +11,7 @@ common = load("common")
 families = load("mesh_families")
 transfers = load("transfer_operators")
 amg = load("amg_comparison")
+front = load("front")
 
 
 def test_slope_of_a_power():
@@ -82,7 +83,7 @@ def test_negative_contact_weights_are_seen():
 
 def section_of(module, folder):
     """A quick run: the section, and its tables by name."""
-    section = module.run(common.Context(quick=True, out=folder))
+    section = module.run(common.Context(quick=True, out=folder, full=True))
     common.show(section, folder)
     written = {item.name: (folder / f"{item.name}.{'csv' if isinstance(item, common.Table) else 'png'}")
                for item in section.items}
@@ -130,6 +131,7 @@ def test_algebraic_multigrid(tmp_path):
     by = {name: rows.set_index(["grid", "nodes"]) for name, rows in glued.groupby("method")}
     assert (by["AMG-CG, rigid-body modes"]["iterations"] < by["AMG-CG, constants"]["iterations"]).all()
     assert (glued["energy error"] < 2e-8).all()
+    assert "linear solve" in front.linear(tables).text
     contact = tables["amg_contact"]
     assert (contact["status"] == "CONVERGED").all()
     assert (contact["true error"] < 5e-8).all()

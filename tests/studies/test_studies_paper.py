@@ -10,16 +10,16 @@ import pytest
 from study_scripts import load
 
 grid_count, smoothing_count, full_multigrid = load("grid_count"), load("smoothing_count"), load("full_multigrid")
-paper_runs, common = load("paper_runs"), load("common")
+paper_runs, common, front = load("paper_runs"), load("common"), load("front")
 
 
 def quick(module, out: Path) -> dict:
     """Run, print and write; the tables by name, and the directory."""
     section = module.run(common.Context(True, out))
-    common.show(section, out)
-    assert section.title and section.text
-    for item in section.items:
-        assert (out / f"{item.name}.{'csv' if isinstance(item, common.Table) else 'png'}").stat().st_size > 100
+    common.show(section, out, pictures=False)
+    assert section.title and section.summary
+    assert all((out / f"{item.name}.csv").stat().st_size > 100 for item in section.items
+               if isinstance(item, common.Table))
     return {item.name: item for item in section.items}
 
 
@@ -169,6 +169,16 @@ class TestFullMultigrid:
         frame = start_items["nested_start"].frame
         assert rows(frame, start="zero")["start work"].isna().all()
         assert (frame["zero over this"][frame["start"] != "zero"] > 1).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("place", "items"), [("grids", "grid_items"), ("smoothings", "smoothing_items"),
+                                              ("starts", "start_items")])
+def test_the_first_screen_of_the_report_finds_its_tables(place, items, request):
+    frames = {name: item.frame for name, item in request.getfixturevalue(items).items()
+              if isinstance(item, common.Table)}
+    shown = front.PLACES[place].make(frames).item.frame
+    assert 3 <= len(shown) <= 5 and 3 <= len(shown.columns) <= 5 and shown["paper"].notna().all()
 
 
 def test_chain_and_nodes_are_those_of_the_paper():

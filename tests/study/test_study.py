@@ -287,24 +287,21 @@ def test_units_of_unknown_columns_are_refused():
 
 def test_a_changed_helper_of_the_script_makes_rows_stale(tmp_path):
     """Helpers in the script of the run function, and in modules beside it that the script uses, are seen."""
-    from adaptmg.study.fingerprint import code_hash
-
     def hash_of(script: str, helper: str) -> str:
         (tmp_path / "beside_it.py").write_text(helper, encoding="utf-8")
         (tmp_path / "the_script.py").write_text(script, encoding="utf-8")
         (tmp_path / "stranger.py").write_text(f"x = {len(seen)}", encoding="utf-8")
         code = ("import sys; sys.path.insert(0, sys.argv[1]); import the_script; "
-                "from adaptmg.study.fingerprint import code_hash; print(code_hash(the_script.run))")
+                "from adaptmg.study.fingerprint import fingerprint; print(fingerprint(the_script.run).code)")
         answer = subprocess.run([sys.executable, "-B", "-c", code, str(tmp_path)], capture_output=True, text=True,
                                 check=True)
         return answer.stdout
 
     seen: list[str] = []
-    script = "from beside_it import double\nLIMIT = 3\ndef run(n):\n    return {'m': double(n)}\n"
+    script = "from beside_it import double\nLIMIT = 3\ndef run(n):\n    return {'m': double(n) + LIMIT}\n"
     helper = "def double(n):\n    return 2 * n\n"
     seen.append(hash_of(script, helper))
     assert hash_of(script, helper) == seen[0]
     seen.append(hash_of(script, helper.replace("2 * n", "n + n")))
     seen.append(hash_of(script.replace("3", "4"), helper))
     assert len(set(seen)) == 3
-    assert code_hash(test_a_changed_helper_of_the_script_makes_rows_stale)

@@ -1,0 +1,92 @@
+"""Whether workers can compute a study, told at once; and functions that run on workers which may lack adaptmg."""
+
+from __future__ import annotations
+
+import functools
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+from distributed import Client
+
+from adaptmg.study.cluster.in_worker import Order
+from adaptmg.study.execute import error_text
+
+__all__ = ["check_workers", "on_any_worker"]
+
+#: how long a cluster may take to have a worker
+_PATIENCE_S = 60.0
+
+
+def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
+    """Tell of workers that could not compute the runs, or would compute others; ``parts`` are those of the fingerprint.
+
+    Raises
+    ------
+    OSError
+        If there are no workers.
+    ValueError
+        If they are started wrongly.
+    RuntimeError
+        If one has another adaptmg or other packages, or lacks a module.
+    """
+    address = client.scheduler.address
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE_S)
+    except TimeoutError:
+        raise OSError(f"the scheduler {address} has no workers after {_PATIENCE_S:g} s: start some with 'dask worker "
+                      f"{address} --nthreads 1'") from None
+    for name, worker in client.scheduler_info(n_workers=-1)["workers"].items():
+        if worker["nthreads"] != 1:
+            raise ValueError(f"the worker {name} has {worker['nthreads']} threads: start workers with one each ('dask "
+                             f"worker {address} --nthreads 1 --nworkers N'), as libraries below are not safe for more")
+        if not worker["nanny"] and (order.limit_s is not None or order.memory_limit is not None):
+            raise ValueError(f"the worker {name} has no nanny, which would start it again after limit_s or "
+                             "memory_limit ended it: start workers without --no-nanny")
+    for name, found in client.run(_fitness(pickle.dumps((order, parts))), on_error="return").items():
+        told = found if isinstance(found, str) else error_text(found)
+        if told:
+            raise RuntimeError(f"the worker {name} cannot compute this study: {told}")
+
+
+def _fitness(order: bytes) -> Callable[[], str]:
+    """A check as a function inside a function, which is sent by value: the worker may not have this module."""
+    def check(order: bytes) -> str:
+        import pickle
+
+        try:
+            from adaptmg.study.cluster.in_worker import UnfitWorker, readied
+
+            unpacked, parts = pickle.loads(order)
+        except Exception as error:
+            return f"it lacks adaptmg, or has another version ({type(error).__name__}: {error})"
+        try:
+            readied(unpacked, parts)
+        except UnfitWorker as error:
+            return str(error)
+        return ""
+
+    return functools.partial(check, order)
+
+
+def on_any_worker() -> Callable[..., Any]:
+    """What computes one run on a worker, by value too: a worker that joins later may not have this module."""
+    def perform(order: bytes, point: dict[str, Any], tries: int, name: str, topic: str) -> Any:
+        import pickle
+
+        from distributed import get_worker
+
+        try:
+            from adaptmg.study.cluster import in_worker
+
+            unpacked = pickle.loads(order)
+        except Exception as error:
+            class UnfitWorker(RuntimeError):
+                pass
+
+            raise UnfitWorker(f"it lacks adaptmg, or has another version ({type(error).__name__}: {error})") from None
+        worker = get_worker()
+        return in_worker.perform(unpacked, point, tries,
+                                 lambda why: worker.log_event(topic, {"run": name, "why": why}))
+
+    return perform

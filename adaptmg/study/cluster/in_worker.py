@@ -1,0 +1,182 @@
+"""What happens on a worker: it is checked and warmed once, then it computes runs under their limits."""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cloudpickle
+
+from adaptmg.runtime.threads import one_blas_thread
+from adaptmg.study.cluster.identity import differences, identity
+from adaptmg.study.cluster.sending import received
+from adaptmg.study.execute import Finished, Point, compute
+from adaptmg.study.fingerprint import fingerprint
+from adaptmg.study.machine.memory import held_memory
+
+__all__ = ["Order", "UnfitWorker", "perform", "readied"]
+
+#: seconds between two looks at the clock and the memory; and for the reason to get away before the process ends
+_LOOK_S, LEAVE_S = 0.05, 0.4
+
+Report = Callable[[str], None]
+
+
+class UnfitWorker(RuntimeError):
+    """A worker that would not compute what the process of the study would; the message says why."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a worker is told with each run.
+
+    Parameters
+    ----------
+    function : bytes
+        The run function, see :mod:`adaptmg.study.cluster.sending`.
+    identity : dict
+        Of the process of the study.
+    code : str
+        Of the fingerprint.
+    depends : tuple of str
+        Names that it does not look at.
+    warm : bool
+        Whether kernels are to be compiled before the first clock starts.
+    limit_s, memory_limit : as in :class:`adaptmg.study.execute.Task`
+    """
+
+    function: bytes
+    identity: dict[str, str]
+    code: str
+    depends: tuple[str, ...]
+    warm: bool
+    limit_s: float | None = None
+    memory_limit: int | None = None
+
+
+_MOST_FUNCTIONS = 32
+#: by their bytes and the fingerprint that they were found to have here
+_functions: dict[tuple[bytes, str], Callable[..., Any]] = {}
+_warmed = False
+
+
+def readied(order: Order, parts: dict[str, str] | None = None) -> Callable[..., Any]:
+    """Check this process against the one of the study, and unpack the function: once for each.
+
+    Modules that are loaded here may have been edited since, and values that the user's script set in a module are not
+    here: the function would compute something else, under the fingerprint of the study.
+
+    Parameters
+    ----------
+    order : Order
+    parts : dict, optional
+        Of the fingerprint, to say what differs.
+
+    Raises
+    ------
+    UnfitWorker
+    """
+    told = differences(order.identity, identity())
+    if told:
+        raise UnfitWorker(f"it has {told}")
+    known = order.function, order.code
+    if known not in _functions:
+        try:
+            function = received(order.function)
+        except ModuleNotFoundError as error:
+            raise UnfitWorker(f"it has no module {error.name!r}, which the run function needs: install it there, put "
+                              "it on PYTHONPATH, or send it with client.upload_file") from error
+        except Exception as error:
+            raise UnfitWorker(f"it cannot unpack the run function ({type(error).__name__}: {error})") from error
+        here = fingerprint(function, dict.fromkeys(order.depends)).seen()
+        if here.code != order.code:
+            told = ", ".join(here.differences(parts or {})[:5]) if parts else "see the start of a study"
+            raise UnfitWorker(f"it would compute something else than this process ({told}): what a script sets in a "
+                              "module does not reach workers, and files may have been edited; give such values as "
+                              "parameters or fixed={...}")
+        while len(_functions) >= _MOST_FUNCTIONS:
+            del _functions[next(iter(_functions))]
+        _functions[known] = function
+    return _functions[known]
+
+
+def _warm() -> None:
+    """Compile the kernels of the default method, or read them from the cache, before a clock runs."""
+    global _warmed
+    if not _warmed:
+        import adaptmg as am
+
+        with one_blas_thread():
+            am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)), am.FullMultigrid(), throw=False)
+        _warmed = True
+
+
+def perform(order: Order, point: Point, tries: int, report: Report) -> Finished:
+    """One run.
+
+    Parameters
+    ----------
+    order, point
+    tries : int
+        How often it was started, with this time.
+    report : callable
+        Given a text before the process ends itself, as the run is over a limit; an empty one when the clock starts.
+    """
+    function = readied(order)
+    if order.warm:
+        _warm()
+    with _limited(order, report):
+        finished = compute(function, point)
+    if finished.exception is not None:
+        finished = replace(finished, exception=_sendable(finished.exception))
+    return replace(finished, tries=tries)
+
+
+def _sendable(error: BaseException) -> BaseException | None:
+    """The exception, if it comes through; the text of it does in any case."""
+    try:
+        return cloudpickle.loads(cloudpickle.dumps(error.with_traceback(None)))
+    except Exception:
+        return None
+
+
+@contextmanager
+def _limited(order: Order, report: Report) -> Iterator[None]:
+    """End the process if what happens inside takes too long or too much: Python cannot stop a thread."""
+    if order.limit_s is None and order.memory_limit is None:
+        yield
+        return
+    over = threading.Event()
+    guard = threading.Thread(target=_watch, args=(order, over, report), daemon=True)
+    with open(os.devnull, "w", encoding="ascii") as nowhere:
+        if order.limit_s is not None:
+            report("")
+            # for code that holds Python's lock, so that the other thread cannot look
+            faulthandler.dump_traceback_later(order.limit_s + 2.0, exit=True, file=nowhere)
+        guard.start()
+        try:
+            yield
+        finally:
+            over.set()
+            faulthandler.cancel_dump_traceback_later()
+    guard.join()
+
+
+def _watch(order: Order, over: threading.Event, report: Report) -> None:
+    end = time.monotonic() + (order.limit_s if order.limit_s is not None else float("inf"))
+    while not over.wait(min(_LOOK_S, max(end - time.monotonic(), 0.001))):
+        why = ""
+        if order.memory_limit is not None and held_memory() > order.memory_limit:
+            why = f"MemoryLimit: stopped as its process held more than memory_limit={order.memory_limit} bytes"
+        elif time.monotonic() >= end:
+            why = f"TimeLimit: stopped after limit_s={order.limit_s:g} s"
+        if why:
+            report(why)
+            time.sleep(LEAVE_S)
+            os._exit(1)

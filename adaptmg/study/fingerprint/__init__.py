@@ -1,0 +1,11 @@
+"""What a run depends on, part by part: a stored result is given for the same parts only.
+
+Parts are the code of the run function and of what it calls of the user's own modules, the values it reads (defaults,
+closures, globals), the modules of adaptmg it can reach, and the versions of the packages it uses.
+"""
+
+from __future__ import annotations
+
+from adaptmg.study.fingerprint.fingerprint import Fingerprint, environment, fingerprint
+
+__all__ = ["Fingerprint", "environment", "fingerprint"]

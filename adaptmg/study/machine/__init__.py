@@ -1,0 +1,1 @@
+"""What a row says of the process that made it: memory, commit."""

@@ -1,0 +1,166 @@
+"""Results of a run that are no numbers: arrays, meshes, solutions, figures and long texts, kept as files.
+
+What a run function returns of these kinds is packed into bytes where it runs, so that workers need no disk in common
+with the store, and written whole by the process that owns the store: ``STORE.files/KEY/NAME-HASH.npz``. The hash of the
+content in the name keeps the old file until the row that names the new one is stored. Nothing is pickled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import checks
+from adaptmg.runtime.atomic import make_folder, write_bytes
+
+__all__ = ["Folder", "Packed", "pack"]
+
+#: characters of a text that goes into the row
+_LONG = 10_000
+_MESH = ("points", "elements", "facets", "facet_labels", "element_body")
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A result as the content of a file.
+
+    Parameters
+    ----------
+    ending : str
+        Of the file: what kind it is, and how it is read.
+    content : bytes
+    """
+
+    ending: str
+    content: bytes
+
+
+def pack(value: Any) -> Packed | None:
+    """``value`` as a file, None if it is not of the kinds that are kept so."""
+    if isinstance(value, str):
+        return Packed(".txt", value.encode("utf-8", "surrogatepass")) if len(value) > _LONG else None
+    if isinstance(value, np.ndarray) and value.ndim:
+        return _of_arrays(".npy", value)
+    if isinstance(value, MeshArrays):
+        arrays = {name: getattr(value, name) for name in _MESH}
+        texts = {name: np.array(getattr(value, name), dtype=str) for name in ("boundaries", "bodies")}
+        return Packed(".mesh.npz", _npz(arrays | texts))
+    kinds = {".result.npz": ("adaptmg.solver.result.result", "Result"), ".svg": ("matplotlib.figure", "Figure")}
+    for ending, (module, name) in kinds.items():
+        # who has not loaded the module has no object of it
+        kind = getattr(sys.modules.get(module), name, None)
+        if kind is not None and isinstance(value, kind):
+            return Packed(ending, _figure(value) if ending == ".svg" else _saved(value))
+    return None
+
+
+def _of_arrays(ending: str, array: np.ndarray) -> Packed:
+    if array.dtype.kind not in "biufcUSMm":
+        raise TypeError(f"an array of {array.dtype} cannot be kept: return numbers or texts")
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    return Packed(ending, buffer.getvalue())
+
+
+def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def _figure(figure: Any) -> bytes:
+    buffer = io.BytesIO()
+    # without date and with numbered names the same figure is the same file
+    figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def _saved(result: Any) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="adaptmg-") as folder:
+        file = Path(folder, "result.npz")
+        result.save(file)
+        return file.read_bytes()
+
+
+def _unpack(file: Path) -> Any:
+    """What is in a file; ValueError that names it if it is damaged."""
+    try:
+        if file.name.endswith(".svg"):
+            return file
+        if file.name.endswith(".txt"):
+            return file.read_bytes().decode("utf-8", "surrogatepass")
+        if file.name.endswith(".npy"):
+            return np.load(file, allow_pickle=False)
+        if file.name.endswith(".mesh.npz"):
+            with np.load(file, allow_pickle=False) as arrays:
+                return MeshArrays(**{name: arrays[name] for name in _MESH},
+                                  **{name: tuple(arrays[name].tolist()) for name in ("boundaries", "bodies")})
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{file} is no longer there: run that point again (rerun=True)") from None
+    except (ValueError, KeyError, TypeError, EOFError, OSError) as error:
+        raise ValueError(f"{file} is damaged ({error}): run that point again (rerun=True)") from error
+    from adaptmg.solver.result.result import Result
+
+    return Result.load(file)
+
+
+class Folder:
+    """The files of the runs in a store.
+
+    Parameters
+    ----------
+    store : Path or None
+        The store, beside which they lie. None: they are in a folder that goes with this object.
+    """
+
+    def __init__(self, store: Path | None) -> None:
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._store = store
+
+    @property
+    def path(self) -> Path:
+        """The folder; it need not be there."""
+        if self._store is not None:
+            return self._store.with_name(f"{self._store.name}.files")
+        if self._temporary is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="adaptmg-study-")
+        return Path(self._temporary.name)
+
+    def write(self, study: str, key: str, packed: Mapping[str, Packed]) -> dict[str, str]:
+        """Write the files of a run, each whole; their paths from the folder, by name of the result."""
+        if not packed:
+            return {}
+        folder = hashlib.sha256(f"{study}\0{key}".encode()).hexdigest()[:24]
+        make_folder("the folder of the store's files", self.path / folder)
+        written = {}
+        for name, item in packed.items():
+            digest = hashlib.sha256(item.content).hexdigest()[:12]
+            plain = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:60]
+            written[name] = f"{folder}/{plain}-{digest}{item.ending}"
+            target = self.path / written[name]
+            if not target.exists():
+                write_bytes(target, item.content)
+        return written
+
+    def remove(self, old: Mapping[str, str], new: Mapping[str, str]) -> None:
+        """Remove files of a run that its new row does not name."""
+        for path in set(old.values()) - set(new.values()):
+            (self.path / path).unlink(missing_ok=True)
+
+    def read(self, path: str) -> Any:
+        """What is in a file: an array, a mesh, a result, a text; of a figure the path of its SVG file."""
+        target = Path(os.path.normpath(self.path / path))
+        if self.path not in target.parents:
+            raise ValueError(f"{checks.shown(path)} is no file of this store")
+        return _unpack(target)

@@ -1,0 +1,141 @@
+"""Sections of several studies at once, their runs on the workers of one cluster, and timed runs alone at the end.
+
+Each section is made in a thread of its own, and has its turn: one thread at a time computes, tabulates and draws
+(pyplot is not safe for more); while it waits for runs the others go on. A timed study waits until no other section
+computes, and runs in this process while the workers are idle.
+"""
+
+from __future__ import annotations
+
+import importlib
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import matplotlib.pyplot as plt
+import pandas as pd
+from common import Context, Figure, Section
+
+import adaptmg as am
+from adaptmg.export.report.figures import Picture, picture_of
+
+
+class Turns:
+    """Whose turn it is, and whether all others wait to measure.
+
+    Parameters
+    ----------
+    threads : int
+        How many sections there are.
+    client : distributed.Client
+        Of the cluster that computes their runs.
+    """
+
+    def __init__(self, threads: int, client: Any) -> None:
+        self._client, self._turn = client, threading.Lock()
+        self._busy, self._quiet = threads, threading.Condition()
+
+    def run(self, study: am.Study, timed: bool) -> pd.DataFrame:
+        """The rows of a study, for a thread that has its turn; it has it again when this returns."""
+        self._turn.release()
+        try:
+            if not timed:
+                return study.run(progress=False, scheduler=self._client, throw=True)
+            self._wait_for_quiet()
+            return study.run(progress=False, throw=True)
+        finally:
+            self._turn.acquire()
+
+    def draw(self, figures: dict[str, tuple[Any, str, str]]) -> dict[str, Picture]:
+        """Pictures, made by the workers."""
+        sent = [self._client.submit(picture_of, *given, pure=False) for given in figures.values()]
+        for figure, _, _ in figures.values():
+            plt.close(figure)
+        self._turn.release()
+        try:
+            return dict(zip(figures, self._client.gather(sent), strict=True))
+        finally:
+            self._turn.acquire()
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """When no other section computes, for a thread that has its turn."""
+        self._turn.release()
+        try:
+            self._wait_for_quiet()
+        finally:
+            self._turn.acquire()
+        yield
+
+    @contextmanager
+    def turn(self) -> Iterator[None]:
+        """All that a thread does."""
+        try:
+            with self._turn:
+                yield
+        finally:
+            self._left()
+
+    def _wait_for_quiet(self) -> None:
+        """Until all others are done or wait as well; one after the other."""
+        self._left()
+        with self._quiet:
+            self._quiet.wait_for(lambda: self._busy == 0)
+            self._busy += 1
+
+    def _left(self) -> None:
+        with self._quiet:
+            self._busy -= 1
+            self._quiet.notify()
+
+
+#: given the name of a study, its section, its pictures by name, and seconds since it began
+Done = Callable[[str, Section, dict[str, Picture], float], None]
+
+
+def in_turn(context: Context, names: Sequence[str], done: Done) -> None:
+    """Section after section in this process."""
+    for name in names:
+        begin = time.perf_counter()
+        section = importlib.import_module(name).run(context)
+        pictures = {key: picture_of(*given) for key, given in to_draw(name, section).items()}
+        done(name, section, pictures, time.perf_counter() - begin)
+
+
+def to_draw(name: str, section: Section) -> dict[str, tuple[Any, str, str]]:
+    """What pictures of a page are made of: figure, caption, prefix."""
+    figures = [item for item in section.items if isinstance(item, Figure)]
+    return {item.name: (item.figure, item.caption, f"{name}-{k}") for k, item in enumerate(figures)}
+
+
+def at_once(context: Context, names: Sequence[str], done: Done, workers: int) -> None:
+    """All sections on one cluster of this machine, as :func:`in_turn`; the first error ends all."""
+    from adaptmg.study.cluster import local_cluster
+
+    modules = {name: importlib.import_module(name) for name in names}
+    ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
+    with local_cluster(workers) as client:
+        turns = Turns(len(names), client)
+        own = replace(context, compute=turns.run, alone=turns.alone)
+
+        def make(name: str) -> None:
+            try:
+                with turns.turn():
+                    begin = time.perf_counter()
+                    section = modules[name].run(own)
+                    done(name, section, turns.draw(to_draw(name, section)), time.perf_counter() - begin)
+            except BaseException as error:
+                ended.put(error)
+            else:
+                ended.put(None)
+
+        for name in names:
+            threading.Thread(target=make, args=(name,), name=name, daemon=True).start()
+        for _ in names:
+            error = ended.get()
+            if error is not None:
+                raise error

@@ -1,0 +1,216 @@
+"""``adaptmg study`` and ``adaptmg runs``: files that are run, and files that are refused with line and suggestion."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import adaptmg as am
+from adaptmg.cli import app
+from adaptmg.study import Study
+from adaptmg.study.store import Store
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "studies").glob("*.toml"))
+GOOD = """
+name = "bar"
+store = "bar.sqlite"
+
+[case]
+case = "greco_bar"
+friction = 0.3
+top_pressure = 5e7
+
+[hierarchy]
+divisions = [2, 4]
+
+[solver]
+method = "full-multigrid"
+
+[measure]
+columns = ["outcome", "cycles", "nodes", "stick", "force_y", "max_pressure"]
+
+[vary]
+"case.friction" = [0.2, 1.0]
+"hierarchy.divisions" = [[2, 4], [4, 8]]
+"""
+
+
+@pytest.fixture
+def command(capsys, monkeypatch, tmp_path):
+    """Run the command in this process, in a folder of its own: exit code, standard output, standard error."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as end:
+            app(list(arguments), prog_name="adaptmg")
+        out, err = capsys.readouterr()
+        return end.value.code or 0, out, err
+
+    return run
+
+
+def written(text: str = GOOD) -> str:
+    Path("study.toml").write_text(text, encoding="utf-8")
+    return "study.toml"
+
+
+def test_a_file_is_run_once_and_gives_what_a_script_gives(command):
+    code, out, err = command("study", written())
+    assert code == 0 and "4 done" in out and "[4/4]" in err and "Traceback" not in err
+    code, out, err = command("study", "study.toml", "--json")
+    said = json.loads(out)
+    assert code == 0 and "[" not in err and said["done"] == 4
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(1.0), top_pressure=5e7), divisions=(4, 8))
+    result = am.solve(grids, am.FullMultigrid(), throw=False)
+    row = said["rows"][3]
+    assert (row["case.friction"], row["hierarchy.divisions"]) == (1.0, [4, 8])
+    assert (row["cycles"], row["nodes"], row["outcome"]) == (result.cycles, 81, "CONVERGED")
+    assert row["max_pressure"] == result.contact.pressure.max() and row["machine"]
+
+
+def test_a_dry_run_says_what_there_is_and_leaves_nothing(command, tmp_path):
+    code, out, _ = command("study", written(), "--dry-run")
+    assert code == 0 and "4 missing" in out and [p.name for p in tmp_path.iterdir()] == ["study.toml"]
+    assert json.loads(command("study", "study.toml", "--dry-run", "--json")[1])["missing"] == 4
+
+
+def test_workers_give_the_same_table(command):
+    text = written()
+    command("study", text, "--store", "one.sqlite")
+    code, *_ = command("study", text, "--store", "two.sqlite", "--workers", "2")
+    one, two = (Store(f"{name}.sqlite").get("bar") for name in ("one", "two"))
+    assert code == 0 and {k: r.results for k, r in one.items()} == {k: r.results for k, r in two.items()}
+
+
+def test_a_run_that_fails_ends_with_code_1_and_is_tried_again_when_asked(command):
+    text = GOOD.replace("[[2, 4], [4, 8]]", "[[2, 4], [4, 2]]")
+    code, out, err = command("study", written(text))
+    assert code == 1 and "2 failed" in out and err.splitlines()[-1] == "adaptmg: 2 of 4 runs failed"
+    before = {key: record.finished for key, record in Store("bar.sqlite").get("bar").items()}
+    command("study", "study.toml")
+    assert {key: record.finished for key, record in Store("bar.sqlite").get("bar").items()} == before
+    command("study", "study.toml", "--retry-failed")
+    after = Store("bar.sqlite").get("bar")
+    assert sum(after[key].finished != before[key] for key in before) == 2
+
+
+def test_load_paths_samples_and_kept_results(command):
+    text = GOOD.replace("[solver]", "[load_path]\nleft = [0.5, 1.0]\n\n[solver]")
+    text = text.replace('"stick"', '"steps"').replace("[vary]", "keep = true\n\n[design]\nkind = \"sobol\"\nruns = 2\n"
+                                                                  "log = [\"case.friction\"]\n\n[vary]")
+    text = text.replace('"hierarchy.divisions" = [[2, 4], [4, 8]]\n', "")
+    code, out, _ = command("study", written(text), "--json")
+    rows = json.loads(out)["rows"]
+    assert code == 0 and [row["steps"] for row in rows] == [2, 2]
+    assert all(0.2 <= row["case.friction"] <= 1.0 for row in rows)
+    assert am.Result.load(Path("bar.sqlite.files") / rows[0]["result"]).dim == 2
+
+
+@pytest.mark.parametrize(("old", "new", "line", "words"), [
+    ("[solver]", "[solvr]", 13, "did you mean 'solver'"),
+    ("friction = 0.3", "frictoin = 0.3", 7, "did you mean 'friction'"),
+    ("friction = 0.3", "friction = -1", 7, "must be >= 0, got -1"),
+    ("friction = 0.3", "friction = \"much\"", 7, "must be a number, got 'much'"),
+    ('case = "greco_bar"', 'case = "greco_bax"', 6, "did you mean 'greco_bar'"),
+    ("divisions = [2, 4]", "divisions = 4", 11, "must be a list of whole numbers, got 4"),
+    ("divisions = [2, 4]", "division = [4]", 11, "did you mean 'divisions'"),
+    ('"full-multigrid"', '"multi-grid"', 14, "did you mean 'multigrid'"),
+    ('"cycles"', '"cicles"', 17, "did you mean 'cycles'"),
+    ("[0.2, 1.0]", "[]", 20, "got an empty one"),
+    ("[0.2, 1.0]", "0.2", 20, "must be a list of values, got 0.2"),
+    ("[0.2, 1.0]", "[0.2, 0.2]", 19, "holds a value twice"),
+    ("[0.2, 1.0]", "[0.2, nan]", 20, "must be finite"),
+    ('"case.friction" = [0', '"case.frictn" = [0', 20, "did you mean 'friction'"),
+    ('"case.friction" = [0', '"solver.omga" = [0', 20, "did you mean 'solver.omega'"),
+    ('"case.friction" = [0', '"measure.keep" = [0', 20, "cannot be varied"),
+    ("[vary]", "[design]\nkind = \"sobol\"\n[vary]", 19, "needs runs"),
+    ("[vary]", "[run]\nworkers = 0\n[vary]", 20, "must be >= 1, got 0"),
+    ('name = "bar"', "name = 3", 2, "must be text"),
+    ("top_pressure = 5e7", "top_pressure = 1979-05-27", 8, "must be a number, text"),
+])
+def test_a_wrong_file_is_one_line_with_the_number_of_the_line(command, old, new, line, words):
+    assert old in GOOD
+    code, out, err = command("study", written(GOOD.replace(old, new)))
+    assert code == 2 and out == "" and err.count("\n") == 1
+    assert f"study.toml, line {line}: " in err and words in err
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("[measure]", "[measure", "line 16"),
+    (GOOD, "", "no section [case]"),
+    ("method = ", "linear = \"amg\"\nmethod = ", "linear has no meaning for method full-multigrid"),
+    ("[solver]", "[load_path]\nright = [1, 2]\n[solver]", "loads on top, left"),
+    ("[solver]", "[adapt]\nmax_nodes = 100\n[solver]", "not both"),
+    ("top_pressure = 5e7", "law = \"tresca\"", "friction belongs to case.law"),
+])
+def test_what_cannot_be_made_is_told_before_anything_runs(command, old, new, words):
+    code, out, err = command("study", written(GOOD.replace(old, new)))
+    assert code == 2 and out == "" and words in err and err.count("\n") == 1
+    assert not Path("bar.sqlite").exists() or not Store("bar.sqlite").get("bar")
+
+
+@pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
+def test_the_examples_can_be_run(command, file):
+    code, out, err = command("study", str(file), "--dry-run")
+    assert code == 0 and "missing" in out, err
+
+
+def _store() -> None:
+    def run(n, law):
+        if n == 3:
+            raise ValueError("three & more")
+        return {"m": n / 2, "what": "a_b"}
+
+    Study(run, {"n": [1, 2, 3], "law": ["a", "b"]}, "s.sqlite", name="first", fixed={}).run(progress=False)
+
+
+def test_runs_are_listed_filtered_and_written(command):
+    _store()
+    code, out, _ = command("runs", "s.sqlite")
+    assert code == 0 and "6 runs" in out and "three & more" in out
+    assert "... 4 more" in command("runs", "s.sqlite", "--limit", "2")[1]
+    rows = json.loads(command("runs", "s.sqlite", "--status", "done", "--where", "law=b", "--json")[1])
+    assert [(row["n"], row["m"]) for row in rows] == [(1, 0.5), (2, 1.0)]
+    assert json.loads(command("runs", "s.sqlite", "--where", "m=1.0", "--details", "--json")[1])[0]["tries"] == 1
+    assert command("runs", "s.sqlite", "--to", "t.csv")[0] == 0
+    assert pd.read_csv("t.csv")["m"].dropna().tolist() == [0.5, 0.5, 1.0, 1.0]
+    command("runs", "s.sqlite", "--to", "t.tex")
+    tex = Path("t.tex").read_text(encoding="utf-8")
+    assert r"a\_b" in tex and r"three \& more" in tex and tex.count(r"\\") == 7
+
+
+def test_several_studies_and_what_was_rescued(command):
+    _store()
+    Study(lambda n: {"m": n}, {"n": [1]}, "s.sqlite", name="second").run(progress=False)
+    _, out, _ = command("runs", "s.sqlite")
+    assert "first" in out and "second" in out
+    assert "2 runs" not in command("runs", "s.sqlite", "--study", "second")[1]
+    Study(lambda n: {"m": n}, {"n": [5]}, "other.sqlite", name="second").run(progress=False)
+    code, out, err = command("runs", "s.sqlite", "--study", "second", "--take-in", "other.sqlite")
+    assert code == 0 and "1 runs taken in" in err and "2 runs" in out
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("nowhere.sqlite",), "no such store"), (("s.sqlite", "--study", "frist"), "did you mean 'first'"),
+    (("s.sqlite", "--where", "nn=1"), "no column 'nn'"), (("s.sqlite", "--where", "n"), "NAME=VALUE"),
+    (("s.sqlite", "--status", "stale"), "--status must be"), (("s.sqlite", "--to", "t.xls"), "must end in"),
+])
+def test_wrong_questions_are_one_line(command, arguments, words):
+    _store()
+    code, out, err = command("runs", *arguments)
+    assert code == 2 and out == "" and words in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["study", "runs"])
+def test_help_has_an_example_and_loads_nothing_heavy(name):
+    code = (f"import sys\nfrom adaptmg.cli import app\ntry:\n    app(['{name}', '--help'])\n"
+            "except SystemExit:\n    pass\n"
+            "sys.stderr.write(' '.join(m for m in ('numpy', 'pandas', 'dask', 'sqlite3') if m in sys.modules))")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stderr == "" and "Example: adaptmg" in done.stdout

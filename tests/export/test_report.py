@@ -1,0 +1,218 @@
+"""Reports: one page that needs nothing else, answers first, folds, escapes, and is sound HTML."""
+
+from __future__ import annotations
+
+import base64
+import re
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from nasty_texts import NASTY
+from pages import Page
+
+from adaptmg.export import Report
+from adaptmg.export.report import layout, tables
+from adaptmg.export.report import prose as prose_module
+from adaptmg.export.report.figures import DENSE
+from adaptmg.runtime.text import printable
+
+FRAME = pd.DataFrame({"n<": [1], "t": ["<script>alert(1)</script>"]})
+
+
+def drawing(count: int = 2, label: str = ""):
+    """A figure with a line of so many points, markers and a clip path."""
+    figure, ax = plt.subplots(figsize=(4, 3))
+    ax.plot(np.arange(count), np.random.default_rng(0).random(count), marker="o", label=label)
+    ax.set_xlabel(label)
+    return figure
+
+
+def made(tmp_path, fill, **options) -> tuple[Page, str]:
+    """The page that ``fill`` makes, parsed, and its text."""
+    report = Report("Smoothing & <co>", "One.\n\nTwo <b>.", **options)
+    fill(report)
+    text = report.write(tmp_path / "report.html").read_text(encoding="utf-8")
+    return Page(text), text
+
+
+def example(report: Report) -> None:
+    """All kinds of parts."""
+    report.card("Best <sweeps>", "Two & no more.", to="first", table=FRAME, units={"n<": "m<"})
+    report.card("A picture", to="nowhere", figure=drawing())
+    report.card("Absent", "Run <it>.")
+    report.section("Sweeps <1>", "Text & more.", summary="In short <i>.", key="first")
+    report.table(FRAME, "Table 1 & so on", "note <i>", units={"t": "µs"}, csv='a "b".csv')
+    report.figure(drawing(label="<b> & x"), 'A "picture" <x>')
+    report.section("Second")
+    report.figure(drawing(), "again")
+    report.made(random_seeds="1 < 2")
+
+
+def test_a_report_is_one_sound_page_that_needs_nothing_else(tmp_path):
+    page, text = made(tmp_path, example, terms="A unit.")
+    assert [tmp_path / "report.html"] == list(tmp_path.iterdir())
+    assert len(page.all("svg")) == 3 and not page.all("link") and len(page.all("style")) == 1
+    assert not page.all("metadata") and not re.search(r"@import|https?://", text)
+    assert {"contents", "first", "section-2", "made"} <= {a["id"] for _, a in page.tags if "id" in a}
+    links = [a["href"] for a in page.all("a")]
+    assert "#first" in links and "#section-2" in links and "a%20%22b%22.csv" in links and "#nowhere" not in links
+    assert not plt.get_fignums()
+
+
+def test_a_report_escapes_everything(tmp_path):
+    page, text = made(tmp_path, example)
+    for raw in ("<co>", "<b>", "<i>", "<x>", "Sweeps <1>", "n<<", "alert(1)</script>", "<it>", "<sweeps>"):
+        assert raw not in text
+    assert len(page.all("script")) == 1 and "<script>alert(1)</script>" in page.text("td")
+    for shown in ("Smoothing & <co>", "Two <b>.", 'A "picture" <x>', "Run <it>.", "[m<]", "1 < 2", "<b> & x"):
+        assert shown in page.text(), shown
+
+
+def test_only_the_script_of_the_page_may_run(tmp_path):
+    import hashlib
+
+    page, text = made(tmp_path, example)
+    policy = next(a["content"] for a in page.all("meta") if a.get("http-equiv") == "Content-Security-Policy")
+    script = re.search(r"<script>(.*?)</script>", text, re.DOTALL)[1]
+    assert base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() in policy
+    assert "default-src 'none'" in policy
+
+
+@pytest.mark.filterwarnings("ignore:Glyph")
+@pytest.mark.parametrize("name", NASTY, ids=ascii)
+def test_any_text_gives_a_sound_report(tmp_path, name):
+    report = Report(f"t{name}", name)
+    report.card(f"k{name}", name, table=pd.DataFrame({f"c{name}": [name]}))
+    report.section(f"s{name}", name, summary=name)
+    report.table(pd.DataFrame({f"c{name}": [name]}), f"t{name}", name, units={f"c{name}": f"u{name}"})
+    report.figure(plt.figure(figsize=(0.5, 0.5)), f"f{name}")
+    figure = plt.figure(figsize=(1, 1))
+    # letters that UTF-8 does not have are drawn by no format of matplotlib
+    figure.text(0.1, 0.5, name.encode("utf-8", "ignore").decode(), parse_math=False)
+    report.figure(figure, f"g{name}")
+    report.made(said=f"m{name}")
+    text = report.write(tmp_path / "r.html").read_text(encoding="utf-8")
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\ufffe\uffff]", text)
+    page = Page(text)
+    assert page.text("title") == printable(" ".join(f"t{name}".split()))
+    if name.strip():
+        assert printable(" ".join(name.split())) in page.text("th")
+
+
+def test_first_tables_of_sections_stand_open_as_far_as_there_is_room(tmp_path):
+    def fill(report):
+        report.card("front", table=FRAME)
+        for k in range(3):
+            report.section(f"s{k}")
+            for _ in range(2):
+                report.table(FRAME, f"table {k}")
+        report.section("asked")
+        report.table(FRAME, "closed", open=False)
+        report.table(FRAME, "opened", open=True)
+
+    for room, wanted in ((4, [1, 0, 1, 0, 0, 0, 0, 1]), (15, [1, 0, 1, 0, 1, 0, 0, 1]), (0, [0] * 8)):
+        page, _ = made(tmp_path, fill, max_open=room)
+        assert ["open" in a for a in page.all("details", "table")] == [bool(x) for x in wanted]
+
+
+def test_headers_have_words_and_units(tmp_path):
+    names = {"total_s": "total [s]", "mesh_ratio": "mesh ratio", "u_n": "u n", "plain": "plain", "a_b c": "a_b c",
+             "peak_mb": "peak [MB]", "x_1": "x 1"}
+
+    def fill(report):
+        report.section("s")
+        report.table(pd.DataFrame({name: [1] for name in names}), "t", units={"mesh_ratio": ""})
+
+    page, _ = made(tmp_path, fill)
+    shown = " ".join(page.text("th", "span", "sub").split())
+    assert " ".join(names.values()) in shown
+
+
+def test_what_is_the_same_in_every_row_is_said_once(tmp_path):
+    frame = pd.DataFrame({name: [1, 2, 3] for name in "abcdefg"}).assign(same="x <y>", g=2.5)
+
+    def fill(report):
+        report.table(frame, "t", units={"g": "m"})
+        report.table(frame.head(2), "short")
+        report.table(frame[["a", "b", "same"]], "narrow")
+
+    page, _ = made(tmp_path, fill)
+    assert "In every row:" in page.text("p") and "x <y>." in page.text("p")
+    heads = [a for a in page.all("th") if a.get("scope") == "col"]
+    assert len(heads) == 6 + 8 + 3
+
+
+def test_numbers_are_marked_and_the_first_column_heads_its_row(tmp_path):
+    page, _ = made(tmp_path, lambda r: r.table(pd.DataFrame({"a": ["x"], "b": [1.5]}), "t"))
+    assert [a.get("scope") for a in page.all("th")] == ["col", "col", "row"]
+    assert [a.get("class") for a in page.all("td")] == ["n"] and page.text("td") == "1.5"
+
+
+def test_a_long_table_is_cut_and_says_so(tmp_path):
+    page, _ = made(tmp_path, lambda r: r.table(pd.DataFrame({"a": range(tables.LONGEST + 7)}), "t"))
+    assert len(page.all("tr")) == tables.LONGEST + 1 and f"of {tables.LONGEST + 7} rows" in page.text("p")
+    assert page.all("div", "tall")
+
+
+def test_a_long_text_shows_its_first_sentences_and_folds_the_rest(tmp_path):
+    text = " ".join(f"Sentence number {k} is here." for k in range(100))
+    page, _ = made(tmp_path, lambda r: r.section("s", text))
+    assert len(page.all("details", "more")) == 1
+    shown = " ".join(page.text("p").split())
+    assert all(f"number {k} " in shown for k in range(100))
+    assert prose_module.lead("Short. Text.") == ("Short. Text.", "")
+    seen, rest = prose_module.lead(text)
+    assert seen.endswith(".") and f"{seen} {rest}" == text and len(seen) < 1.3 * prose_module.IN_SIGHT
+
+
+def test_drawings_stay_letters_and_dense_ones_become_pictures(tmp_path):
+    def fill(report):
+        report.figure(drawing(label="frictionvalue"), "few")
+        report.figure(drawing(5000), "many")
+
+    page, text = made(tmp_path, fill)
+    assert len(page.all("svg")) == len(page.all("img")) == 1 and "frictionvalue" in page.text()
+    data = page.all("img")[0]["src"].split(",")[1]
+    assert base64.b64decode(data).startswith(b"\x89PNG") and len(text) < 4 * DENSE
+
+
+def test_links_of_a_drawing_go_and_its_letters_stay(tmp_path):
+    figure, ax = plt.subplots()
+    ax.text(0.5, 0.5, "linked", url="https://example.org/x")
+    page, text = made(tmp_path, lambda r: r.figure(figure, "f"))
+    assert "example" not in text and "linked" in page.text()
+
+
+def test_a_report_checks_what_it_is_given(tmp_path):
+    page = Report("x")
+    with pytest.raises(TypeError, match="DataFrame"):
+        page.table([[1]], "caption")
+    with pytest.raises(ValueError, match="caption"):
+        page.table(pd.DataFrame({"a": [1]}), "")
+    with pytest.raises(ValueError, match="units"):
+        page.table(pd.DataFrame({"a": [1]}), "c", units={"b": "s"})
+    with pytest.raises(ValueError, match="csv must name a file beside the page"):
+        page.table(pd.DataFrame({"a": [1]}), "c", csv="javascript:alert(1)")
+    with pytest.raises(TypeError, match="Figure"):
+        page.figure("file.png", "caption")
+    with pytest.raises(ValueError, match="a table or a figure"):
+        page.card("t", table=FRAME, figure=plt.figure())
+    with pytest.raises(ValueError, match="key must begin"):
+        page.section("s", key="a b")
+    page.section("s", key="a")
+    with pytest.raises(ValueError, match="another section"):
+        page.section("s", key="a")
+    with pytest.raises(ValueError, match="title"):
+        Report("")
+    with pytest.raises(FileNotFoundError):
+        page.write(tmp_path / "nowhere" / "x.html")
+    plt.close("all")
+
+
+def test_the_page_says_how_it_was_made(tmp_path):
+    page, _ = made(tmp_path, example)
+    said = page.text("dt", "dd")
+    assert all(word in said for word in ("Versions", "numpy", "Machine", "cores", "Written", "Random seeds"))
+    assert layout.POLICY

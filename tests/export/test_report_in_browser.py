@@ -1,0 +1,146 @@
+"""Reports in a real browser: nothing runs over, tables sort and fold, the dark is dark, paper shows all."""
+
+from __future__ import annotations
+
+import re
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from browser import dom, measure, needs_browser, screenshot
+from PIL import Image
+
+from adaptmg.export import Report
+
+pytestmark = [needs_browser, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """A report with wide tables, long words and large pictures; its file."""
+    report = Report("A title of some length " * 5 + "averylongword" * 20, "Summary. " * 40)
+    many = pd.DataFrame({f"a column of number {k}": np.arange(90) * 10.0**(k - 8) for k in range(18)})
+    many.insert(0, "method", [f"{'long ' * (k % 7)}method{k}" for k in range(90)])
+    for _ in range(3):
+        report.card("Table", "What it says. " * 8, table=many.iloc[:4, :4])
+    for _ in range(2):
+        report.card("Picture", "What it says. " * 5, figure=drawing())
+    report.section("Sorted")
+    report.table(pd.DataFrame({"name": ["b", "a10", "a9"], "x": [2e-3, None, 1e5], "y": [-1.0, -20.0, 3.0]}), "sorted")
+    for k in range(3):
+        report.section(f"Section {k}", "Sentence of some words here. " * 50)
+        report.table(many, "Wide " * 30, "Note of some words here. " * 60, csv="a.csv")
+        report.figure(drawing(14), "caption " * 30)
+        report.figure(drawing(4), "caption")
+        report.table(many.head(5), "wide and short", open=True)
+        report.table(pd.DataFrame({"x" * 200: ["y" * 300], "n": [1]}), "folded")
+    return report.write(tmp_path_factory.mktemp("page") / "report.html")
+
+
+def drawing(width: float = 6.0):
+    """A small figure."""
+    figure, ax = plt.subplots(figsize=(width, 3))
+    ax.plot([1, 2, 3])
+    return figure
+
+
+SCRIPT = """
+function all(what) { return Array.from(document.querySelectorAll(what)); }
+// what lies right of the window, but for what is in boxes that scroll
+function over(inside) {
+  var wide = document.documentElement.clientWidth;
+  return {window: wide, page: document.documentElement.scrollWidth,
+          cut: all(".scroll").filter(box => box.scrollHeight > box.clientHeight + 1).length,
+          boxes: all(".scroll").filter(box => box.scrollWidth > box.clientWidth + 1).length,
+          over: all("body *").filter(part => !part.closest(inside) && part.getBoundingClientRect().width > 0
+                                     && part.getBoundingClientRect().right > wide + 1)
+                             .map(part => part.tagName + "." + part.className)};
+}
+var found = {sorted: []};
+
+var table = all("table").find(part => part.textContent.includes("a10"));
+function click(k) {
+  table.tHead.rows[0].cells[k].querySelector("button").click();
+  found.sorted.push(Array.from(table.tBodies[0].rows).map(row => row.cells[0].textContent).join(" "));
+}
+[1, 1, 1, 0, 0, 2].forEach(click);
+found.order = Array.from(table.tHead.rows[0].cells).map(head => head.getAttribute("aria-sort"));
+
+function opened() { return all("details[open]").length; }
+found.open = [opened()];
+["beforeprint", "afterprint"].forEach(function (name) {
+  window.dispatchEvent(new Event(name));
+  found.open.push(opened());
+});
+found.all = all("details").length;
+
+all("details").forEach(function (part) { part.open = true; });
+[390, 820, 1440].forEach(function (width) {
+  resize(width);
+  found[width] = over(".scroll table, .paper > *");
+});
+
+resize(600);
+var box = all("details.table .scroll").find(part => part.scrollWidth > 900), cell = box.querySelector("tbody th");
+var before = cell.getBoundingClientRect().left;
+box.scrollLeft = 200;
+found.first = [box.scrollLeft, cell.getBoundingClientRect().left - before];
+box.scrollLeft = 0;
+
+var style = document.querySelector("style");
+style.textContent = style.textContent.replace("@media print", "@media screen");
+resize(1032);
+found.paper = over(".paper > *");
+return found;
+"""
+
+
+@pytest.fixture(scope="module")
+def found(page, tmp_path_factory):
+    """All that is measured, in one go: a browser takes seconds to start."""
+    return measure(tmp_path_factory.mktemp("browser"), page.read_text(encoding="utf-8"), SCRIPT)
+
+
+@pytest.mark.parametrize("width", [390, 820, 1440])
+def test_nothing_runs_over_the_side(found, width):
+    at = found[str(width)]
+    assert at["window"] == width and at["page"] <= width and at["over"] == []
+    assert at["boxes"] > 0 and at["cut"] > 0  # wide and long tables scroll by themselves
+
+
+def test_nothing_is_cut_on_paper(found):
+    at = found["paper"]
+    assert at["window"] == 1032 and at["page"] <= 1032 and at["over"] == []
+    assert at["boxes"] == at["cut"] == 0
+
+
+def test_paper_opens_what_is_folded_and_closes_it_again(found):
+    before, during, after = found["open"]
+    assert before == after < during == found["all"]
+
+
+def test_headers_sort_up_down_and_back_with_what_is_no_number_last(found):
+    assert found["sorted"] == ["b a9 a10", "a9 b a10", "b a10 a9", "a9 a10 b", "b a10 a9", "a10 b a9"]
+    assert found["order"] == [None, None, "ascending"]
+
+
+def test_the_first_column_stays_in_sight(found):
+    assert found["first"] == [200, 0]
+
+
+def test_the_policy_lets_the_page_s_own_script_run_and_no_other(page, tmp_path):
+    foreign = "<script>document.body.dataset.foreign = 'ran';</script></body>"
+    (tmp_path / "added.html").write_text(page.read_text(encoding="utf-8").replace("</body>", foreign), encoding="utf-8")
+    after = dom(tmp_path, tmp_path / "added.html")
+    assert "data-foreign" not in after and re.search(r"<th[^>]*><button", after)
+
+
+def test_the_dark_is_dark_and_drawings_stay_on_white(page, tmp_path):
+    shades = {}
+    for name, flags in {"light": (), "dark": ("--force-dark-mode",)}.items():
+        picture = Image.open(screenshot(tmp_path, page, 1440, 900, *flags)).convert("L")
+        shades[name] = np.asarray(picture)
+    assert np.median(shades["light"]) > 230 and np.median(shades["dark"]) < 60
+    assert (shades["dark"] > 250).mean() > 0.05  # the white cards of the pictures
+    assert min(shade.std() for shade in shades.values()) > 10

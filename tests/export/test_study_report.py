@@ -1,0 +1,103 @@
+"""The report of a study's table: counted, drawn against what varied, failures apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from pages import Page
+
+from adaptmg.export import study_report
+from adaptmg.export.report.curves import Axis, axes_of_study, curves, numbers
+
+
+def table(repeats: int = 2) -> pd.DataFrame:
+    """A study of sweeps and friction with repeats, one run failed."""
+    rows = [{"sweeps": s, "friction": f, "seed": k, "cycles": 20 // s + k, "work_units": 3.0 * s * f, "total_s": 0.5,
+             "method": "V", "status": "done", "seconds": 0.1, "error": ""}
+            for s in (1, 2, 3) for f in (0.1, 1.0) for k in range(repeats)]
+    rows[3].update(status="failed", error="ValueError: <b>no</b> " + "x" * 5000, cycles=np.nan)
+    frame = pd.DataFrame(rows)
+    frame.attrs = {"study": "smoothing <1>", "fixed": {"rtol": 1e-8}}
+    return frame
+
+
+def written(tmp_path, frame, **options) -> Page:
+    """The page of it."""
+    path = study_report(frame, tmp_path / "r.html", **({"parameters": ["sweeps", "friction", "seed"]} | options))
+    return Page(path.read_text(encoding="utf-8"))
+
+
+def test_it_counts_draws_and_lists(tmp_path):
+    page = written(tmp_path, table(), csv="runs.csv", summary="What <b> came out.", made={"commit": "abc"})
+    assert "smoothing <1>" in page.text("h1") and "12 runs: 11 done, 1 failed. What <b> came out." in page.text("p")
+    drawn = [a["aria-label"] for a in page.all("svg")]
+    assert [name.split(",")[0] for name in drawn] == ["cycles against sweeps", "work units against sweeps"]
+    assert len(page.all("details", "table")) == 2 and "runs.csv" in [a["href"] for a in page.all("a")]
+    assert "rtol = 1e-08" in page.text("dd") and "abc" in page.text("dd")
+    errors = next(text for text in page.text("td").split("ValueError")[1:])
+    assert "<b>no</b>" in errors and len(errors) < 600
+
+
+def test_results_and_columns_can_be_chosen(tmp_path):
+    page = written(tmp_path, table(), results=["work_units"], hidden=["seconds", "method"], units={"work_units": "WU"})
+    assert len(page.all("svg")) == 1 and "work units [WU]" in page.text("text") and "method" not in page.text("th")
+
+
+@pytest.mark.parametrize("frame", [table().head(0), table().head(1), table().assign(status="failed"),
+                                   table().assign(status="missing", cycles=np.nan, work_units=None),
+                                   table().drop(columns=["status", "error"]),
+                                   table().assign(cycles=np.inf, work_units=np.nan)],
+                         ids=["no rows", "one row", "all failed", "none run", "bare", "not finite"])
+def test_any_state_of_a_study_gives_a_page(tmp_path, frame):
+    assert written(tmp_path, frame).all("table")
+
+
+@pytest.mark.parametrize("frame", [
+    pd.DataFrame({"a": ["x", "y", "z"], "r": [1, 2, 300]}), pd.DataFrame({"a": [None, 1, 2.5], "r": [1.0, 2.0, 3.0]}),
+    pd.DataFrame({"a": [(1, 2), (3, 4), "V"], "r": [1, -2, 3]}),
+    pd.DataFrame({"a": [True, False, True], "r": [1, 2, 3]}), pd.DataFrame({"a": [1, True, "1"], "r": [1, 2, 3]}),
+    pd.DataFrame({"a": [f"n{k}" for k in range(90)], "r": range(90)}),
+    pd.DataFrame({"a": np.geomspace(1e-8, 1, 90), "r": np.geomspace(1e9, 1, 90)}),
+    pd.DataFrame({"a": ["$x_", "_y", "\x00"], "r": [1, 2, 3]}), pd.DataFrame({"$a_": [1, 2], "r": [1, 2]})],
+    ids=["names", "none", "tuples", "bools", "mixed", "many names", "wide ranges", "odd names", "odd header"])
+def test_any_parameter_is_drawn(tmp_path, frame):
+    page = written(tmp_path, frame, parameters=[frame.columns[0]])
+    assert page.all("svg") or page.all("img")
+
+
+def test_the_axis_is_the_number_with_most_values_and_lines_the_other():
+    frame = table().assign(number=range(12))
+    assert axes_of_study(frame, ["friction", "sweeps"]) == Axis("sweeps", "friction")
+    assert axes_of_study(frame, ["method", "seed"]) == Axis("seed", "")
+    assert axes_of_study(frame, ["sweeps", "number"]) == Axis("sweeps", "")  # a seed is in every run another
+    assert axes_of_study(frame, ["number"]) == Axis("number", "")
+    frame["random"] = np.random.default_rng(0).random(len(frame))
+    assert axes_of_study(frame, ["random", "number"]) == Axis("random", "", joined=False)
+    assert axes_of_study(frame, ["method"]) is None and axes_of_study(frame, []) is None
+
+
+def test_lines_are_medians_and_bands_span_the_runs():
+    frame = pd.DataFrame({"a": [1, 1, 1, 2, 2, 2], "r": [1.0, 2.0, 9.0, 4.0, 5.0, 6.0]})
+    ax = curves(frame, Axis("a", ""), "r").axes[0]
+    assert ax.lines[0].get_ydata().tolist() == [2.0, 5.0]
+    band = ax.collections[0].get_paths()[0].vertices[:, 1]
+    assert band.min() == 1.0 and band.max() == 9.0
+
+
+def test_what_counts_as_numbers():
+    assert numbers(pd.Series([1, None, 2.5])).tolist()[2] == 2.5
+    for values in ([True, False], ["1", "2"], [None, None], [1, "x"], [1, True], [1j, 2]):
+        assert numbers(pd.Series(values, dtype=object)) is None
+
+
+def test_it_checks_what_it_is_given(tmp_path):
+    with pytest.raises(TypeError, match="DataFrame"):
+        study_report([], tmp_path / "r.html", parameters=[])
+    with pytest.raises(TypeError, match="sequence of column names"):
+        study_report(table(), tmp_path / "r.html", parameters="sweeps")
+    with pytest.raises(ValueError, match=r"parameters names columns the table does not have: \['sweps'\]"):
+        study_report(table(), tmp_path / "r.html", parameters=["sweps"])
+    with pytest.raises(ValueError, match="'method' holds no numbers to draw, got 'V'"):
+        written(tmp_path, table(), results=["method"])
+    assert not list(tmp_path.iterdir())

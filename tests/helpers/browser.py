@@ -1,0 +1,51 @@
+"""Chromium without a window, where it is installed: what a page measures, and how it looks."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+
+
+def _run(folder: Path, page: Path, width: int, height: int, *flags: str) -> bytes:
+    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage",
+               f"--user-data-dir={folder / 'browser'}", f"--window-size={width},{height}", *flags, page.as_uri()]
+    return subprocess.run(command, capture_output=True, check=True, timeout=120).stdout
+
+
+def dom(folder: Path, page: Path) -> str:
+    """A page as it stands after its scripts have run."""
+    return _run(folder, page, 1600, 800, "--dump-dom").decode()
+
+
+def measure(folder: Path, text: str, script: str) -> Any:
+    """What a function body in JavaScript returns in a page, after it has loaded.
+
+    The page lies in a frame (windows cannot be as narrow as a phone), which the script makes as wide as it wants by
+    ``resize(width)``. The page's policy, which would not let the script run, is taken out.
+    """
+    free = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", text)
+    added = ("<script>function resize(width) { window.frameElement.style.width = width + 'px'; }\n"
+             f"parent.document.body.dataset.measured = JSON.stringify((function () {{ {script} }})());</script></body>")
+    page = folder / "measured.html"
+    framed = html.escape(free.replace("</body>", added))
+    page.write_text(f'<!DOCTYPE html><html><body><iframe style="width:1440px;height:900px;border:0" srcdoc="{framed}">'
+                    "</iframe></body></html>", encoding="utf-8")
+    return json.loads(html.unescape(re.search(r'data-measured="([^"]*)"', dom(folder, page))[1]))
+
+
+def screenshot(folder: Path, page: Path, width: int, height: int, *flags: str) -> Path:
+    """Picture of the top of a page."""
+    target = folder / "screen.png"
+    _run(folder, page, width, height, f"--screenshot={target}", *flags)
+    return target

@@ -1,0 +1,124 @@
+"""The report of the studies: what stands on its first screen, what is said where a study has not run, its size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from pages import Page
+from study_scripts import load
+
+common, front, reproduce = load("common"), load("front"), load("reproduce")
+
+
+def section(name: str, **frames: pd.DataFrame):
+    """A section of tables by name."""
+    return common.Section(f"Title of {name}", "Text.", [common.Table(key, frame, key) for key, frame in frames.items()])
+
+
+def grid_count(complete=(8.3, 25.7, 50.4), best=(np.nan, 45.5, 86.3)):
+    """Tables as that study delivers them."""
+    return section("grid_count", table1=pd.DataFrame({
+        "method": list("abcd"), "grids": ["1089", "1089/289", "1089/289/81", "1089/289/81/25"],
+        "paper": [1.0, 7.2, 21.7, 27.3], "monotone, complete": [1.0, *complete], "monotone, V": [1.0, *best],
+        "paper's mode": [1.0, 7.2, 4.6, 29.5], "its true error": [6e-4, 2e-3, 7e-3, 1.7e-2]}))
+
+
+def adaptive(seconds: float = 2.0):
+    """Three problems: adaptive meshes take 4, 5, 6 times fewer nodes, and so many times fewer seconds on the last."""
+    lines = [{"case": name, "meshes": meshes, "nodes x": nodes, "seconds x": ratio, "how": "measured"}
+             for name, nodes, ratio in (("bar", 4.0, 3.0), ("punch", 5.0, 1.5), ("block", 6.0, seconds))
+             for meshes in ("uniform", front.ADAPTIVE)]
+    return section("adaptive", adaptive_cost=pd.DataFrame(lines))
+
+
+def linear(ratio: float = 0.5):
+    """Seconds of both methods."""
+    return section("amg", amg_glued=pd.DataFrame({
+        "grid": "uniform", "nodes": [100, 100, 900, 900], "total": [1.0, ratio, 9.0, 9 * ratio],
+        "method": ["AMG-CG, rigid-body modes", "contact, FullMultigrid"] * 2}))
+
+
+def made(sections) -> Page:
+    """The page of the studies, parsed."""
+    text = reproduce.page_of(sections, common.Context(False, Path())).page()
+    assert not plt.get_fignums()
+    return Page(text)
+
+
+def test_where_nothing_has_run_the_first_screen_says_so():
+    page = made({})
+    assert len(page.all("div", "absent")) == len(front.PLACES) == 5
+    for place in front.PLACES.values():
+        assert place.title in page.text("h2") and f"Not in this run: python studies/reproduce.py {place.study}" \
+            in page.text("p")
+        assert place.study in reproduce.STUDIES
+
+
+def test_the_front_is_made_of_what_sections_deliver_and_links_to_them():
+    page = made({"grid_count": grid_count(), "adaptive_vs_uniform": adaptive(), "amg_comparison": linear()})
+    assert len(page.all("div", "absent")) == 2 and len(page.all("svg")) == 2
+    links = [a["href"] for a in page.all("a")]
+    assert {"#grid_count", "#adaptive_vs_uniform", "#amg_comparison", "table1.csv"} <= set(links)
+    assert "50.4" in page.text("td") and "With V-cycles 86 (4 grids)" in page.text("p")
+    assert "0.50 to 0.50 times the seconds of one linear solve" in page.text("p")
+
+
+def test_like_with_like_and_the_best_after_it():
+    line = front.grid_counts({"table1": grid_count(complete=(1.0, 2.0, 90.0)).items[0].frame})
+    assert line.item.frame["ours"].tolist() == [1.0, 1.0, 2.0, 90.0] and "cycles" not in line.text
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(2.0, "quicker in 3 of 3 problems (by up to 3.0 times)"),
+                                               (0.5, "Uniform meshes are quicker on: block.")])
+def test_the_sentence_on_adaptive_meshes_is_true_for_its_run(seconds, said):
+    frames = {item.name: item.frame for item in adaptive(seconds).items}
+    assert said in front.adaptive(frames).text
+    plt.close("all")
+
+
+def test_a_section_s_own_headline_takes_the_place():
+    own = common.Headline("grids", common.Table("own", pd.DataFrame({"mine": ["yes"]}), "own"), "Said by itself.")
+    given = grid_count()
+    given.headline = [own]
+    page = made({"grid_count": given})
+    assert "Said by itself." in page.text("p") and "With V-cycles" not in page.text("p")
+    given.headline = [common.Headline("nowhere", own.item, "")]
+    with pytest.raises(ValueError, match="no place \\['nowhere'\\]"):
+        made({"grid_count": given})
+
+
+@pytest.mark.parametrize("broken", [
+    section("x"), section("x", table1=pd.DataFrame({"grids": ["1"]})),
+    section("x", adaptive_cost=adaptive().items[0].frame.query("meshes == 'uniform'"))])
+def test_tables_that_lack_what_is_wanted_leave_the_rest_of_the_page(broken):
+    page = made(dict.fromkeys([place.study for place in front.PLACES.values()], broken) | {"grid_count": broken})
+    assert len(page.all("div", "absent")) == 5 and "have nothing for this place" in page.text("p")
+
+
+def test_open_tables_and_figures_come_before_folded_ones():
+    frame = pd.DataFrame({"a": [1]})
+    tables = [common.Table(f"t{k}", frame, f"t{k}") for k in range(3)]
+    figure = common.Figure("f", plt.figure(), "f")
+    order = reproduce.in_sight_first([tables[0], tables[1], figure, tables[2]])
+    assert [item.name for item in order] == ["t0", "f", "t1", "t2"]
+    tables[2].open, tables[0].open = True, False
+    assert [item.name for item in reproduce.in_sight_first([*tables, figure])] == ["t2", "f", "t0", "t1"]
+    plt.close("all")
+
+
+def test_at_most_fifteen_tables_stand_open():
+    sections = {f"s{k}": section(f"s{k}", a=pd.DataFrame({"a": [1]}), b=pd.DataFrame({"a": [1]})) for k in range(30)}
+    page = made(sections)
+    assert sum("open" in a for a in page.all("details", "table")) == 15 and len(page.all("details", "table")) == 60
+
+
+def test_summaries_and_seeds_are_said():
+    one = section("one", a=pd.DataFrame({"a": [1]}))
+    one.summary, one.seeds = "Asked and answered.", "0 to 99"
+    page = made({"one": one, "two": section("two")})
+    assert "Asked and answered." in page.text("p") and "one: 0 to 99" in page.text("dd")
+    assert "python studies/reproduce.py one two" in page.text("dd")

@@ -1,0 +1,85 @@
+"""Sections at once: timed runs wait for all others and go one after the other, errors end all, long texts come back."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, field
+
+import pytest
+from study_scripts import load
+
+common, together = load("common"), load("together")
+
+
+@dataclass
+class Runs:
+    """Stands for a study: says when it begins and ends."""
+
+    seen: list = field(default_factory=list)
+
+    def run(self, progress=None, scheduler=None, throw=False):
+        kind = "timed" if scheduler is None else "run"
+        self.seen.append((kind, "begins"))
+        time.sleep(0.05)
+        self.seen.append((kind, "ends"))
+
+
+def test_timed_runs_wait_for_all_others_and_go_one_by_one():
+    runs, turns = Runs(), together.Turns(4, object())
+
+    def section(timed, plain):
+        with turns.turn():
+            for _ in range(plain):
+                turns.run(runs, False)
+            for _ in range(timed):
+                turns.run(runs, True)
+
+    threads = [threading.Thread(target=section, args=counts) for counts in ((1, 0), (1, 1), (2, 0), (0, 4))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(10)
+        assert not thread.is_alive()
+    kinds = [kind for kind, _ in runs.seen]
+    assert kinds.count("timed") == 8 and kinds.count("run") == 10
+    assert kinds == ["run"] * 10 + ["timed"] * 8
+    assert [what for _, what in runs.seen[10:]] == ["begins", "ends"] * 4
+
+
+def test_a_thread_has_its_turn_alone():
+    turns, inside = together.Turns(3, object()), []
+
+    def section():
+        with turns.turn():
+            inside.append(1)
+            assert len(inside) == 1
+            time.sleep(0.02)
+            inside.pop()
+            with turns.alone():
+                inside.append(1)
+                assert len(inside) == 1
+                inside.pop()
+
+    threads = [threading.Thread(target=section) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(10)
+        assert not thread.is_alive()
+
+
+def test_long_texts_come_back_from_their_files(tmp_path):
+    def run(n):
+        return {"text": "x" * n, "m": n}
+
+    context = common.Context(True, tmp_path)
+    for _ in range(2):
+        assert context.study(run, {"n": [3, 100_000]})["text"].str.len().tolist() == [3, 100_000]
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_an_order_is_fitted_to_three_points_or_more(count):
+    x = [1.0, 2.0, 4.0]
+    assert common.slope(x, x) == pytest.approx(1.0)
+    assert common.slope(x[:count], x[:count]) != common.slope(x[:count], x[:count])

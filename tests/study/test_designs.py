@@ -1,0 +1,101 @@
+"""Designs: the points one expects, in order, and no endless ones."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from adaptmg.study import Grid, LatinHypercube, Points, Random, Repeated, Sobol, Study, Zip
+from adaptmg.study.designs import as_design
+
+
+def run(n, law="a", seed=0):
+    return {"m": n if law == "a" else -n, "s": seed}
+
+
+def points(design):
+    return [tuple(point.values()) for point in design.points()]
+
+
+def test_grids_lists_and_zips():
+    assert points(Grid({"n": [1, 2], "law": ["a", "b"]})) == [(1, "a"), (1, "b"), (2, "a"), (2, "b")]
+    assert points(Zip({"n": [1, 2, 1], "law": ["a", "a", "b"]})) == [(1, "a"), (2, "a"), (1, "b")]
+    rows = [{"n": 1, "law": "a"}, {"law": "b", "n": 2}]
+    assert points(Points(rows)) == [(1, "a"), ("b", 2)]
+    assert Study(run, rows).run(progress=False)["m"].tolist() == [1, -2]
+    assert Study(run, Points(pd.DataFrame(rows))).run(progress=False)["m"].tolist() == [1, -2]
+
+
+def test_designs_are_multiplied_and_added():
+    both = Zip({"n": [1, 2], "law": ["a", "b"]}) * Grid({"seed": [5, 6]})
+    assert points(both) == [(1, "a", 5), (1, "a", 6), (2, "b", 5), (2, "b", 6)] and len(both) == 4
+    assert points(Grid({"n": [1, 2]}) + Grid({"n": [2, 3]})) == [(1,), (2,), (3,)]
+    assert points(Repeated({"n": [1, 2]}, 2, first=3)) == [(1, 3), (1, 4), (2, 3), (2, 4)]
+    assert points(Grid({"n": [1]}) * {"law": ["b"]}) == [(1, "b")]
+
+
+@pytest.mark.parametrize("kind", [Random, LatinHypercube, Sobol])
+def test_samples_lie_in_their_ranges_and_come_again(kind):
+    ranges = {"x": (0.5, 2.0), "h": (1e-6, 1e-2), "n": (1, 4)}
+    sample = kind(ranges, 64, seed=3, log="h")
+    x, h, n = (np.array(column) for column in zip(*points(sample), strict=True))
+    assert len(sample) == 64 and points(kind(ranges, 64, seed=3, log="h")) == points(sample)
+    assert points(kind(ranges, 64, seed=4, log="h")) != points(sample)
+    assert x.min() >= 0.5 and x.max() <= 2.0 and h.min() >= 1e-6 and h.max() <= 1e-2
+    assert set(n.tolist()) == {1, 2, 3, 4}
+    # on a logarithmic scale half lie below the geometric mean
+    assert 20 <= (h < 1e-4).sum() <= 44
+    if kind is not Random:
+        assert np.histogram(x, 16, (0.5, 2.0))[0].tolist() == [4] * 16
+
+
+def test_more_runs_of_a_sobol_sequence_keep_the_first_ones():
+    assert points(Sobol({"x": (0.0, 1.0)}, 100))[:40] == points(Sobol({"x": (0.0, 1.0)}, 40))
+
+
+def test_points_of_whole_numbers_that_meet_are_run_once():
+    assert sorted(points(Random({"n": (1, 3)}, 50))) == [(1,), (2,), (3,)]
+
+
+@pytest.mark.parametrize(("make", "error", "match"), [
+    (lambda: Grid({"n": itertools.count()}), TypeError, "no end"),
+    (lambda: Grid({"n": (k for k in range(3))}), TypeError, "length is known"),
+    (lambda: Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
+    (lambda: Grid({"n": range(10**30)}), ValueError, "at most"),
+    (lambda: Grid({name: range(1000) for name in "abc"}), ValueError, "1000000000 points"),
+    (lambda: Grid({"n": range(2000)}) * Grid({"m": range(2000)}), ValueError, "4000000 points"),
+    (lambda: Repeated({"n": [1]}, 10**9), ValueError, "1000000000 points"),
+    (lambda: Random({"x": (0.0, 1.0)}, 10**9), ValueError, "1000000000 points"),
+    (lambda: Zip({"n": [1, 2], "m": [1]}), ValueError, "one length"),
+    (lambda: Zip({"n": [1, 1]}), ValueError, "points 0 and 1 are the same"),
+    (lambda: Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
+    (lambda: Points([]), TypeError, "list of mappings"),
+    (lambda: Grid({"n": [1]}) * Grid({"n": [2]}), ValueError, "both designs have"),
+    (lambda: Grid({"n": [1]}) + Grid({"m": [2]}), ValueError, "same parameters"),
+    (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "must go up"),
+    (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
+    (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["y"]), ValueError, "log names"),
+    (lambda: Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite"),
+    (lambda: Sobol({"x": (0.0, 1.0)}, 0), ValueError, "runs must be >= 1"),
+    (lambda: as_design("parameters", 3), TypeError, "parameters must be"),
+])
+def test_wrong_designs_are_refused_before_memory_is(make, error, match):
+    with pytest.raises(error, match=match):
+        make()
+
+
+def test_points_are_added_to_a_stored_design(tmp_path):
+    path = tmp_path / "s.sqlite"
+    Study(run, {"n": [1, 2]}, path, fixed={"law": "a"}).run(progress=False)
+    Study(run, {"n": [7]}, path, fixed={"law": "b"}).run(progress=False)
+    study = Study(run, store=path, fixed={"law": "a"})
+    assert study.table()["n"].tolist() == [1, 2]
+    study.add({"n": [2, 3]})
+    assert study.table()["status"].tolist() == ["done", "done", "missing"]
+    again = Study(run, store=path, fixed={"law": "a"})
+    assert again.run(progress=False)["m"].tolist() == [1, 2, 3]
+    with pytest.raises(ValueError, match="no points"):
+        Study(run, store=path, name="other")

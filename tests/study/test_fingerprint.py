@@ -1,0 +1,226 @@
+"""What a run depends on: everything that changes its results, and nothing that does not."""
+
+from __future__ import annotations
+
+import functools
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.study import Study
+from adaptmg.study.fingerprint import fingerprint, package
+
+FACTOR, TABLE, ARRAY = 2, {"a": [1, 2.0]}, np.arange(4.0)
+LOCK, GENERATOR = threading.Lock(), np.random.default_rng(0)
+LEFT: list[int] = []
+
+
+def uses_factor(n):
+    return {"m": FACTOR * n}
+
+
+def uses_table(n):
+    return {"m": TABLE["a"][0] * n}
+
+
+def uses_array(n):
+    return {"m": float(ARRAY.sum()) * n}
+
+
+@functools.lru_cache
+def cached(n):
+    return FACTOR * n
+
+
+def uses_cached(n):
+    return {"m": cached(n)}
+
+
+@dataclass(frozen=True)
+class Option:
+    size: float = 1.0
+
+    def twice(self):
+        return FACTOR * self.size
+
+
+OPTION = Option()
+
+
+def uses_option(n):
+    return {"m": OPTION.twice() * n}
+
+
+@pytest.mark.parametrize(("run", "name", "value"), [
+    (uses_factor, "FACTOR", 3), (uses_factor, "FACTOR", 2.0), (uses_factor, "FACTOR", True),
+    (uses_table, "TABLE", {"a": [1, 2]}), (uses_array, "ARRAY", np.array([0.0, 1.0, 2.0, 4.0])),
+    (uses_array, "ARRAY", ARRAY.astype(np.float32)), (uses_cached, "FACTOR", 4), (uses_option, "FACTOR", 5),
+    (uses_option, "OPTION", Option(2.0))])
+def test_a_changed_global_makes_rows_stale(monkeypatch, run, name, value):
+    before = fingerprint(run)
+    assert fingerprint(run).parts == before.parts
+    monkeypatch.setitem(globals(), name, value)
+    after = fingerprint(run)
+    assert after.code != before.code
+    assert after.differences(before.parts) == [f"value of test_fingerprint.{name} is changed"]
+
+
+def test_values_that_stay_the_same_in_another_object_do_not(monkeypatch):
+    before = [fingerprint(run).code for run in (uses_table, uses_array, uses_option)]
+    for name, value in (("TABLE", {"a": [1, 2.0]}), ("ARRAY", np.arange(4.0)), ("OPTION", Option(1.0))):
+        monkeypatch.setitem(globals(), name, value)
+    assert [fingerprint(run).code for run in (uses_table, uses_array, uses_option)] == before
+
+
+def test_closures_and_defaults_are_seen_by_value():
+    def made(factor, power=2):
+        def run(n, p=power, *, q=factor):
+            return {"m": factor * n**p + q}
+
+        return run
+
+    assert fingerprint(made(2)).code == fingerprint(made(2)).code
+    assert len({fingerprint(made(*given)).code for given in ((2, 2), (3, 2), (2, 3), (2.0, 2), (True, 2))}) == 5
+
+
+def test_a_study_does_not_give_the_value_of_another_constant(tmp_path, monkeypatch):
+    path = tmp_path / "s.sqlite"
+    study = Study(uses_factor, {"n": [1, 2]}, path)
+    assert study.run(progress=False)["m"].tolist() == [2, 4]
+    monkeypatch.setitem(globals(), "FACTOR", 10)
+    assert study.table()["status"].tolist() == ["stale", "stale"]
+    assert study.status().reasons == {"value of test_fingerprint.FACTOR is changed": 2}
+    assert study.run(progress=False)["m"].tolist() == [10, 20]
+
+
+def _fingerprint_of(folder: Path, **files: str) -> tuple[str, ...]:
+    for name, text in files.items():
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    code = ("import sys; sys.path.insert(0, sys.argv[1]); import script; "
+            "from adaptmg.study.fingerprint import fingerprint; f = fingerprint(script.run); "
+            "print(f.code, *sorted(f.parts), sep='\\n')")
+    return tuple(subprocess.run([sys.executable, "-B", "-c", code, str(folder)], capture_output=True, text=True,
+                                check=True).stdout.splitlines())
+
+
+def test_text_that_changes_nothing_does_not_make_rows_stale(tmp_path):
+    script = ("import other\nLIMIT = 3\ndef run(n):\n    x = [k for k in range(LIMIT)]\n"
+              "    return {'m': other.f(n, x)}\n")
+    other = "def f(n, x):\n    return n + len(x)\n\ndef unused():\n    return 1\n"
+    first = _fingerprint_of(tmp_path, script=script, other=other)
+    told = ('"""What it is."""\n# a comment\nimport other\n\n\nLIMIT = 3  # more\nUNUSED = 4\n\n\n'
+            'def run(n: int) -> dict:\n    """Docstring."""\n    # why\n    x = [k for k in\n         range(LIMIT)]\n'
+            "    return {'m': other.f(n, x)}\n")
+    assert _fingerprint_of(tmp_path, script=told, other="# x\n" + other.replace("return 1", "return 2")) == first
+    assert "function other.f" in first and "function other.unused" not in first
+    for changed in (script.replace("LIMIT = 3", "LIMIT = 3.5 // 1"), script.replace("other.f(n, x)", "other.f(x, n)"),
+                    script.replace("[k for", "[k + 1 for"), script.replace("'m'", "'k'")):
+        assert _fingerprint_of(tmp_path, script=changed, other=other)[0] != first[0]
+    assert _fingerprint_of(tmp_path, script=script, other=other.replace("n + len", "n - len"))[0] != first[0]
+
+
+def test_a_script_that_is_run_and_one_that_is_imported_are_the_same(tmp_path):
+    script = ("from dataclasses import dataclass\nLIMIT = 3\n@dataclass\nclass Size:\n    h: float = 1.0\n"
+              "    def area(self):\n        return self.h**2\nSIZE = Size()\n"
+              "def run(n):\n    return {'m': n * LIMIT * SIZE.area()}\n"
+              "if __name__ == '__main__':\n    from adaptmg.study.fingerprint import fingerprint\n"
+              "    f = fingerprint(run)\n    print(f.code, *sorted(f.parts), sep='\\n')\n")
+    imported = _fingerprint_of(tmp_path, script=script)
+    run = subprocess.run([sys.executable, str(tmp_path / "script.py")], capture_output=True, text=True, check=True)
+    assert tuple(run.stdout.splitlines()) == imported and "value of script.LIMIT" in imported
+
+
+def test_an_import_inside_the_function_counts_whole(tmp_path):
+    script = "def run(n):\n    import other\n    return {'m': other.f(n)}\n"
+    first = _fingerprint_of(tmp_path, script=script, other="import third\nK = 1\ndef f(n):\n    return third.g(n)\n",
+                            third="def g(n):\n    return n\n")
+    assert {"module other", "module third"} <= set(first)
+    assert _fingerprint_of(tmp_path, third="def g(n):\n    return -n\n")[0] != first[0]
+
+
+def test_of_adaptmg_a_run_depends_on_what_it_can_reach():
+    def uniform(n):
+        grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(n, 2 * n))
+        return {"cycles": am.solve(grids, am.FullMultigrid()).cycles}
+
+    def none(n):
+        return {"n": n}
+
+    def numbers(n):
+        return {"m": np.sqrt(n)}
+
+    parts = fingerprint(uniform).parts
+    assert {"adaptmg.cases.greco", "adaptmg.hierarchy", "adaptmg.solver.solve", "adaptmg.smoother.kernels",
+            "adaptmg.multigrid.truncated.step", "adaptmg.problem.laws"} <= set(parts)
+    apart = ("cases.hertz", "plot", "export", "study", "cli", "estimate")
+    assert not [name for name in parts if name.removeprefix("adaptmg.").startswith(apart)]
+    assert fingerprint(uniform).uses_adaptmg and not fingerprint(none).uses_adaptmg
+    assert "package numpy" not in fingerprint(none).parts and "package numpy" in fingerprint(numbers).parts
+
+
+def test_a_comment_in_adaptmg_changes_nothing_and_code_does(monkeypatch):
+    text = package._text("adaptmg.problem.laws")
+    hashes = []
+    for new in (text, "# why\n" + text, text.replace('"""', '"""So: ', 1), text.replace(">= 0", "> 0")):
+        assert new is text or new != text
+        monkeypatch.setattr(package, "_text", lambda module, new=new: new)
+        hashes.append(package._hash.__wrapped__("adaptmg.problem.laws"))
+    assert len(set(hashes[:3])) == 1 and hashes[3] != hashes[0]
+
+
+def reads_lock(n):
+    with LOCK:
+        return {"m": n}
+
+
+def reads_generator(n):
+    return {"m": GENERATOR.random()}
+
+
+@pytest.mark.parametrize(("run", "words"), [(reads_lock, "LOCK"), (reads_generator, "from a seed")])
+def test_what_cannot_be_compared_is_refused_with_a_way_out(run, words):
+    with pytest.raises(TypeError, match=f"{words}.*depends="):
+        Study(run, {"n": [1]})
+    assert len(Study(run, {"n": [1]}, depends={"LOCK": None, "GENERATOR": "seed 0"})) == 1
+
+
+def test_an_open_file_in_a_closure_is_refused(tmp_path):
+    with open(tmp_path / "file", "w", encoding="utf-8") as file, pytest.raises(TypeError, match="file"):
+        Study(lambda n: {"m": file.name}, {"n": [1]})
+
+
+def test_files_can_be_named_as_what_a_run_depends_on(tmp_path):
+    file = tmp_path / "mesh.txt"
+    seen = set()
+    for text in ("a", "b", "a"):
+        file.write_text(text, encoding="utf-8")
+        seen.add(fingerprint(uses_factor, {"mesh": file}).code)
+    assert len(seen) == 2 and fingerprint(uses_factor).code not in seen
+
+
+def leaves(n):
+    LEFT.append(n)
+    return {"m": n}
+
+
+def test_what_runs_leave_behind_does_not_make_their_rows_stale(tmp_path):
+    LEFT.clear()
+    for _ in range(2):
+        assert Study(leaves, {"n": [1, 2]}, tmp_path / "s.sqlite").run(progress=False)["status"].tolist() \
+            == ["done", "done"]
+    assert LEFT == [1, 2]
+    LEFT[:] = [7]
+    assert Study(leaves, {"n": [1, 2]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["stale", "stale"]
+
+
+def test_deep_calls_and_circles_are_walked():
+    namespace = {"__name__": "__main__"}
+    exec("\n".join(f"def f{k}(n):\n    return f{k + 1}(n)" for k in range(2000))
+         + "\ndef f2000(n):\n    return {'m': n, 'f': f0.__name__}", namespace)
+    assert len(fingerprint(namespace["f0"]).parts) == 2001

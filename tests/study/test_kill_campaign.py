@@ -1,0 +1,18 @@
+"""A study that is killed with -9 and resumed has every run once, equal to the last bit to one that was not."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+pytest.importorskip("psutil")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+def test_kills_of_main_process_worker_and_all():
+    from killing import campaign
+
+    found = campaign(runs=8, kills=3, seed=1, longest_s=6.0)
+    assert found["done"] == 8 and found["different"] == 0 and found["left"] == []

@@ -1,0 +1,101 @@
+"""A cluster of the user's own, started as the guide says: ``dask scheduler`` and ``dask worker`` in a shell."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from adaptmg.study import Study
+
+psutil = pytest.importorskip("psutil")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+
+
+@contextlib.contextmanager
+def dask(*arguments: str):
+    """A command of dask, ended with all it started."""
+    started = subprocess.Popen([sys.executable, "-m", "dask", *arguments], stdout=subprocess.DEVNULL,
+                               stderr=subprocess.DEVNULL)
+    try:
+        yield started
+    finally:
+        children = psutil.Process(started.pid).children(recursive=True) if started.poll() is None else []
+        for process in [*children, started]:
+            with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
+                process.kill()
+        started.wait()
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """Of a scheduler with two workers of one thread."""
+    import json
+
+    file = tmp_path_factory.mktemp("dask") / "scheduler.json"
+    with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0",
+              "--scheduler-file", str(file)):
+        end = time.monotonic() + 30
+        while not file.exists() and time.monotonic() < end:
+            time.sleep(0.1)
+        found = json.loads(file.read_text(encoding="utf-8"))["address"]
+        with dask("worker", found, "--nthreads", "1", "--nworkers", "2", "--host", "127.0.0.1",
+                  "--dashboard-address", "127.0.0.1:0", "--local-directory", str(file.parent)):
+            yield found
+
+
+def test_runs_limits_and_deaths(address, tmp_path):
+    store = str(tmp_path / "s.sqlite")
+
+    def run(n):
+        if n == 5:
+            time.sleep(60)
+        if n == 6:
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(0.05)
+        return {"m": n * n, "pid": os.getpid()}
+
+    study = Study(run, {"n": range(12)}, store)
+    begin = time.monotonic()
+    study.run(progress=False, scheduler=address, limit_s=3)
+    table = study.table(details=True)
+    assert time.monotonic() - begin < 50
+    assert table["status"].tolist() == ["done"] * 5 + ["failed"] * 2 + ["done"] * 5
+    assert table["error"][5] == "TimeLimit: stopped after limit_s=3 s" and table["tries"][5] == 1
+    # as often as dask itself starts it again, and then again alone
+    assert table["error"][6] == "WorkerDied: worker died 8 times during this run"
+
+
+def test_runs_that_are_given_up_do_not_go_on(address):
+    def run(n):
+        time.sleep(60 if n else 1)
+        raise ValueError("so")
+
+    with pytest.raises(ValueError, match="so"):
+        Study(run, {"n": [0, 1]}).run(progress=False, scheduler=address, throw=True)
+    begin = time.monotonic()
+    table = Study(lambda n: {"m": time.sleep(1.5)}, {"n": range(6)}).run(progress=False, scheduler=address)
+    assert (table["status"] == "done").all() and time.monotonic() - begin < 20
+
+
+def test_workers_of_several_threads_are_refused(address):
+    from distributed import Client
+
+    with dask("worker", address, "--nthreads", "2", "--no-nanny", "--host", "127.0.0.1",
+              "--dashboard-address", "127.0.0.1:0"), Client(address, set_as_default=False) as client:
+        client.wait_for_workers(3, timeout=30)
+        with pytest.raises(ValueError, match=r"has 2 threads.*--nthreads 1"):
+            Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=client)
+
+
+def test_nobody_at_the_address_is_told(monkeypatch):
+    from adaptmg.study.cluster import executor
+
+    monkeypatch.setattr(executor, "CONNECT_S", 0.5)
+    with pytest.raises(OSError, match=r"nobody answers at tcp:..127\.0\.0\.1:9"):
+        Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler="tcp://127.0.0.1:9")
