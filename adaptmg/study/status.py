@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from adaptmg.study.fingerprint import Fingerprint
 from adaptmg.study.record import Record
 
-__all__ = ["Status", "reasons"]
+__all__ = ["StudyStatus", "reasons"]
 
 #: reasons that are told one by one
 _MOST = 12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Status:
+class StudyStatus:
     """Counts of the runs of a study.
 
     Attributes

@@ -20,7 +20,7 @@ from adaptmg.study.frame import frame
 from adaptmg.study.machine.commit import commit
 from adaptmg.study.progress import watched
 from adaptmg.study.record import Record, Value, canonical, parameter_value
-from adaptmg.study.status import Status, reasons
+from adaptmg.study.status import StudyStatus, reasons
 from adaptmg.study.store import Store
 from adaptmg.study.stored.kept import Folder
 from adaptmg.study.stored.rows import uncollected
@@ -207,7 +207,7 @@ class Study:
         """
         return self._table(self._fingerprint(), environment(), details)
 
-    def status(self) -> Status:
+    def status(self) -> StudyStatus:
         """How many runs are done, failed, stale and missing, and why those are stale that are."""
         found, versions, stored = self._fingerprint(), environment(), self._store.get(self.name)
         counts = dict.fromkeys(("done", "failed", "stale", "missing"), 0)
@@ -220,7 +220,7 @@ class Study:
                 stale.append(record)
             elif state == "failed":
                 errors[record.error] = errors.get(record.error, 0) + 1
-        return Status(name=self.name, **counts, errors=errors,
+        return StudyStatus(name=self.name, **counts, errors=errors,
                       reasons=reasons(stale, found, versions, self._store.origins()))
 
     def load(self, row: int | Mapping[str, Any] | pd.Series, name: str | None = None) -> Any:
