@@ -22,6 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import matplotlib
 
 matplotlib.use("Agg")
+# sections that are made at once hold their figures until they are drawn
+matplotlib.rcParams["figure.max_open_warning"] = 0
 
 import numpy as np
 import pandas as pd
