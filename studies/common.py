@@ -22,8 +22,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import matplotlib
 
 matplotlib.use("Agg")
-# sections that are made at once hold their figures until they are drawn
-matplotlib.rcParams["figure.max_open_warning"] = 0
 
 import numpy as np
 import pandas as pd
@@ -33,6 +31,9 @@ import adaptmg as am
 from adaptmg.export.report.figures import small_png
 from adaptmg.mesh import refine_near, structured
 from adaptmg.runtime.atomic import make_folder, write_bytes
+
+# sections that are made at once hold their figures until they are drawn
+matplotlib.rcParams["figure.max_open_warning"] = 0
 
 DATA = Path(__file__).resolve().parent.parent / "data" / "paper"
 
