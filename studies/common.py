@@ -32,6 +32,9 @@ from adaptmg.export.report.figures import small_png
 from adaptmg.mesh import refine_near, structured
 from adaptmg.runtime.atomic import make_folder, write_bytes
 
+# sections that are made at once hold their figures until they are drawn
+matplotlib.rcParams["figure.max_open_warning"] = 0
+
 DATA = Path(__file__).resolve().parent.parent / "data" / "paper"
 
 PROBLEMS: Mapping[str, Callable[[], am.ContactProblem]] = {

@@ -58,7 +58,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("studies", nargs="*", metavar="STUDY",
                         help=f"some of: {', '.join(STUDIES)} (default: these), {', '.join(LARGE)} (with --full)")
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="smaller grids: a minute and a half at most")
+    size.add_argument("--quick", action="store_true",
+                      help="smaller grids: a minute on two cores, once kernels are compiled")
     size.add_argument("--full", action="store_true", help="beyond the paper: fine references, histories, campaigns")
     parser.add_argument("--workers", type=_workers, default=cores(), metavar="N",
                         help="processes that compute; 0 or 1: this one alone (default: one a core, here %(default)s)")
