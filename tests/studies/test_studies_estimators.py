@@ -66,7 +66,7 @@ def test_phases_add_up_to_the_loop():
 @pytest.mark.slow
 def test_effectivity(tmp_path):
     section = study.run(common.Context(quick=True, out=tmp_path))
-    common.show(section, tmp_path)
+    common.show(section, tmp_path, pictures=False)
     found = {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
     summary = found["estimator_summary"]
     assert (summary["spread"] < tables.SPREAD).all()

@@ -17,7 +17,7 @@ def test_the_nodes_needed_are_those_after_the_last_large_error():
 @pytest.mark.slow
 def test_quick_run(tmp_path):
     section = study.run(common.Context(True, tmp_path))
-    common.show(section, tmp_path)
+    common.show(section, tmp_path, pictures=False)
     tables = {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
     summary = tables["goal_greco_summary"].set_index("meshes")
     assert summary["median"]["goal"] < 1000 and summary["median"]["goal"] < summary["median"]["residual"]

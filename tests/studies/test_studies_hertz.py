@@ -35,7 +35,8 @@ def test_errors_are_small_and_all_converge(tables):
     # over mu p0; on the coarse mesh four nodes stick on either side
     traction = tables["hertz_cattaneo"].set_index("h")["traction L2 error"]
     assert traction["a/5"] < 12 and traction["a/10"] < 6
-    assert tables["hertz_rates"]["L2 of traction"].notna().sum() == 1
+    # no order of two meshes
+    assert tables["hertz_rates"][["L2 of pressure", "L2 of traction"]].isna().all(axis=None)
 
 
 def test_two_bodies_cost_little_more_than_one(tables):
