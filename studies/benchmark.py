@@ -241,11 +241,11 @@ def run(context: common.Context) -> common.Section:
     parts, friction = [], []
     for family, each in sizes.items():
         parts.append(context.study(measure, {"family": [family], "size": list(each), "friction": [1.0]},
-                                   repetitions=repetitions, linear=True))
+                                   repetitions=repetitions, linear=True, timed=True))
         middle = each[0] if context.quick else each[min(1, len(each) - 1)]
         coefficients = QUICK_FRICTION if context.quick else FRICTION
         friction.append(context.study(measure, {"family": [family], "size": [middle], "friction": list(coefficients)},
-                                      repetitions=1, linear=False))
+                                      repetitions=1, linear=False, timed=True))
     rows = pd.concat(parts, ignore_index=True)
     scaling = []
     for family, part in rows.groupby("family", sort=False):
@@ -256,7 +256,7 @@ def run(context: common.Context) -> common.Section:
             slope, error = exponent(part["nodes"], total)
             scaling.append({"family": family, "quantity": name, "exponent": slope, "standard_error": error})
     against = context.study(contact_method, {"size": [16, 32] if context.quick else [32, 64, 128],
-                                             "method": list(METHODS)})
+                                             "method": list(METHODS)}, timed=True)
     work = ["family", "nodes", "levels", "cycles", "rate", "work", "full_passes", "start_work", "start_error",
             "bytes_per_dof"]
     seconds = ["family", "nodes", "mesh_s", "assembly_s", "transfer_s", "setup_s", "solve_s", "pyamg_iterations",

@@ -13,7 +13,7 @@ import dovetail_pictures
 import numpy as np
 import pandas as pd
 from common import Context, Figure, Table
-from paper_runs import repeats, table
+from paper_runs import repeats, span, table
 
 import adaptmg as am
 
@@ -187,12 +187,13 @@ def ratio_table(frame: pd.DataFrame) -> Table:
     """The cost of the second body."""
     two = frame[frame["body"] == "dovetail"]
     within, beyond = two[two["ratio"] <= 2], two[two["ratio"] > 2]
-    note = (f"Friction .2, sizes four times finer at contact, full start to an estimated error of {RTOL:g}. In "
-            f"{len(within)} of {len(two)} cases two bodies take at most twice the work units of one")
-    if len(beyond):
+    counted = (f"In {len(within)} of {len(two)} cases two bodies take at most twice the work units of one"
+               if len(two) > 1 else f"Two bodies take {two['ratio'].iloc[0]:.2f} times the work units of one")
+    note = f"Friction .2, sizes four times finer at contact, full start to an estimated error of {RTOL:g}. {counted}"
+    if len(beyond) and len(two) > 1:
         note += f", in the others {beyond['ratio'].min():.2f} to {beyond['ratio'].max():.2f} times"
     note += (f"; with one cycle a level in the nested start (last columns), where bodies have two by default, "
-             f"{two['brief_ratio'].min():.2f} to {two['brief_ratio'].max():.2f}. Larger steps from grid to grid cost "
+             f"{span(two['brief_ratio'], '.2f')}. Larger steps from grid to grid cost "
              "fewer units on both, but the soft edge of the block at the mouth then needs more cycles.")
     frame = frame.assign(test=f"error {RTOL:g}", finest=1e3 * frame["finest"],
                          **{"cycles, brief": frame["brief_cycles"], "WU, brief": frame["brief_work"],

@@ -38,8 +38,9 @@ def run(context: common.Context) -> common.Section:
         if case is not None:
             stored = context.study(adaptive_runs.reference, {"case": [name], "nodes": [reference]})
             adaptive_runs.YARDSTICKS[name, reference] = adaptive_runs.yardstick(name, stored.iloc[0])
+        # the yardstick is held by this process, and seconds are a result: these runs stay here
         tables.append(context.study(runs.loop, {"case": [name], "engine": list(runs.ENGINES)}, most=most,
-                                    reference_nodes=reference))
+                                    reference_nodes=reference, timed=True))
     steps = pd.DataFrame(runs.rows_of(pd.concat(tables, ignore_index=True), ("case", "engine")))
     costs = measured_costs(context, names)
     goals = measured_goals(context, names, limits)
@@ -58,14 +59,15 @@ def measured_costs(context: common.Context, names: tuple[str, ...]) -> pd.DataFr
     for (engine, theta, dim), (most, turns) in (QUICK_COSTS if context.quick else COSTS).items():
         mine = [name for name in names if name in CASES and CASES[name].dim == dim]
         found.append(context.study(runs.cost, {"case": mine}, engine=engine, theta=theta, most=most,
-                                   turns=turns).assign(engine=engine, theta=theta))
+                                   turns=turns, timed=True).assign(engine=engine, theta=theta))
     return pd.concat(found, ignore_index=True)
 
 
 def measured_goals(context: common.Context, names: tuple[str, ...], limits: dict[int, tuple[int, int]]
                    ) -> pd.DataFrame:
     """Signed estimates of each case's goal on the meshes that follow it."""
-    found = [context.study(runs.goal_loop, {"case": [name]}, most=limits[2][0] // 4, reference_nodes=2 * limits[2][0])
+    found = [context.study(runs.goal_loop, {"case": [name]}, most=limits[2][0] // 4, reference_nodes=2 * limits[2][0],
+                           timed=True)
              for name in names if name in CASES and CASES[name].dim == 2]
     table = pd.concat(found, ignore_index=True)
     return pd.DataFrame(runs.rows_of(table, ("case", "exact", "reference", "reference_signed")))

@@ -52,7 +52,7 @@ def _made(name: str, sections: Mapping[str, Section]) -> Headline | str:
 
 
 def grid_counts(frames: Mapping[str, pd.DataFrame]) -> Headline:
-    """Table 1: like with like, complete coarse solutions; the best variant is named after it."""
+    """Table 1: like with like, complete coarse solutions; the best of the table's other cycles is named after it."""
     frame = frames["table1"]
     ours = {name: frame[name] for name in frame.columns if name.startswith("monotone, ")}
     like = ours["monotone, complete"]

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from common import Context, Figure, Section, Table, main
 from matplotlib import pyplot as plt
+from paper_runs import span
 
 import adaptmg as am
 from adaptmg.cases.hertz_cylinder import SLAVE_REACH, quarter_cylinder
@@ -270,7 +271,7 @@ def bodies_table(rows: pd.DataFrame) -> Table:
         "cycles, two": two["cycles"].to_numpy(), "WU, one": one["work_units"].loc[two.index].to_numpy(),
         "WU, two": two["work_units"].to_numpy()})
     frame["WU ratio"] = frame["WU, two"] / frame["WU, one"]
-    ends = [f"{s}: {part.sort_values('h')['WU ratio'].min():.2f} to {part['WU ratio'].max():.2f}"
+    ends = [f"{s}: {span(part['WU ratio'], '.2f')}"
             for s, part in frame.groupby("start", sort=False)]
     return Table("hertz_bodies", frame, f"Multigrid on two bodies against one, to {RTOL:g}",
                  "One: the cylinder's meshes alone on a rigid plane, under the load that makes the contact as wide. A "

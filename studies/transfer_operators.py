@@ -24,6 +24,7 @@ import common
 import numpy as np
 import pandas as pd
 from matplotlib import pyplot as plt
+from paper_runs import span
 from transfer_adaptive import adaptive_items
 
 import adaptmg as am
@@ -275,12 +276,6 @@ def work_words(cycles: pd.DataFrame, method: str) -> str:
             words.append(f"{label} {span(ratio, '.2f')}")
     return (f"Work of the {method} method with the nested start over that of interpolation with contact rows, over "
             "cases: " + "; ".join(words) + "." + "".join(failed))
-
-
-def span(values: pd.Series, spec: str) -> str:
-    """'smallest to largest', or the one value."""
-    low, high = format(values.min(), spec), format(values.max(), spec)
-    return low if low == high else f"{low} to {high}"
 
 
 def ratio_table(ratios: pd.DataFrame) -> common.Table:
