@@ -30,7 +30,8 @@ def drawing(count: int = 2, label: str = ""):
 
 
 def made(tmp_path, fill, **options) -> tuple[Page, str]:
-    """The page that ``fill`` makes, parsed, and its text."""
+    """The page that ``fill`` makes, parsed, and its text; figures of other tests are closed before."""
+    plt.close("all")
     report = Report("Smoothing & <co>", "One.\n\nTwo <b>.", **options)
     fill(report)
     text = report.write(tmp_path / "report.html").read_text(encoding="utf-8")

@@ -24,4 +24,4 @@ def test_quick_run(tmp_path):
     assert summary["error times nodes"]["goal"] < 0.7 * summary["error times nodes"]["residual"]
     between = tables["goal_greco_quantities"]["effectivity"].dropna()
     assert between.between(0.4, 1.2).all()
-    assert (tmp_path / "goal_greco_errors.png").stat().st_size > 1000
+    assert "goal_greco_errors" in {item.name for item in section.items if isinstance(item, common.Figure)}

@@ -43,7 +43,8 @@ def linear(ratio: float = 0.5):
 
 
 def made(sections) -> Page:
-    """The page of the studies, parsed."""
+    """The page of the studies, parsed; it leaves no figure open."""
+    plt.close("all")
     text = reproduce.page_of(sections, common.Context(False, Path())).page()
     assert not plt.get_fignums()
     return Page(text)
