@@ -146,7 +146,8 @@ def _who_gains(rows: pd.DataFrame, bisected: pd.Series) -> str:
     known = bisected.dropna()
     if len(known):
         said += (f" Bisection, which needs no mesh generator, is quicker than uniform meshes in {(known > 1).sum()} of "
-                 f"{len(known)}. Where solutions are singular they gain more the smaller the error: the table says from which on.")
+                 f"{len(known)}. Where solutions are singular they gain more the smaller the error: the table says "
+                 "from which on.")
     if (rows["how"] == "extrapolated").any():
         said += " Some ratios are extrapolated: see the table."
     return said
