@@ -18,13 +18,8 @@ def forget_peak() -> None:
 
 def peak_memory() -> int:
     """The peak, bytes; 0 where the system does not say."""
-    try:
-        with open("/proc/self/status", encoding="ascii", errors="replace") as file:
-            for line in file:
-                if line.startswith("VmHWM:"):
-                    return 1024 * int(line.split()[1])
-    except (OSError, ValueError, IndexError):
-        pass
+    if (told := _told_by_linux("VmHWM")) is not None:
+        return told
     try:
         import resource
     except ImportError:
@@ -35,15 +30,22 @@ def peak_memory() -> int:
 
 def held_memory() -> int:
     """What the process holds now, bytes; 0 where the system does not say."""
-    try:
-        with open("/proc/self/status", encoding="ascii", errors="replace") as file:
-            for line in file:
-                if line.startswith("VmRSS:"):
-                    return 1024 * int(line.split()[1])
-    except (OSError, ValueError, IndexError):
-        pass
+    if (told := _told_by_linux("VmRSS")) is not None:
+        return told
     try:
         import psutil
     except ImportError:
         return 0
     return psutil.Process().memory_info().rss
+
+
+def _told_by_linux(name: str) -> int | None:
+    """A line of the status of this process, bytes; None elsewhere."""
+    try:
+        with open("/proc/self/status", encoding="ascii", errors="replace") as file:
+            for line in file:
+                if line.startswith(f"{name}:"):
+                    return 1024 * int(line.split()[1])
+    except (OSError, ValueError, IndexError):
+        pass
+    return None
