@@ -73,6 +73,9 @@ def _closer(solver: Any, outcome: Outcome, result: Result) -> Any:
     if limit is None or not outcome.status.ok or getattr(solver, "stop", "error") != "error":
         return None
     checked, rtol = result.checked, outcome.rtol
+    # solved to rounding before a cycle could show the discretisation error
+    if not rtol > 0:
+        return None
     short = checked.energy_error / rtol
     if not (np.isfinite(short) and (short > Run.ENOUGH or checked.contradictions(rtol))):
         return None

@@ -38,8 +38,9 @@ def _pattern(a_indptr, a_indices, b_indptr, b_indices, marker, indptr):
 
 
 @kernel
-def _block_times_weights(size, a_indptr, a_indices, a, p_indptr, p_indices, weights, place, indptr, indices, data):
+def _block_times_weights(zero, a_indptr, a_indices, a, p_indptr, p_indices, weights, place, indptr, indices, data):
     """C = A P for blocks A; ``place`` (columns,) comes as -1."""
+    size = len(zero)
     for i in range(len(a_indptr) - 1):
         begin = indptr[i]
         end = begin
@@ -53,16 +54,17 @@ def _block_times_weights(size, a_indptr, a_indices, a, p_indptr, p_indices, weig
                     place[j] = at
                     indices[at] = j
                     end += 1
-                    for c in range(size):
+                    for c in range(len(zero)):
                         data[size * at + c] = weight * a[size * s + c]
                 else:
-                    for c in range(size):
+                    for c in range(len(zero)):
                         data[size * at + c] += weight * a[size * s + c]
 
 
 @kernel
-def _weights_times_block(size, r_indptr, r_indices, weights, b_indptr, b_indices, b, place, indptr, indices, data):
+def _weights_times_block(zero, r_indptr, r_indices, weights, b_indptr, b_indices, b, place, indptr, indices, data):
     """C = R B for blocks B; ``place`` (columns,) comes as -1."""
+    size = len(zero)
     for i in range(len(r_indptr) - 1):
         begin = indptr[i]
         end = begin
@@ -76,11 +78,45 @@ def _weights_times_block(size, r_indptr, r_indices, weights, b_indptr, b_indices
                     place[j] = at
                     indices[at] = j
                     end += 1
-                    for c in range(size):
+                    for c in range(len(zero)):
                         data[size * at + c] = weight * b[size * q + c]
                 else:
-                    for c in range(size):
+                    for c in range(len(zero)):
                         data[size * at + c] += weight * b[size * q + c]
+
+
+@kernel
+def _rows_with_diagonal(indptr, indices):
+    """How many rows have a diagonal block."""
+    count = 0
+    for i in range(len(indptr) - 1):
+        for s in range(indptr[i], indptr[i + 1]):
+            if indices[s] == i:
+                count += 1
+                break
+    return count
+
+
+@kernel
+def _sort_rows(dim, indptr, indices, data, order, new_indices, new_data, diagonal):
+    """Blocks in the order of their columns, and the ``diagonal`` (rows * dim,) of those on it."""
+    size = dim * dim
+    for i in range(len(indptr) - 1):
+        begin, end = indptr[i], indptr[i + 1]
+        for s in range(begin, end):
+            at = s - begin
+            while at > 0 and indices[order[at - 1]] > indices[s]:
+                order[at] = order[at - 1]
+                at -= 1
+            order[at] = s
+        for k in range(end - begin):
+            s, to = order[k], begin + k
+            new_indices[to] = indices[s]
+            for c in range(size):
+                new_data[size * to + c] = data[size * s + c]
+            if indices[s] == i:
+                for c in range(dim):
+                    diagonal[dim * i + c] = data[size * s + c * (dim + 1)]
 
 
 def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
@@ -102,15 +138,21 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
     size, coarse = dim * dim, nodal.shape[1]
     half = _product(size, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)), nodal, coarse, left=False)
     indptr, indices, data = _product(size, half, sparse.csr_array(nodal.T), coarse, left=True)
-    indptr, indices, data = _with_diagonal_blocks(indptr, indices, data.reshape(-1, dim, dim))
-    result = sparse.bsr_array((data, indices, indptr), shape=(coarse * dim, coarse * dim)).sorted_indices()
-    on = np.flatnonzero(np.repeat(np.arange(coarse), np.diff(result.indptr)) == result.indices)
-    diagonal = np.einsum("nii->ni", result.data[on])
+    if _rows_with_diagonal(indptr, indices) < coarse:
+        indptr, indices, data = _with_diagonal_blocks(indptr, indices, data.reshape(-1, dim, dim))
+    in_order, blocks = np.empty_like(indices), np.empty(data.size)
+    diagonal, longest = np.empty(coarse * dim), int(np.diff(indptr).max())
+    _sort_rows(dim, indptr, indices, data.reshape(-1), np.empty(longest, dtype=np.int32), in_order, blocks, diagonal)
+    blocks = blocks.reshape(-1, dim, dim)
     empty = ~(diagonal > 0)
     if empty.any():
         # in place: a sum of sparse matrices would drop blocks that vanish, and truncation needs the whole pattern
-        node, component = np.nonzero(empty)
-        result.data[on[node], component, component] = diagonal[~empty].mean() if not empty.all() else 1.0
+        node, component = np.nonzero(empty.reshape(-1, dim))
+        on = np.flatnonzero(np.repeat(np.arange(coarse), np.diff(indptr)) == in_order)
+        blocks[on[node], component, component] = diagonal[~empty].mean() if not empty.all() else 1.0
+    result = sparse.bsr_array((blocks, in_order, indptr), shape=(coarse * dim, coarse * dim))
+    # as they are: scipy would look through them again
+    result.has_sorted_indices = result.has_canonical_format = True
     return result
 
 
@@ -161,6 +203,8 @@ def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weigh
              left: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Blocks (indptr, indices, data) times weights, or (``left``) weights times blocks; with so many columns."""
     indptr, indices, data = blocks
+    # kernels know the number of entries of a block when they are compiled
+    zero = (0.0,) * size
     place = np.full(columns, -1, dtype=np.int64)
     arguments = ((weights.indptr, weights.indices, indptr, indices) if left
                  else (indptr, indices, weights.indptr, weights.indices))
@@ -169,10 +213,10 @@ def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weigh
     place[:] = -1
     found, values = np.empty(result[-1], dtype=np.int32), np.empty(result[-1] * size)
     if left:
-        _weights_times_block(size, weights.indptr, weights.indices, weights.data, indptr, indices, data, place, result,
+        _weights_times_block(zero, weights.indptr, weights.indices, weights.data, indptr, indices, data, place, result,
                              found, values)
     else:
-        _block_times_weights(size, indptr, indices, data, weights.indptr, weights.indices, weights.data, place, result,
+        _block_times_weights(zero, indptr, indices, data, weights.indptr, weights.indices, weights.data, place, result,
                              found, values)
     return result.astype(np.int32), found, values
 

@@ -11,7 +11,7 @@ from adaptmg.transfer.location import body_locators
 __all__ = ["mesh_ratio", "size_ratio"]
 
 #: elements in which size_ratio is measured: a quantile needs no more
-_SAMPLE = 20_000
+_SAMPLE = 5000
 
 
 def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -> float:

@@ -36,3 +36,10 @@ def test_it_goes_on(solver, monkeypatch):
     matrix, u = grids.finest.discrete.matrix, exact.displacement.reshape(-1)
     error = result.displacement.reshape(-1) - u
     assert np.sqrt(error @ (matrix @ error) / (u @ (matrix @ u))) <= 3 * RTOL
+
+
+def test_a_patch_test_to_the_discretisation_error():
+    # the nested start is exact: no cycle shows a discretisation error, whose tenth would be the tolerance
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Frictionless()), divisions=(2, 4, 8))
+    result = am.solve(grids, am.FullMultigrid(rtol="discretisation"))
+    assert result.status.ok and result.cycles == 0 and result.residual < 1e-13

@@ -79,6 +79,10 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
     gaps = found.gaps.copy()
     if pair.gap is not None:
         gaps = checks.field(f"gap of {what}", pair.gap, mesh.points[found.nodes])
+        # a row that slave nodes without a multiplier take part in measures their gaps with its own
+        silent = np.setdiff1d(slave, found.nodes)
+        if len(silent):
+            gaps = gaps - found.coupling[:, silent] @ checks.field(f"gap of {what}", pair.gap, mesh.points[silent])
     if not pair.allow_interference:
         size = np.linalg.norm(np.ptp(mesh.points[np.union1d(slave, master)], axis=0))
         tolerance = np.full(len(gaps), _ROUNDING * size)
