@@ -137,4 +137,7 @@ def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     """The mesh with the names of the outline's boundaries in place of edge numbers, checked, with source."""
     names = tuple(dict.fromkeys(domain.boundaries))
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
-    return with_source(replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None))
+    result = replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None)
+    # other names make no mesh unsound
+    object.__setattr__(result, "sound", mesh.sound)
+    return with_source(result)

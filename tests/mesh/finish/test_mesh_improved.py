@@ -1,0 +1,91 @@
+"""improved: better shapes, sound meshes, boundaries as they were, sizes kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from uncompiled import uncompile
+
+import adaptmg as am
+from adaptmg.mesh import check_mesh, graded, structured
+from adaptmg.mesh.netgen.finish import around, tetrahedra, triangles
+from adaptmg.mesh.netgen.finish import halved as halved_module
+from adaptmg.mesh.netgen.finish.halved import halved
+from adaptmg.mesh.netgen.finish.improved import improved
+
+PLATE = am.Rectangle(width=0.3, height=0.2)
+BOX = am.Box(width=0.3, depth=0.2, height=0.1)
+
+
+def shapes(mesh):
+    """Mean ratios, 1 for equilateral elements."""
+    corners, k = mesh.points[mesh.elements], mesh.dim + 1
+    square = sum(np.square(corners[:, i] - corners[:, j]).sum(axis=1) for i in range(k) for j in range(i))
+    return (4 * np.sqrt(3) * mesh.volumes if mesh.dim == 2 else 12 * np.cbrt(3 * mesh.volumes)**2) / square
+
+
+def shaken(mesh, share=0.3):
+    """Inner nodes moved at random, as far as no element turns over."""
+    rng, points = np.random.default_rng(3), mesh.points.copy()
+    inner = np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
+    points[inner] += share * mesh.element_sizes.min() * rng.uniform(-1, 1, (len(inner), mesh.dim))
+    moved = am.MeshArrays(points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries)
+    assert moved.volumes.min() > 0
+    return moved
+
+
+@pytest.mark.parametrize(("mesh", "least"), [(structured(PLATE, (12, 8)), 0.86), (graded(BOX, 0.03), 0.75),
+                                             (graded(PLATE, 0.03, ["bottom"], 8), 0.94)],
+                         ids=["squares", "box", "graded"])
+def test_shapes_get_better_and_the_boundary_stays(mesh, least):
+    rough = shaken(mesh, 0.2)
+    better = improved(rough, 8)
+    check_mesh(better)
+    assert shapes(better).mean() > max(shapes(rough).mean() + 0.01, least)
+    assert (1 / shapes(better)).sum() < (1 / shapes(rough)).sum()
+    assert (better.facets == mesh.facets).all() and better.boundaries == mesh.boundaries
+    on = np.unique(mesh.facets)
+    assert (better.points[on] == mesh.points[on]).all()
+    assert better.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-12)
+
+
+def test_swapped_triangles_are_delaunay():
+    rough = shaken(graded(PLATE, 0.02))
+    better = improved(rough, 1)
+    # of every node the circumcircles of the others' triangles hold none; moves after the swaps spoil few
+    corners = better.points[better.elements]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    double = 2 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    square = np.column_stack([np.square(a).sum(axis=1), np.square(b).sum(axis=1)])
+    centre = np.column_stack([b[:, 1] * square[:, 0] - a[:, 1] * square[:, 1],
+                              a[:, 0] * square[:, 1] - b[:, 0] * square[:, 0]]) / double[:, None]
+    radius = np.linalg.norm(centre, axis=1)
+    apart = np.linalg.norm((corners[:, 0] + centre)[:, None] - better.points[None], axis=2)
+    inside = (apart < radius[:, None] * (1 - 1e-6)).any(axis=1)
+    assert inside.mean() < 0.05
+
+
+def test_graded_sizes_stay():
+    mesh = graded(PLATE, 0.04, ["bottom"], 20)
+    better = improved(mesh, 8)
+    near, far = (np.median(better.volumes[there] ** 0.5) / np.median(mesh.volumes[were] ** 0.5)
+                 for there, were in ((better.points[better.elements].mean(axis=1)[:, 1] < 0.01,
+                                      mesh.points[mesh.elements].mean(axis=1)[:, 1] < 0.01),
+                                     (better.points[better.elements].mean(axis=1)[:, 1] > 0.1,
+                                      mesh.points[mesh.elements].mean(axis=1)[:, 1] > 0.1)))
+    assert near == pytest.approx(1, abs=0.1) and far == pytest.approx(1, abs=0.1)
+
+
+def test_no_round_changes_nothing():
+    mesh = graded(PLATE, 0.05)
+    same = improved(mesh, 0)
+    assert (same.points == mesh.points).all() and (same.elements == mesh.elements).all() and same.sound
+
+
+def test_kernels_are_plain_python(monkeypatch):
+    rough, solid = shaken(graded(PLATE, 0.08), 0.2), shaken(graded(BOX, 0.07), 0.1)
+    compiled = improved(rough, 2), halved(rough), improved(halved(solid), 1)
+    uncompile(monkeypatch, around, halved_module, triangles, tetrahedra)
+    for one, other in zip(compiled, (improved(rough, 2), halved(rough), improved(halved(solid), 1)), strict=True):
+        assert (one.elements == other.elements).all()
+        np.testing.assert_allclose(one.points, other.points, atol=1e-12)
