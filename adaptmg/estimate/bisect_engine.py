@@ -102,6 +102,7 @@ class Bisect:
         MeshArrays
             Sound, with its history. The same object where nothing is marked, or ``max_nodes`` leaves no room.
         """
+        checks.instance("problem", problem, ContactProblem, "a ContactProblem")
         marked = check_marked(check_mesh(mesh), marked)
         squares = checks.instance("estimate", estimate, Estimate, "an Estimate").squares
         if squares.shape != marked.shape:

@@ -50,16 +50,16 @@ class Estimate:
     energy_error: float | None = None
 
     def __post_init__(self) -> None:
-        squares = np.array(self.squares, dtype=np.float64)
-        if squares.ndim != 1 or not len(squares):
-            raise ValueError(f"squares must have shape (n_elements,), got {squares.shape}")
-        if not (squares >= 0).all() or not np.isfinite(squares).all():
-            k = int(np.argmin(np.where(np.isfinite(squares), squares, -np.inf)))
-            raise ValueError(f"squares must be finite and >= 0, got {squares[k]} in element {k}")
-        squares.flags.writeable = False
-        object.__setattr__(self, "squares", squares)
+        object.__setattr__(self, "squares", _checked_squares(self.squares))
         object.__setattr__(self, "norm", checks.nonnegative("norm", self.norm))
-        object.__setattr__(self, "terms", {name: float(part) for name, part in self.terms.items()})
+        checks.instance("indicator", self.indicator, str, "text")
+        checks.instance("terms", self.terms, Mapping, "a mapping of names to parts of the sum of squares")
+        terms = {checks.instance("the keys of terms", name, str, "text"): checks.number(f"terms[{name!r}]", part)
+                 for name, part in self.terms.items()}
+        object.__setattr__(self, "terms", terms)
+        for name, check in (("value", checks.number), ("signed", checks.number), ("energy_error", checks.nonnegative)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, check(name, getattr(self, name)))
         if (self.value is None) != (self.signed is None):
             raise ValueError("value and signed belong together: give both, or neither")
 
@@ -70,9 +70,15 @@ class Estimate:
 
     @property
     def relative(self) -> float:
-        """``total`` over ||u_h||_A; of a goal over the absolute value of the quantity."""
+        """``total`` over ||u_h||_A; of a goal over the absolute value of the quantity.
+
+        Infinite of a quantity that is zero, unless nothing is left to refine for either.
+        """
         size = self.norm if self.value is None else abs(self.value)
-        return self.total / size if size > 0 else (np.inf if self.total > 0 else 0.0)
+        if size > 0:
+            return self.total / size
+        unknown = self.total > 0 or (self.value is not None and bool(self.squares.any()))
+        return np.inf if unknown else 0.0
 
     @property
     def relative_energy(self) -> float:
@@ -91,3 +97,21 @@ class Estimate:
         whole = sum(self.terms.values())
         lines += [f"  {name:<28s} {part:11.4g} {part / whole:7.1%}" for name, part in self.terms.items() if whole > 0]
         return "\n".join(lines)
+
+
+def _checked_squares(squares: np.ndarray) -> np.ndarray:
+    """A read-only copy."""
+    try:
+        given = np.asarray(squares)
+    except (TypeError, ValueError):
+        given = np.asarray(None)
+    if given.dtype.kind not in "iuf" and given.size:
+        raise TypeError(f"squares must be an array of real numbers, got {checks.described(squares)}")
+    if given.ndim != 1 or not len(given):
+        raise ValueError(f"squares must have shape (n_elements,), got {given.shape}")
+    result = np.array(given, dtype=np.float64)
+    if not (result >= 0).all() or not np.isfinite(result).all():
+        k = int(np.argmin(np.where(np.isfinite(result), result, -np.inf)))
+        raise ValueError(f"squares must be finite and >= 0, got {result[k]} in element {k}")
+    result.flags.writeable = False
+    return result

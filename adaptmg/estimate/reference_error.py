@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -134,7 +135,8 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     reference : Reference, or (Hierarchy, Result)
         On a mesh 4 to 8 times finer; a Reference made once serves many results.
     result : Result
-        Of the same problem, on any mesh of the same domain with the same names.
+        Of the same problem, on any mesh of the same domain with the same names. On curved boundaries the domains of two
+        meshes differ, which counts as error too: on a pin with a fillet in 3D, 2 800 nodes, a quarter of it.
 
     Returns
     -------
@@ -147,17 +149,16 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
         Without a mesh, for other bodies, or where the squared error comes out negative: the reference is no better
         than the result.
     """
-    if not isinstance(reference, Reference):
-        reference = Reference.of(*reference)
+    reference = _made(reference)
     checks.instance("result", result, Result, "a Result")
     mesh = result.mesh
     if mesh is None:
         raise ValueError("result has no mesh (it comes from a bare DiscreteProblem): solve on a Hierarchy of a "
                          "ContactProblem")
-    reference.problem.check_boundaries(mesh.boundaries)
     if set(mesh.bodies) != set(reference.points):
         raise ValueError(f"result has the bodies {', '.join(mesh.bodies)}, the reference "
                          f"{', '.join(reference.points)}: give results of one problem")
+    reference.problem.check_boundaries(mesh.boundaries)
     u = result.displacement.reshape(-1)
     own = float(u @ (stiffness(mesh, reference.problem.material) @ u))
     squared = reference.energy - 2 * reference.against(result) + own + reference.own_error**2
@@ -170,6 +171,16 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     norm = float(np.sqrt(reference.energy))
     return EnergyError(float(np.sqrt(squared)), float(np.sqrt(squared)) / norm if norm > 0 else np.inf, norm,
                        reference.own_error)
+
+
+def _made(reference: Any) -> Reference:
+    """A reference that was made before, or one of a hierarchy and a result."""
+    if isinstance(reference, Reference):
+        return reference
+    if not isinstance(reference, tuple) or len(reference) != 2:
+        raise TypeError("reference must be a Reference, or a hierarchy and a result on it, got "
+                        f"{checks.described(reference)}")
+    return Reference.of(*reference)
 
 
 def _exerted(fixed: np.ndarray, result: Result) -> np.ndarray:

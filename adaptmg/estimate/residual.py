@@ -9,7 +9,9 @@ r"""Residual: an estimate of the energy error from what the discrete solution le
 lumped masses. The last two terms are on slaves alone. Measured, the estimate is 2 to 5 times the error, by problem and
 pattern of the mesh (the GRECO bar: 2.7 with alternating diagonals and on bisected meshes, 3.0 to 3.2 on Netgen
 meshes, 3.3 to 3.7 with all diagonals alike), and nearly constant on the meshes of one family; it is not proven to bound
-the error.
+the error. Where body forces, or the hoop stress of smooth axisymmetric fields, rule the error it is 5.7 to 8.8 times
+the error (Lame's tube, a column under its own weight; Poisson's ratio .1 to .4): the first term is two thirds of its
+square there.
 """
 
 from __future__ import annotations

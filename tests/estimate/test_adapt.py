@@ -27,15 +27,21 @@ def pair() -> list[am.Step]:
     return list(am.adapt(am.cases.dovetail(), COARSE, engine=BISECT, max_nodes=1500))
 
 
-@pytest.mark.parametrize("loop", ["steps", "pair"])
+@pytest.fixture(scope="module")
+def punch() -> list[am.Step]:
+    problem = am.cases.flat_punch()
+    start = am.Hierarchy.graded(problem, (80e-3,), 16)
+    return list(am.adapt(problem, start, engine=BISECT, max_nodes=2500))
+
+
+@pytest.mark.parametrize("loop", ["steps", "pair", "punch"])
 def test_each_step_is_as_exact_as_a_tenth_of_its_estimate(loop, request):
     for step in request.getfixturevalue(loop)[1:]:
         discrete = step.hierarchy.finest.discrete
         exact = am.solve(step.hierarchy, am.ActiveSet(rtol=1e-12)).displacement
         error = discrete.relative(step.result.displacement - exact).reshape(-1)
         norm = float(np.sqrt(error @ (discrete.matrix @ error)))
-        # the certificate errs by a factor of two, and an estimate is expected, not known
-        assert norm <= 2.5 * 0.1 * step.estimate.total
+        assert norm <= 0.1 * step.estimate.total
 
 
 def test_the_tolerance_is_a_tenth_of_what_is_expected(steps):
@@ -61,7 +67,9 @@ def test_meshes_grow_and_the_estimate_falls(steps):
 
 
 def test_one_body_needs_one_cycle_a_step(steps, pair):
-    assert all(step.result.cycles <= 1 for step in steps[1:])
+    # on tiny meshes a second one costs less than knowing the rate
+    assert all(step.result.cycles <= 2 for step in steps[1:4])
+    assert all(step.result.cycles <= 1 for step in steps[4:])
     assert np.mean([step.result.cycles for step in pair[2:]]) <= 4
 
 
@@ -120,6 +128,33 @@ def test_the_generator_may_be_broken_off():
 def test_a_loop_that_gains_nothing_ends():
     found = list(am.adapt(upset(), COARSE, Constant(), engine=BISECT, max_nodes=100_000))
     assert "no progress" in found[-1].outcome and found[-1].nodes < 5000
+
+
+@pytest.mark.parametrize("energy, ends", [(1e-9, False), (1e-16, True)])
+def test_small_shares_of_a_quantity_are_no_rounding(energy, ends):
+    class Small:
+        """A quantity a thousandth of whose value is missing: little of what its dual field could carry."""
+
+        def indicate(self, hierarchy, result):
+            return am.Estimate(squares=np.full(len(hierarchy.finest.mesh.elements), 1e-3), norm=1.0, value=1.0,
+                               signed=1e-3, energy_error=energy)
+
+    found = list(am.adapt(upset(), COARSE, Small(), engine=BISECT, max_nodes=60))
+    assert ("rounding" in found[-1].outcome) == ends and (len(found) == 1) == ends
+
+
+def test_estimates_that_grow_on_coarse_meshes_end_nothing():
+    class Late:
+        """Finds more and more until contact is resolved."""
+
+        def indicate(self, hierarchy, result):
+            n = len(hierarchy.finest.mesh.elements)
+            return am.Estimate(squares=np.full(n, min(n, 800) ** 2 / n**1.5), norm=1.0)
+
+    found = list(am.adapt(upset(), COARSE, Late(), engine=BISECT, max_nodes=1500))
+    squares = [step.estimate.squares.sum() for step in found]
+    assert squares[1] > squares[0]
+    assert "max_nodes" in found[-1].outcome
 
 
 def test_an_exact_solution_is_not_refined():

@@ -1,6 +1,6 @@
 """Bisect refines what is marked within its limits, goes onto arcs, and takes back where little is left."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,8 +74,9 @@ def test_no_room_is_the_same_mesh():
 
 
 def test_nodes_go_onto_the_arcs_of_the_domain():
-    problem, mesh = SimpleNamespace(domain=RING), graded(RING, 0.5)
-    bare = SimpleNamespace(domain=None)
+    problem = am.ContactProblem(material=am.PlaneStrain(young=1e9, poisson=0.3), law=am.Frictionless(), domain=RING,
+                                contact=am.Contact("in", am.Plane((0, 0), (0, 1))))
+    bare, mesh = replace(problem, domain=None), graded(RING, 0.5)
     for _ in range(3):
         estimate = estimate_of(mesh, (1.0, 0.0))
         mesh = verified(am.Bisect().refine(problem, mesh, estimate, largest(estimate, 0.3)))

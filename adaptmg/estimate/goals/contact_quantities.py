@@ -47,6 +47,10 @@ def _contact_index(view: GoalView, name: str) -> tuple[np.ndarray, float]:
 class ContactForce:
     """Force through a contact boundary.
 
+    It is a sum over nodes. Beside a support that holds a tangent of the boundary its tangential part misses what acts
+    on half an edge, an error of first order in the size of that edge where friction acts there (on a plane of symmetry
+    it does not), which no estimate sees and no mark refines.
+
     Parameters
     ----------
     boundary : str
@@ -114,7 +118,9 @@ class Opening:
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         if self.point is not None:
-            point = check_arrays.array("point", self.point, (None,))
+            point = check_arrays.vector("point", self.point)
+            if len(point) not in (2, 3):
+                raise ValueError(f"point must have 2 or 3 coordinates, got {len(point)}")
             object.__setattr__(self, "point", tuple(float(c) for c in point))
 
     def functionals(self, view: GoalView) -> list[Functional]:

@@ -52,12 +52,15 @@ class Displacement:
     body: str | None = None
 
     def __post_init__(self) -> None:
-        one = np.ndim(self.points) == 1 and len(self.points) and not any(map(np.ndim, self.points))
-        points = [] if not np.size(self.points) else check_arrays.array("points", [self.points] if one else self.points,
-                                                                        (None, None))
+        try:
+            shape = np.shape(self.points)
+        except ValueError:
+            raise ValueError("points must all have 2 or all have 3 coordinates, got "
+                             f"{checks.shown(self.points)}") from None
+        points = [] if 0 in shape else check_arrays.array("points", [self.points] if len(shape) == 1 else self.points,
+                                                          (None, None))
         if not len(points) or points.shape[1] not in (2, 3):
-            raise ValueError("points must hold at least one point of 2 or 3 coordinates, got shape "
-                             f"{np.shape(self.points)}")
+            raise ValueError(f"points must hold at least one point of 2 or 3 coordinates, got shape {shape}")
         object.__setattr__(self, "points", tuple(tuple(float(c) for c in point) for point in points))
         axis_number("component", self.component)
         if self.body is not None:

@@ -32,7 +32,7 @@ from adaptmg.estimate.goals.contact_state import linearised_contact
 from adaptmg.estimate.goals.contact_work import friction_work, master_work
 from adaptmg.estimate.goals.goal_estimate import GoalEstimate
 from adaptmg.estimate.goals.transitions import transition_changes
-from adaptmg.estimate.goals.view import Functional, GoalView
+from adaptmg.estimate.goals.view import Functional, GoalView, checked_functionals
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
 from adaptmg.solver.result import Result
@@ -72,6 +72,9 @@ class Goal:
 
     Notes
     -----
+    A quantity that the contact state holds (an opening while all nodes touch, the motion of a node that sticks) has no
+    dual field; then elements are marked by the energy of the error, until a finer mesh has another state.
+
     The algebraic error counts in the signed estimate (:mod:`adaptmg.estimate.goals.algebraic`), as far as it leaves the
     contact state as it is. It is of first order in the residual: ``energy_error`` of the estimate, by which solvers are
     stopped, is the energy error that has as large a part in the quantity as the discretisation has, and not the
@@ -127,7 +130,7 @@ class Goal:
         """
         this = posed(hierarchy, result)
         view = GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
-        wanted = [functional for item in self.quantities for functional in item.functionals(view)]
+        wanted = [functional for item in self.quantities for functional in checked_functionals(view, item)]
         if len({functional.name for functional in wanted}) < len(wanted):
             raise ValueError(f"quantity: one is given twice, {', '.join(functional.name for functional in wanted)}")
         return self.of_functionals(hierarchy, view, wanted)
@@ -136,8 +139,14 @@ class Goal:
         """The same for functionals at hand."""
         sizes, norm = _sizes(wanted), view.posed.norm
         duals = self._duals(hierarchy, view, [functional.vector for functional in wanted])
-        error, weighted = _bubbles(view, wanted, duals)
-        parts = np.abs(np.einsum("gnd,nd->gn", weighted, error.alone)) / sizes[:, None]
+        error, residual, weighted = _bubbles(view, wanted, duals)
+        energy = error.energy / norm if norm > 0 else 0.0
+        parts = np.abs(np.einsum("gnd,nd->gn", weighted, error.alone))
+        held = [_held(view, functional, dual) for functional, dual in zip(wanted, duals, strict=True)]
+        if any(held):
+            parts[held] = _energy_parts(view, [one for one, is_held in zip(wanted, held, strict=True) if is_held],
+                                        np.einsum("nd,nd->n", residual, error.alone), energy)
+        parts /= sizes[:, None]
         squares = {functional.name: view.bubbles.on_elements(part)
                    for functional, part in zip(wanted, parts, strict=True)}
         if self.transitions > 0:
@@ -155,9 +164,9 @@ class Goal:
                       + (f" and {len(wanted) - 1} more" if len(wanted) > 1 else ""),
             terms={name: part.sum() for name, part in squares.items()},
             value=1.0 if len(wanted) > 1 else float(values[0]), signed=float(whole[worst] / sizes[worst]),
-            energy_error=_tolerance(view, duals, signed, parts.sum(axis=1) * sizes),
+            energy_error=_tolerance(view, duals, signed, parts.sum(axis=1) * sizes, energy),
             names=tuple(f.name for f in wanted), units=tuple(f.unit for f in wanted), values=values, errors=whole,
-            algebraic=algebraic, discretisation=error.energy / norm if norm > 0 else 0.0,
+            algebraic=algebraic, discretisation=energy,
             residuals=np.array([dual.residual for dual in duals]), iterations=sum(dual.iterations for dual in duals),
             converged=all(dual.converged for dual in duals))
 
@@ -169,8 +178,8 @@ class Goal:
 
 
 def _bubbles(view: GoalView, wanted: list[Functional], duals: list[AdjointSolution]
-             ) -> tuple[BubbleError, np.ndarray]:
-    """The error in the bubbles, and the dual residuals (n_goals, n_edges, dim)."""
+             ) -> tuple[BubbleError, np.ndarray, np.ndarray]:
+    """The error in the bubbles, its residuals (n_edges, dim) and the dual ones (n_goals, n_edges, dim)."""
     this, bubbles = view.posed, view.bubbles
     spaces = bubble_spaces(this.problem, bubbles, view.contact)
     fields = [this.result.displacement, *(this.discrete.physical(dual.field) for dual in duals)]
@@ -180,19 +189,39 @@ def _bubbles(view: GoalView, wanted: list[Functional], duals: list[AdjointSoluti
     loads = [bubbles.load(this.problem) + friction_work(view), *(functional.bubbles for functional in wanted)]
     residuals = np.array([load - action + master_work(view, reaction)
                           for load, action, reaction in zip(loads, actions, reactions, strict=True)])
-    return bubble_error(this.problem, bubbles, spaces, blocks, residuals[0]), residuals[1:]
+    return bubble_error(this.problem, bubbles, spaces, blocks, residuals[0]), residuals[0], residuals[1:]
 
 
-def _tolerance(view: GoalView, duals: list[AdjointSolution], signed: np.ndarray, absolute: np.ndarray) -> float:
+def _held(view: GoalView, functional: Functional, dual: AdjointSolution) -> bool:
+    """Whether the contact state alone, and no support, leaves a quantity no way to change."""
+    return not dual.field.any() and bool(functional.vector[~view.posed.discrete.fixed].any())
+
+
+def _energy_parts(view: GoalView, wanted: list[Functional], squares: np.ndarray, energy: float) -> np.ndarray:
+    """Parts (n_goals, n_edges) as the energies of the bubbles (n_edges,) have them, for quantities that are held.
+
+    Of what the state does not let change the dual field says nothing, but a finer mesh may have another state. In all
+    they are what a relative error of the displacement as large as that of the energy makes of the quantity.
+    """
+    shares = np.abs(squares) / max(float(np.abs(squares).sum()), np.finfo(float).tiny)
+    moved = float(np.abs(view.contact.unknowns).max(initial=0.0))
+    return np.array([shares * energy * moved * float(np.abs(one.vector).sum()) for one in wanted])
+
+
+def _tolerance(view: GoalView, duals: list[AdjointSolution], signed: np.ndarray, absolute: np.ndarray,
+               energy: float) -> float:
     """The relative energy error that has as large a part in a quantity as its discretisation error, for the strictest.
 
-    By the inequality of Cauchy and Schwarz, |z . r| <= ||z||_A ||e||_A. A signed error may vanish by chance.
+    By the inequality of Cauchy and Schwarz, |z . r| <= ||z||_A ||e||_A. A signed error may vanish by chance. Of
+    quantities that the contact state holds alone it is ``energy``, that of the discretisation.
     """
     matrix, norm = view.posed.discrete.matrix, view.posed.norm
     sizes = np.array([energy_norm(dual.field, matrix @ dual.field) for dual in duals]) * norm
     errors = np.maximum(np.abs(signed), _CHANCE * absolute)
     counts = (sizes > 0) & (errors > 0)
-    return float((errors[counts] / sizes[counts]).min()) if counts.any() else 0.0
+    if counts.any():
+        return float((errors[counts] / sizes[counts]).min())
+    return energy if errors.any() else 0.0
 
 
 def _sizes(wanted: list[Functional]) -> np.ndarray:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from adaptmg.estimate.fields.posed import Posed
 from adaptmg.estimate.goals.bubbles.edge_bubbles import EdgeBubbles
 from adaptmg.estimate.goals.contact_state import LinearisedContact
+from adaptmg.problem import check_arrays, checks
 
-__all__ = ["Functional", "GoalView"]
+__all__ = ["Functional", "GoalView", "checked_functionals"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,3 +59,20 @@ class Functional:
     unit: str
     vector: np.ndarray
     bubbles: np.ndarray
+
+
+def checked_functionals(view: GoalView, quantity: Any) -> list[Functional]:
+    """What a quantity asks for; TypeError or ValueError, which name it, unless these are functionals of this view."""
+    made = quantity.functionals(view)
+    said = f"quantity {checks.shown(quantity)}: functionals(view) must return"
+    if not isinstance(made, (list, tuple)) or not all(isinstance(one, Functional) for one in made):
+        raise TypeError(f"{said} a list of Functional, got {checks.described(made)}")
+    if not made:
+        raise ValueError(f"{said} at least one Functional, got none")
+    for one in made:
+        name = f"quantity {checks.shown(quantity)}: "
+        checks.instance(f"{name}name", one.name, str, "text")
+        checks.number(f"{name}value", one.value)
+        check_arrays.array(f"{name}vector", one.vector, (view.posed.discrete.n_dofs,))
+        check_arrays.array(f"{name}bubbles", one.bubbles, (len(view.bubbles.edges), view.posed.mesh.dim))
+    return list(made)

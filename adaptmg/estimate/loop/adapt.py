@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from adaptmg.estimate.loop.expected import Limits
 from adaptmg.estimate.loop.fingerprint import loop_fingerprint
+from adaptmg.estimate.loop.given import sound_mesh
 from adaptmg.estimate.loop.step import Step
 from adaptmg.estimate.loop.store import LoopStore
 from adaptmg.estimate.loop.walk import AdaptiveWalk, Parts
@@ -147,10 +149,25 @@ def _first(problem: ContactProblem, start: Any, transfer: Transfer | None, engin
         if without:
             raise ValueError(f"start: levels {without} of the hierarchy have no mesh; make it from meshes")
         return start
-    if isinstance(start, (int, float)) or hasattr(start, "__float__"):
+    mesh = start
+    if isinstance(start, (int, float)) or (hasattr(start, "__float__") and not isinstance(start, type)):
         size, make = checks.positive("start", start), getattr(engine, "first", None)
-        mesh = make(problem, size) if callable(make) else None
-        if mesh is None:
-            return Hierarchy.graded(problem, (size,), transfer=transfer)
-        start = mesh
-    return Hierarchy.from_meshes(problem, (start,), transfer)
+        with _named("start"):
+            mesh = make(problem, size) if callable(make) else None
+            if mesh is None:
+                return Hierarchy.graded(problem, (size,), transfer=transfer)
+        sound_mesh(engine, "first", problem, mesh)
+    with _named("start"):
+        return Hierarchy.from_meshes(problem, (mesh,), transfer)
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    """Name the argument in messages on the mesh that is made of it; others speak of the problem or the transfer."""
+    try:
+        yield
+    except (TypeError, ValueError, FileNotFoundError) as error:
+        kind = next(kind for kind in (TypeError, ValueError, FileNotFoundError) if isinstance(error, kind))
+        if not str(error).startswith(("mesh", "size", "divisions")):
+            raise
+        raise kind(f"{name}: {error}") from error

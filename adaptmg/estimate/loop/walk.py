@@ -7,12 +7,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.loop.expected import Limits, expected_seconds
+from adaptmg.estimate.loop.given import estimate_of, marks_of, sound_mesh
 from adaptmg.estimate.loop.levels import appended, carried, thinned
 from adaptmg.estimate.loop.load_path import estimated_step
 from adaptmg.estimate.loop.resume import Meshes
@@ -21,7 +23,7 @@ from adaptmg.estimate.loop.step import Step
 from adaptmg.estimate.loop.store import LoopStore, StoredStep
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import LoadPath, checks
+from adaptmg.problem import LoadPath
 from adaptmg.runtime.threads import one_blas_thread
 from adaptmg.solver.history.load_path import PathResult, solve_path
 from adaptmg.solver.multigrid import FullMultigrid
@@ -81,13 +83,16 @@ class AdaptiveWalk:
 
     #: nodes of the next mesh over those of the last, below which it is not worth making
     LEAST_GROWTH = 1.3
-    #: relative estimates that are rounding, as of solutions which are linear
-    EXACT = 1e-8
+    #: relative estimates that are rounding, as of solutions which are linear; of quantities, whose errors are products
+    #: of two energy errors (forces that equilibrium gives: 1e-17)
+    EXACT, EXACT_GOAL = 1e-8, 1e-13
     #: times that an engine is asked for a mesh that is not too large
     ATTEMPTS = 3
     #: the estimate must fall by this factor over meshes of so many times the nodes, or the loop has come to an end
     #: (coarse meshes that do not resolve a problem hardly better it at first)
     PROGRESS, OVER = 0.95, 4.0
+    #: nodes from which that is asked: with fewer, contact may have none where it will be, and estimates mean little
+    RESOLVED = 500
 
     def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: LoopStore | None,
                  progress: Progress | None) -> None:
@@ -120,14 +125,15 @@ class AdaptiveWalk:
         limits, relative = self.limits, last.estimate.relative
         if limits.tolerance is not None and relative <= limits.tolerance:
             return f"tolerance met: the estimate is {relative:.3g}, {limits.tolerance:g} was asked for"
-        if last.estimate.relative_energy <= self.EXACT or not last.estimate.squares.any():
+        exact = self.EXACT if last.estimate.signed is None else self.EXACT_GOAL
+        if last.estimate.relative_energy <= exact or not last.estimate.squares.any():
             return "no progress: the indicator finds no error beyond rounding"
         if self._full(last.nodes):
             return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
             return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
         for before in reversed(self.done[:-2]):
-            if last.nodes >= self.OVER * before.nodes:
+            if before.nodes >= self.RESOLVED and last.nodes >= self.OVER * before.nodes:
                 falls = np.sqrt(last.estimate.squares.sum() / before.estimate.squares.sum())
                 if falls > self.PROGRESS:
                     return (f"no progress: from {before.nodes} to {last.nodes} nodes the estimate falls by "
@@ -146,12 +152,14 @@ class AdaptiveWalk:
         most = self.limits.max_nodes
         with self.clock.phase("mesh"):
             mesh = last.hierarchy.finest.mesh
-            marked = self.parts.mark.mark(last.estimate)
-            if not np.any(marked):
+            marked = marks_of(self.parts.mark, last.estimate)
+            if not marked.any():
                 return None, "no progress: the marking chooses no element"
             asked = most
             for _ in range(self.ATTEMPTS):
                 finer = self.parts.engine.refine(self.first.problem, mesh, last.estimate, marked, max_nodes=asked)
+                if finer is not None:
+                    finer = sound_mesh(self.parts.engine, "refine", self.first.problem, finer, mesh)
                 if finer is None or finer.n_nodes <= mesh.n_nodes:
                     return None, f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes"
                 if most is None or finer.n_nodes <= most:
@@ -213,16 +221,12 @@ class AdaptiveWalk:
 
     def _estimated(self, hierarchy: Hierarchy, result: Result | None, path: PathResult | None
                    ) -> tuple[Result, Estimate]:
-        indicate = self.parts.indicator.indicate
+        indicate = partial(estimate_of, self.parts.indicator)
         if path is None:
             estimate = indicate(hierarchy, result)
         else:
             k, estimate = estimated_step(hierarchy, self.parts.load_path, path, self.parts.adapt_on, indicate)
             result = path[k]
-        checks.instance(f"what the indicator {checks.shown(self.parts.indicator)} returns", estimate, Estimate)
-        if len(estimate.squares) != len(hierarchy.finest.mesh.elements):
-            raise ValueError(f"the indicator {checks.shown(self.parts.indicator)} returns an estimate of "
-                             f"{len(estimate.squares)} elements for a mesh of {len(hierarchy.finest.mesh.elements)}")
         return result, estimate
 
     def _again(self, number: int, kept: StoredStep) -> Step:

@@ -274,3 +274,22 @@ def test_results_that_are_not_finite_or_of_other_meshes_are_refused():
     with pytest.raises(ValueError, match="master of a pair"):
         problem = am.cases.dovetail()
         am.Goal(am.Opening(problem.masters[0])).indicate(*solved(problem, sizes=(8e-3,)))
+
+
+def test_an_opening_that_all_nodes_hold_closed_is_looked_for_all_the_same():
+    hierarchy, result = bar(2)
+    assert (result.contact.state != am.OPEN).all()
+    estimate = am.Goal(am.Opening("bottom")).indicate(hierarchy, result)
+    energy = am.Recovery().indicate(hierarchy, result).relative
+    # marks and tolerance are those of the energy, not of the bubbles of the closed gap alone
+    assert estimate.value == 0 and 0.5 < estimate.energy_error / energy < 2 and estimate.relative == np.inf
+    assert estimate.squares.min() > 1e-4 * estimate.squares.max()
+    steps = list(am.adapt(am.cases.greco_bar(), 20e-3, am.Goal(am.Opening("bottom")), engine=am.Bisect(),
+                          max_nodes=150))
+    assert all(isinstance(repr(step), str) for step in steps)
+    assert steps[0].estimate.value == 0 and steps[-1].estimate.value > 2e-8 and "max_nodes" in steps[-1].outcome
+
+
+def test_a_quantity_that_a_support_holds_has_no_error():
+    estimate = am.Goal(am.MeanDisplacement("right", "x")).indicate(*bar(4))
+    assert estimate.value == 0 and not estimate.squares.any() and estimate.relative_energy == 0
