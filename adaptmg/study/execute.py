@@ -82,8 +82,11 @@ class Finished:
 Execute = Callable[[Task, Sequence[Point]], Iterator[list[tuple[Point, Finished]]]]
 
 
-def compute(function: RunFunction, point: Point) -> Finished:
-    """One run. An exception of the function, or results that cannot be stored, are part of the outcome."""
+def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
+    """One run. Whatever the function raises, or results that cannot be stored, are part of the outcome.
+
+    ``interruptible``: but for KeyboardInterrupt, which is Ctrl-C where a user sits.
+    """
     started = now()
     forget_peak()
     begin = time.perf_counter()
@@ -91,7 +94,9 @@ def compute(function: RunFunction, point: Point) -> Finished:
         returned = function(**point)
         seconds = time.perf_counter() - begin
         results, packed = _sorted_out(returned, point)
-    except (Exception, SystemExit) as error:
+    except BaseException as error:  # of sys.exit, asyncio, or a class of the user's
+        if interruptible and isinstance(error, KeyboardInterrupt):
+            raise
         return Finished(error=error_text(error), traceback=_trace(error), exception=error,
                         seconds=time.perf_counter() - begin, peak_memory=peak_memory(), started=started,
                         machine=platform.node())
@@ -114,7 +119,7 @@ def error_text(error: BaseException) -> str:
     """Type and text of an exception, bounded, whatever it does when it is asked for its text."""
     try:
         text = str(error)
-    except Exception as worse:
+    except BaseException as worse:
         text = f"<its text cannot be had: {type(worse).__name__}>"
     return bounded(printable(f"{type(error).__name__}: {text}"), MOST_ERROR)
 
@@ -122,7 +127,7 @@ def error_text(error: BaseException) -> str:
 def _trace(error: BaseException) -> str:
     try:
         text = "".join(traceback.format_exception(error))
-    except Exception as worse:
+    except BaseException as worse:
         text = f"<the traceback cannot be had: {type(worse).__name__}>"
     return bounded(printable(text), MOST_TRACEBACK)
 

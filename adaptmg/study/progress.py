@@ -58,6 +58,24 @@ class Watch:
             return f"{failed}, the end"
         return f"{failed}, {min(self._running(), left)} running, {left} left, {self._end(left)}"
 
+    def line(self, width: int, full: str = "━", empty: str = "─") -> str:
+        """All of that in one line of at most ``width`` characters, with a bar; what is told first goes last."""
+        share = self.done / max(self.total, 1)
+        seconds = int(time.monotonic() - self._begin)
+        counts, clock = f"{self.done}/{self.total}", f"{seconds // 3600}:{seconds // 60 % 60:02}:{seconds % 60:02}"
+        words, left = self.words(), self.total - self.done
+        short = (f"{self.failed} failed, " if self.failed else "") + (self._end(left) if left else "the end")
+
+        def bar(length: int) -> str:
+            return full * int(share * length) + empty * (length - int(share * length))
+
+        for parts in ((self.name, bar(24), counts, clock, words), (bar(16), counts, clock, words),
+                      (bar(8), counts, words), (bar(8), counts, short), (counts, short), (counts,)):
+            found = "  ".join(parts)
+            if len(found) <= width:
+                return found
+        return counts[:width]
+
     def _end(self, left: int) -> str:
         """By the pace so far."""
         here = self.done - self._before
@@ -79,11 +97,21 @@ def watched(name: str, total: int, before: int, running: Callable[[], int], bar:
         yield Watch(name, total, before, running)
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress, ProgressColumn, Task
+    from rich.text import Text
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-               TextColumn("{task.fields[words]}", markup=False))
-    with Progress(*columns, console=Console(stderr=True)) as shown:
-        task = shown.add_task(name, total=total, completed=before, words="")
-        yield Watch(name, total, before, running,
-                    lambda watch: shown.update(task, completed=watch.done, words=watch.words()))
+    console = Console(stderr=True)
+    signs = ("━", "─") if console.encoding.startswith("utf") else ("#", "-")
+    watch: Watch
+
+    class WatchLine(ProgressColumn):
+        """The whole line, for the terminal as wide as it now is."""
+
+        def render(self, task: Task) -> Text:
+            return Text(watch.line(console.width - 1, *signs), no_wrap=True)
+
+    with Progress(WatchLine(), console=console) as shown:
+        task = shown.add_task(name, total=total, completed=before, visible=False)
+        watch = Watch(name, total, before, running, lambda watch: shown.update(task, completed=watch.done))
+        shown.update(task, visible=True)
+        yield watch

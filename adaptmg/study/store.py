@@ -23,8 +23,8 @@ from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder
 from adaptmg.runtime.text import printable
 from adaptmg.study.record import Record
-from adaptmg.study.stored import rescue, schema
-from adaptmg.study.stored.rows import json_object, record_row, row_record, uncollected
+from adaptmg.study.stored import queries, rescue, schema
+from adaptmg.study.stored.rows import json_object, record_row, row_records, uncollected
 
 __all__ = ["Store"]
 
@@ -185,24 +185,43 @@ class Store:
     def get(self, study: str) -> dict[str, Record]:
         """All runs of a study, in the order they were stored, by :func:`~adaptmg.study.record.canonical` parameters."""
         with self._explained(), uncollected():
-            rows = self._connection.execute(f"SELECT {schema.selected(self._version)} FROM runs WHERE study = ? "
-                                            "ORDER BY rowid", (study,)).fetchall()
-            return {row[0]: record for row, record in zip(rows, self._records(study, rows), strict=True)}
+            rows = queries.rows(self._connection, self._version, study)
+            return dict(zip([row[0] for row in rows], self._records(study, rows), strict=True))
 
-    def _records(self, study: str, rows: Sequence[Sequence[Any]]) -> Iterator[Record]:
+    def runs(self, study: str, status: str | None = None, limit: int | None = None) -> list[Record]:
+        """Runs of a study, those of a status, at most so many, in the order they were stored."""
+        with self._explained(), uncollected():
+            return self._records(study, queries.rows(self._connection, self._version, study, status, limit))
+
+    def count(self, study: str, status: str | None = None) -> int:
+        """How many runs of a study there are, and of a status."""
+        with self._explained():
+            return queries.count(self._connection, study, status)
+
+    def summaries(self) -> list[tuple[str, int, int, float, str]]:
+        """Of each study its name, runs done and failed, their seconds, and when the last one finished (UTC)."""
+        with self._explained():
+            return queries.summaries(self._connection)
+
+    def varying(self, study: str, first: Record) -> list[str]:
+        """The parameters of a run that are not the same in all runs of its study."""
+        with self._explained():
+            return queries.varying(self._connection, study, first.parameters)
+
+    def _records(self, study: str, rows: Sequence[Sequence[Any]]) -> list[Record]:
         """Rows as records; ValueError for one that adaptmg cannot have written."""
+        damage = (ValueError, TypeError, RecursionError)
         try:
-            # all at once, as there may be 100 000
-            objects = [json.loads(f"[{','.join([row[k] for row in rows])}]") for k in (0, 2)]
-        except (ValueError, TypeError, RecursionError):
-            objects = []
-        whole = len(objects) == 2 and all(len(found) == len(rows) for found in objects)
-        for k, row in enumerate(rows):
-            try:
-                yield row_record(row, *((objects[0][k], objects[1][k]) if whole else map(json.loads, (row[0], row[2]))))
-            except (ValueError, TypeError, RecursionError) as error:
-                raise ValueError(f"{self._called} is damaged: the run {checks.shown(row[0])} of the study {study!r} "
-                                 f"cannot be read ({error}): delete that row, or give another file") from error
+            return row_records(rows)
+        except damage:
+            for row in rows:
+                try:
+                    row_records([row])
+                except damage as error:
+                    raise ValueError(f"{self._called} is damaged: the run {checks.shown(row[0])} of the study "
+                                     f"{study!r} cannot be read ({error}): delete that row, or give another "
+                                     "file") from error
+            raise
 
     def points(self, study: str) -> list[str]:
         """Points that were added to a study, by canonical parameters, in the order of adding."""

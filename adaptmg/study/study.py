@@ -30,6 +30,8 @@ __all__ = ["Study"]
 _log = logging.getLogger(__name__)
 #: parts of fingerprints as runs of this process left them, and as they were before
 _LEFT: dict[tuple[str, str], str] = {}
+#: parts that tell what is in files: who changes those while runs go on means it
+_OF_FILES = ("depends ", "module ", "adaptmg.")
 
 
 class Study:
@@ -38,7 +40,8 @@ class Study:
     Each run is stored when it ends. A study that is run again takes what is stored and computes the rest: points
     never reached, points that failed, and points that are stale, which means that something changed on which a run
     depends: code and values that the run function reads, the modules of adaptmg it can reach, a version of a package
-    (:mod:`adaptmg.study.fingerprint` says what is seen, :meth:`status` what changed).
+    (:mod:`adaptmg.study.fingerprint.fingerprint` says what is seen and what is not, such as data files and environment
+    variables, which ``depends`` can name; :meth:`status` what changed).
 
     Parameters
     ----------
@@ -263,7 +266,7 @@ class Study:
             with watched(self.name, total, total - len(todo), running, bar) as watch:
                 for batch in runs:
                     records = [self._record(point, outcome, found, versions) for point, outcome in batch]
-                    self._store.put_all(self.name, records, found.parts)
+                    self._put(records, found)
                     for (point, outcome), record in zip(batch, records, strict=True):
                         old = stored.get(canonical(point))
                         self._files.remove({} if old is None else old.files, record.files)
@@ -274,6 +277,17 @@ class Study:
             runs.close()
             self._store.flush()
             self._learn(found)
+
+    def _put(self, records: list[Record], found: Fingerprint) -> None:
+        """Store rows; OSError if their files could not be put beside them, when the rows are there."""
+        try:
+            self._store.put_all(self.name, records, found.parts)
+        except (OSError, ValueError) as error:
+            if not (told := self._files.told()):
+                raise
+            raise type(error)(f"{error}. {told}") from error
+        if told := self._files.told():
+            raise OSError(told)
 
     def _record(self, point: Point, outcome: Finished, found: Fingerprint, versions: dict[str, str]) -> Record:
         files = self._files.write(self.name, canonical(point), outcome.packed)
@@ -292,7 +306,7 @@ class Study:
         with contextlib.suppress(TypeError):
             after = fingerprint(self._function, self._depends).parts
             _LEFT.update({(name, after[name]): value for name, value in before.parts.items()
-                          if name in after and after[name] != value})
+                          if name in after and after[name] != value and not name.startswith(_OF_FILES)})
 
     def _state(self, record: Record | None, found: Fingerprint, versions: Mapping[str, str]) -> str:
         if record is None:

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from adaptmg.runtime.text import in_html, printable
 
-__all__ = ["as_html", "as_text", "cells", "shown_cells"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+    Table = pd.DataFrame | Mapping[str, Sequence[Any]]
+
+__all__ = ["as_html", "as_text", "cells", "numeric", "shown_cells"]
 
 
-def as_text(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
+def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
             formats: Mapping[str, str] | None = None) -> str:
     """A table as text in aligned columns.
 
     Parameters
     ----------
-    table : pandas.DataFrame
-        Its index is not shown.
+    table : pandas.DataFrame, or mapping of names to columns
+        The index is not shown.
     caption : str
         What the table shows; say the grid and the tolerance.
     note : str
@@ -39,7 +43,7 @@ def as_text(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
     """
     headers, columns = cells(table, units, formats)
     widths = [max(map(len, (header, *cells)), default=0) for header, cells in zip(headers, columns, strict=True)]
-    right = [_numeric(table[name]) for name in table.columns]
+    right = [numeric(column) for _, column in table.items()]
 
     def line(cells: list[str]) -> str:
         padded = (cell.rjust(width) if is_right else cell.ljust(width)
@@ -51,7 +55,7 @@ def as_text(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
     return printable("\n".join([caption] * bool(caption) + body + [note] * bool(note)))
 
 
-def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
+def as_html(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
             formats: Mapping[str, str] | None = None) -> str:
     """A table as an HTML ``<figure>``; everything escaped, numbers right-aligned by class ``n``.
 
@@ -61,7 +65,7 @@ def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
         As in :func:`as_text`.
     """
     headers, columns = cells(table, units, formats)
-    classes = [' class="n"' if _numeric(table[name]) else "" for name in table.columns]
+    classes = [' class="n"' if numeric(column) else "" for _, column in table.items()]
     head = "".join(f"<th{c}>{in_html(h)}</th>" for h, c in zip(headers, classes, strict=True))
     rows = ("".join(f"<td{c}>{in_html(cell)}</td>" for cell, c in zip(row, classes, strict=True))
             for row in zip(*columns, strict=True))
@@ -72,31 +76,31 @@ def as_html(table: pd.DataFrame, *, caption: str = "", note: str = "", units: Ma
             f"<tbody>\n{body}\n</tbody>\n</table></div>{bottom}\n</figure>")
 
 
-def shown_cells(table: pd.DataFrame, *, units: Mapping[str, str] | None = None,
+def shown_cells(table: Table, *, units: Mapping[str, str] | None = None,
                 formats: Mapping[str, str] | None = None) -> tuple[list[list[str]], list[bool]]:
     """The cells as text, column by column, and which columns hold numbers; arguments as of :func:`as_text`."""
-    return cells(table, units, formats)[1], [_numeric(table[name]) for name in table.columns]
+    return cells(table, units, formats)[1], [numeric(column) for _, column in table.items()]
 
 
-def cells(table: pd.DataFrame, units: Mapping[str, str] | None,
+def cells(table: Table, units: Mapping[str, str] | None,
           formats: Mapping[str, str] | None) -> tuple[list[str], list[list[str]]]:
     """Headers, and the texts of each column."""
     units, formats = units or {}, formats or {}
-    if not table.columns.is_unique:
-        raise ValueError(f"table has columns of the same name: {list(table.columns)}")
+    given = list(table.items())
+    names = [name for name, _ in given]
+    if len(set(names)) < len(names):
+        raise ValueError(f"table has columns of the same name: {names}")
     for what, mapping in (("units", units), ("formats", formats)):
-        unknown = sorted(set(mapping) - set(table.columns))
+        unknown = sorted(set(mapping) - set(names))
         if unknown:
-            raise ValueError(f"{what} names columns the table does not have: {unknown}; it has {list(table.columns)}")
-    names = [_line(name) for name in table.columns]
-    headers = [f"{shown} [{_line(units[name])}]" if units.get(name) else shown
-               for name, shown in zip(table.columns, names, strict=True)]
-    columns = [[_cell(value, formats.get(name)) for value in table[name]] for name in table.columns]
+            raise ValueError(f"{what} names columns the table does not have: {unknown}; it has {names}")
+    headers = [f"{_line(name)} [{_line(units[name])}]" if units.get(name) else _line(name) for name in names]
+    columns = [[_cell(value, formats.get(name)) for value in column] for name, column in given]
     return headers, columns
 
 
 def _cell(value: Any, spec: str | None) -> str:
-    if value is None or value is pd.NA or (isinstance(value, numbers.Real) and math.isnan(value)):
+    if value is None or type(value).__name__ == "NAType" or (isinstance(value, numbers.Real) and math.isnan(value)):
         return "-"
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
@@ -114,6 +118,7 @@ def _line(value: Any) -> str:
     return printable(" ".join(str(value).split()))
 
 
-def _numeric(column: pd.Series) -> bool:
+def numeric(column: Iterable[Any]) -> bool:
+    """Whether a column holds numbers, apart from what is not there."""
     values = [v for v in column if v is not None]
     return bool(values) and all(isinstance(v, numbers.Real) and not isinstance(v, bool) for v in values)

@@ -17,25 +17,28 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 
 
-def _run(folder: Path, page: Path, width: int, height: int, *flags: str) -> bytes:
+def _run(folder: Path, page: Path, width: int, height: int, *flags: str, fragment: str = "") -> bytes:
     command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage",
-               f"--user-data-dir={folder / 'browser'}", f"--window-size={width},{height}", *flags, page.as_uri()]
+               f"--user-data-dir={folder / 'browser'}", f"--window-size={width},{height}", *flags,
+               page.as_uri() + fragment]
     return subprocess.run(command, capture_output=True, check=True, timeout=120).stdout
 
 
-def dom(folder: Path, page: Path) -> str:
-    """A page as it stands after its scripts have run."""
-    return _run(folder, page, 1600, 800, "--dump-dom").decode()
+def dom(folder: Path, page: Path, fragment: str = "") -> str:
+    """A page as it stands after its scripts have run, opened at a place such as ``#key``."""
+    # the scripts' clock runs on to where what they wait for has come
+    return _run(folder, page, 1600, 800, "--virtual-time-budget=2000", "--dump-dom", fragment=fragment).decode()
 
 
 def measure(folder: Path, text: str, script: str) -> Any:
     """What a function body in JavaScript returns in a page, after it has loaded.
 
     The page lies in a frame (windows cannot be as narrow as a phone), which the script makes as wide as it wants by
-    ``resize(width)``. The page's policy, which would not let the script run, is taken out.
+    ``resize(width, height)``. The page's policy, which would not let the script run, is taken out.
     """
     free = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", text)
-    added = ("<script>function resize(width) { window.frameElement.style.width = width + 'px'; }\n"
+    added = ("<script>function resize(width, height) { var style = window.frameElement.style;\n"
+             "style.width = width + 'px'; style.height = (height || 900) + 'px'; }\n"
              f"parent.document.body.dataset.measured = JSON.stringify((function () {{ {script} }})());</script></body>")
     page = folder / "measured.html"
     framed = html.escape(free.replace("</body>", added))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -97,6 +98,26 @@ def test_runs_over_their_limits_are_stopped(cluster):
     assert held["status"].tolist() == ["done", "failed"] and held["error"][1].startswith("MemoryLimit")
 
 
+def test_code_that_holds_the_lock_of_python_is_stopped_too(cluster):
+    def run(n):
+        if n:
+            ctypes.PyDLL(None).sleep(60)
+        return {"m": n}
+
+    begin = time.monotonic()
+    table = Study(run, {"n": [0, 1]}).run(progress=False, scheduler=cluster, limit_s=1)
+    assert table["error"].tolist() == ["", "TimeLimit: stopped after limit_s=1 s"] and time.monotonic() - begin < 40
+
+
+def test_kernels_are_warm_before_a_clock_starts(cluster):
+    def run(n):
+        from adaptmg.study.cluster import in_worker
+
+        return {"warm": in_worker._warmed, "problem": am.cases.greco_bar().name}
+
+    assert Study(run, {"n": range(2)}).run(progress=False, scheduler=cluster)["warm"].tolist() == [True, True]
+
+
 def test_errors_come_with_type_text_and_traceback(cluster):
     class OddError(Exception):
         def __init__(self, a, b):
@@ -150,6 +171,15 @@ def test_a_value_that_was_set_in_a_module_does_not_reach_workers_in_silence(clus
         study.run(progress=False, scheduler=cluster)
 
 
+def test_a_study_inside_a_run(cluster):
+    def run(workers):
+        inner = Study(lambda n: {"m": n}, {"n": [1, 2]}, name="inner")
+        return {"m": int(inner.run(progress=False, workers=workers)["m"].sum())}
+
+    table = Study(run, {"workers": [None, 2]}).run(progress=False, scheduler=cluster)
+    assert table["m"][0] == 3 and "leave workers= out" in table["error"][1]
+
+
 def test_long_runs_go_first(cluster):
     def run(n):
         return {"began": time.monotonic_ns()}
@@ -182,6 +212,9 @@ def test_wrong_clusters_are_refused():
         study.run(limit_s=1.0)
     with pytest.raises(TypeError, match="scheduler must be"):
         study.run(scheduler=3)
+    for address in ("", "tcp://", "host", "tcp://host: 8786"):
+        with pytest.raises(ValueError, match="scheduler must be an address"):
+            study.run(scheduler=address)
 
 
 SCRIPT = """
@@ -232,6 +265,8 @@ def test_a_script_that_is_ended_keeps_what_is_done_and_leaves_nothing(tmp_path, 
 
 
 def test_the_serial_way_does_not_load_dask():
-    code = ("import sys\nfrom adaptmg.study import Study\nStudy(lambda n: {'m': n}, {'n': [1, 2]}).run()\n"
-            "sys.exit('dask' in sys.modules or 'distributed' in sys.modules or 'cloudpickle' in sys.modules)")
+    # pandas itself loads cloudpickle where pyarrow is installed
+    code = ("import sys, pandas\nbefore = set(sys.modules)\nfrom adaptmg.study import Study\n"
+            "Study(lambda n: {'m': n}, {'n': [1, 2]}).run()\n"
+            "sys.exit(bool({'dask', 'distributed', 'cloudpickle'} & (set(sys.modules) - before)))")
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

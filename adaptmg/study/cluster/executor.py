@@ -15,6 +15,7 @@ import logging
 import math
 import pickle
 import queue
+import re
 import time
 import uuid
 from collections import deque
@@ -24,7 +25,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from distributed import Client, Future, KilledWorker
-from distributed.deploy import Cluster
+from distributed.deploy import Cluster, LocalCluster
 
 from adaptmg.problem import checks
 from adaptmg.study.cluster import in_worker
@@ -67,6 +68,9 @@ def opened(workers: int | None, scheduler: Any, runs: int) -> Iterator[Execute]:
     elif isinstance(scheduler, Client):
         yield on_cluster(scheduler)
     elif isinstance(scheduler, str | Cluster):
+        # a client that was given none hangs for a while when it is collected
+        if isinstance(scheduler, str) and not re.fullmatch(r"\S+:\d+", scheduler):
+            raise ValueError(f"scheduler must be an address such as 'tcp://host:8786', got {checks.shown(scheduler)}")
         try:
             client = Client(scheduler, set_as_default=False, timeout=CONNECT_S)
         except (OSError, TimeoutError, ValueError) as error:
@@ -208,19 +212,29 @@ class _Runs:
 
     def _come_back(self) -> list[tuple[str, Any]]:
         """What is back, at least one."""
-        waited = 0.0
+        waited, without = 0.0, 0
         while True:
             try:
                 found = [self._back.get(timeout=_LOOK_S)]
                 break
             except queue.Empty:
                 waited += _LOOK_S
-                if waited % _PATIENCE_S < _LOOK_S and not self._client.nthreads():
-                    _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
-                                 len(self._out) + len(self._left) + len(self._alone))
+                if waited % _PATIENCE_S < _LOOK_S:
+                    without = 0 if self._client.nthreads() else without + 1
+                    self._tell_of_no_workers(without)
         while not self._back.empty():
             found.append(self._back.get())
         return found
+
+    def _tell_of_no_workers(self, times: int) -> None:
+        """A cluster of the user's may get some; the processes of this machine should have been there again long ago."""
+        if not times:
+            return
+        if isinstance(self._client.cluster, LocalCluster) and times >= 3:
+            raise OSError("the processes that compute runs ended, and the system does not start them again (is it out "
+                          "of memory, or very busy?); what is done is stored: run the study again, with fewer workers")
+        _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
+                     len(self._out) + len(self._left) + len(self._alone))
 
     def _far_ahead(self) -> int:
         """How many runs a worker is given at once: more where they are so short that the way would count."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -14,8 +15,10 @@ from adaptmg.study.execute import error_text
 
 __all__ = ["check_workers", "on_any_worker"]
 
+_log = logging.getLogger(__name__)
+
 #: how long a cluster may take to have a worker
-_PATIENCE_S = 60.0
+PATIENCE_S = 60.0
 
 
 def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
@@ -31,11 +34,7 @@ def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
         If one has another adaptmg or other packages, or lacks a module.
     """
     address = client.scheduler.address
-    try:
-        client.wait_for_workers(1, timeout=_PATIENCE_S)
-    except TimeoutError:
-        raise OSError(f"the scheduler {address} has no workers after {_PATIENCE_S:g} s: start some with 'dask worker "
-                      f"{address} --nthreads 1'") from None
+    _wait_for_one(client, address)
     for name, worker in client.scheduler_info(n_workers=-1)["workers"].items():
         if worker["nthreads"] != 1:
             raise ValueError(f"the worker {name} has {worker['nthreads']} threads: start workers with one each ('dask "
@@ -47,6 +46,22 @@ def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
         told = found if isinstance(found, str) else error_text(found)
         if told:
             raise RuntimeError(f"the worker {name} cannot compute this study: {told}")
+
+
+def _wait_for_one(client: Client, address: str) -> None:
+    """Until there is a worker: as long as it takes where jobs were submitted, which may wait in a queue for hours."""
+    while True:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except TimeoutError:
+            if not getattr(client.cluster, "worker_spec", None):
+                raise OSError(f"the scheduler {address} has no workers after {PATIENCE_S:g} s: start some with 'dask "
+                              f"worker {address} --nthreads 1', or, where they come later, wait for the first "
+                              "(client.wait_for_workers(1)); a cluster that adapts needs a minimum of them") from None
+            _log.warning("the scheduler %s has no workers yet: %d were asked for", address,
+                         len(client.cluster.worker_spec))
+        else:
+            return
 
 
 def _fitness(order: bytes) -> Callable[[], str]:

@@ -97,9 +97,9 @@ def readied(order: Order, parts: dict[str, str] | None = None) -> Callable[..., 
         here = fingerprint(function, dict.fromkeys(order.depends)).seen()
         if here.code != order.code:
             told = ", ".join(here.differences(parts or {})[:5]) if parts else "see the start of a study"
-            raise UnfitWorker(f"it would compute something else than this process ({told}): what a script sets in a "
-                              "module does not reach workers, and files may have been edited; give such values as "
-                              "parameters or fixed={...}")
+            raise UnfitWorker(f"it would compute something else than this process ({told}): where files differ, or "
+                              "were edited since, bring the same ones there and start the worker again; what a script "
+                              "sets in a module does not reach workers: give such values as parameters or fixed={...}")
         while len(_functions) >= _MOST_FUNCTIONS:
             del _functions[next(iter(_functions))]
         _functions[known] = function
@@ -132,7 +132,7 @@ def perform(order: Order, point: Point, tries: int, report: Report) -> Finished:
     if order.warm:
         _warm()
     with _limited(order, report):
-        finished = compute(function, point)
+        finished = compute(function, point, interruptible=False)
     if finished.exception is not None:
         finished = replace(finished, exception=_sendable(finished.exception))
     return replace(finished, tries=tries)

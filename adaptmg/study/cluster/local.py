@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import multiprocessing
 import multiprocessing.spawn
 import os
 import signal
@@ -50,6 +51,9 @@ def local_cluster(workers: int) -> Iterator[Client]:
         For :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies can share it.
     """
     count = checks.integer("workers", workers, minimum=1)
+    if multiprocessing.current_process().daemon:
+        raise RuntimeError("a process that computes runs cannot start workers: leave workers= out of a study inside a "
+                           "run")
     # tells at length, and late, of connections to processes that were ended
     logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
     with _scripts_not_run_again(), _environment_kept(), dask.config.set(_CONFIG):

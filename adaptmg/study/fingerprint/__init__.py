@@ -1,7 +1,8 @@
 """What a run depends on, part by part: a stored result is given for the same parts only.
 
 Parts are the code of the run function and of what it calls of the user's own modules, the values it reads (defaults,
-closures, globals), the modules of adaptmg it can reach, and the versions of the packages it uses.
+closures, globals, attributes of functions), the modules of adaptmg it can reach, and the versions of the packages it
+uses. What is seen and what is not, in full: :mod:`adaptmg.study.fingerprint.fingerprint`.
 """
 
 from __future__ import annotations

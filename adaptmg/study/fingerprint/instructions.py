@@ -10,7 +10,7 @@ import dis
 from collections.abc import Iterator
 from types import CodeType
 
-__all__ = ["code_text", "globals_read", "imports_in"]
+__all__ = ["code_text", "constant_text", "free_read", "globals_read", "imports_in", "nested", "texts_in"]
 
 #: instructions that do nothing, or only keep books
 _IDLE = {"NOP", "CACHE", "RESUME", "PRECALL", "EXTENDED_ARG"}
@@ -21,27 +21,33 @@ def code_text(code: CodeType) -> str:
     flags = code.co_flags & 0x2AC  # *args, **kwargs, generator, coroutine
     lines = [f"def {code.co_argcount} {code.co_posonlyargcount} {code.co_kwonlyargcount} {flags} "
              f"{code.co_varnames[:code.co_argcount + code.co_kwonlyargcount + 2]}"]
-    for step in dis.get_instructions(code):
-        if step.opname not in _IDLE:
-            lines.append(f"{step.opname} {_argument(step)}")
-    return "\n".join(lines)
+    steps = [step for step in dis.get_instructions(code) if step.opname not in _IDLE]
+    for step, after in zip(steps, [*steps[1:], None], strict=True):
+        # docstrings of classes inside
+        if not (_stores_docstring(step) or (step.opname == "LOAD_CONST" and _stores_docstring(after))):
+            lines.append(f"{step.opname} {_argument(step, code)}")
+    # which instructions a ``try`` covers
+    return "\n".join([*lines, code.co_exceptiontable.hex()])
 
 
-def _argument(step: dis.Instruction) -> str:
-    if isinstance(step.argval, CodeType):
-        return code_text(step.argval)
+def _stores_docstring(step: dis.Instruction | None) -> bool:
+    return step is not None and step.opname == "STORE_NAME" and step.argval == "__doc__"
+
+
+def _argument(step: dis.Instruction, code: CodeType) -> str:
     if step.opcode in dis.hasconst:
-        return _constant(step.argval)
+        # dis itself does not tell the names of keyword arguments
+        return constant_text(code.co_consts[step.arg])
     # where a jump goes is a number of the instruction, without meaning after idle ones are gone, but as good as any
     return repr(step.argval)
 
 
-def _constant(value: object) -> str:
+def constant_text(value: object) -> str:
     """1, 1.0 and True differ, and sets have no order."""
     if isinstance(value, tuple):
-        return f"({', '.join(map(_constant, value))})"
+        return f"({', '.join(map(constant_text, value))})"
     if isinstance(value, frozenset):
-        return f"{{{', '.join(sorted(map(_constant, value)))}}}"
+        return f"{{{', '.join(sorted(map(constant_text, value)))}}}"
     return code_text(value) if isinstance(value, CodeType) else f"{type(value).__name__} {value!r}"
 
 
@@ -59,7 +65,7 @@ def globals_read(code: CodeType) -> list[tuple[str, ...]]:
     for part in nested(code):
         chain: list[str] | None = None
         for step in dis.get_instructions(part):
-            if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
+            if step.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"):
                 if chain:
                     found.append(tuple(chain))
                 chain = [step.argval]
@@ -80,7 +86,7 @@ def free_read(code: CodeType) -> dict[str, list[tuple[str, ...]]]:
     for part in nested(code):
         steps = [step for step in dis.get_instructions(part) if step.opname not in _IDLE]
         for step, after in zip(steps, [*steps[1:], None], strict=True):
-            if step.opname in ("LOAD_DEREF", "LOAD_CLASSDEREF") and step.argval in found:
+            if step.opname in ("LOAD_DEREF", "LOAD_CLASSDEREF", "LOAD_FROM_DICT_OR_DEREF") and step.argval in found:
                 taken = after is not None and after.opname in ("LOAD_ATTR", "LOAD_METHOD")
                 found[step.argval].append((after.argval,) if taken else ())
     return found
@@ -98,3 +104,9 @@ def imports_in(code: CodeType) -> list[str]:
             elif step.opname == "IMPORT_FROM":
                 found.append(f"{module}.{step.argval}")
     return list(dict.fromkeys(found))
+
+
+def texts_in(code: CodeType) -> list[str]:
+    """Constant texts that may be names of modules."""
+    found = (value for part in nested(code) for value in part.co_consts if isinstance(value, str))
+    return [text for text in dict.fromkeys(found) if all(part.isidentifier() for part in text.split("."))]

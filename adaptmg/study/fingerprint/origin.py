@@ -36,9 +36,12 @@ def kind_of(module: str | None) -> str:
         return INSTALLED
     file = getattr(sys.modules.get(module), "__file__", None)
     if not isinstance(file, str):
-        # a package without __init__ or a compiled one; else made by hand, or sent to a worker that lacks the module
         found = sys.modules.get(module)
-        return INSTALLED if hasattr(found, "__path__") or module in sys.builtin_module_names else OWN
+        folders = list(getattr(found, "__path__", ()))
+        if folders:  # without __init__
+            return INSTALLED if any(is_installed(os.path.join(folder, "")) for folder in folders) else OWN
+        # else made by hand, or sent to a worker that lacks the module
+        return INSTALLED if module in sys.builtin_module_names else OWN
     return INSTALLED if is_installed(file) or not file.endswith(".py") else OWN
 
 

@@ -4,19 +4,24 @@ From the modules where the names stand that the run function uses, one follows e
 ``from adaptmg.problem import Coulomb`` leads to the module where ``Coulomb`` stands, not to all that the package
 imports. So a case, an indicator or a picture that a run does not use may change. A module's hash is that of its
 compiled code without docstrings: comments, blank lines and docstrings play no part. Studies, stores and the engine
-themselves (this layer) are left out.
+themselves (this layer) are left out. Files are read again when they change; of a module that is loaded it also counts
+whether it is the one in the file, and which of its constants and functions were replaced.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
+import sys
 from collections.abc import Iterable
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from types import CodeType
+from typing import Any
 
-__all__ = ["home_of", "reached", "whole_package"]
+from adaptmg.study.fingerprint.loaded import Given, edited, given, loaded_before, set_values
+
+__all__ = ["home_of", "reached", "replaced", "whole_package"]
 
 _ROOT = Path(__file__).parents[2]
 _FROM = re.compile(r"^[ \t]*from[ \t]+(adaptmg[\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
@@ -36,8 +41,27 @@ def reached(roots: Iterable[str]) -> dict[str, str]:
         if name in found or _file(name) is None or name == "adaptmg" or name.startswith("adaptmg.study."):
             continue
         found.add(name)
-        waiting.extend(_imported(name))
-    return {name: _hash(name) for name in sorted(found)}
+        waiting.extend(_imported(name, *_stamp(name)))
+    return {name: _hash(name, *_stamp(name)) + _edited(name) for name in sorted(found)}
+
+
+def replaced(names: Iterable[str]) -> dict[str, Any]:
+    """What was put in the place of constants and functions of loaded modules, by full name."""
+    found = {}
+    for name in names:
+        module = sys.modules.get(name)
+        if module is not None:
+            values = set_values(module, _given(name, 2, *_stamp(name)))
+            found |= {f"{name}.{key}": value for key, value in values.items()}
+    return found
+
+
+def _edited(name: str) -> str:
+    """A mark for a module that was loaded before its file was changed: it computes something else than that says."""
+    module, stamp = sys.modules.get(name), _stamp(name)
+    if module is None or not loaded_before(stamp[0] / 1e9):
+        return ""
+    return " loaded before it was edited" if edited(module, _given(name, -1, *stamp)) else ""
 
 
 def whole_package() -> list[str]:
@@ -47,12 +71,11 @@ def whole_package() -> list[str]:
     return [name.removesuffix(".__init__") for name in names if not name.startswith(apart)]
 
 
-@cache
 def home_of(module: str, name: str) -> str:
     """The module where a name of a module stands that is imported from it."""
     if _file(f"{module}.{name}") is not None:
         return f"{module}.{name}"
-    return _names(module).get(name, module) if _is_package(module) else module
+    return _names(module, *_stamp(module)).get(name, module) if _is_package(module) else module
 
 
 @cache
@@ -71,17 +94,26 @@ def _is_package(module: str) -> bool:
     return file is not None and file.name == "__init__.py"
 
 
-@cache
-def _text(module: str) -> str:
+def _stamp(module: str) -> tuple[int, int]:
+    """When the file of a module was changed (ns since 1970), and its size."""
+    file = _file(module)
+    if file is None:
+        return 0, 0
+    found = file.stat()
+    return found.st_mtime_ns, found.st_size
+
+
+@lru_cache(maxsize=1024)
+def _text(module: str, *stamp: int) -> str:
     file = _file(module)
     return "" if file is None else file.read_text(encoding="utf-8", errors="replace")
 
 
-@cache
-def _names(module: str) -> dict[str, str]:
+@lru_cache(maxsize=1024)
+def _names(module: str, *stamp: int) -> dict[str, str]:
     """Names that a module takes from others, with the modules where they stand."""
     found = {}
-    for match in _FROM.finditer(_text(module)):
+    for match in _FROM.finditer(_text(module, *stamp)):
         for item in _COMMENT.sub("", match[2]).strip("() \t\n").split(","):
             words = item.split()
             if words:
@@ -89,11 +121,12 @@ def _names(module: str) -> dict[str, str]:
     return found
 
 
-@cache
-def _imported(module: str) -> frozenset[str]:
+@lru_cache(maxsize=1024)
+def _imported(module: str, *stamp: int) -> frozenset[str]:
     """Modules of adaptmg that one imports, at any depth of its text."""
-    text = _text(module)
-    return frozenset([*_names(module).values(), *_IMPORT.findall(text), *_QUOTED.findall(text), *_by_attribute(text)])
+    text = _text(module, *stamp)
+    found = _IMPORT.findall(text) + _QUOTED.findall(text) + _by_attribute(text)
+    return frozenset([*_names(module, *stamp).values(), *found])
 
 
 def _by_attribute(text: str) -> list[str]:
@@ -110,14 +143,26 @@ def _by_attribute(text: str) -> list[str]:
     return found
 
 
-@cache
-def _hash(module: str) -> str:
-    text = _text(module)
+@lru_cache(maxsize=1024)
+def _compiled(module: str, optimize: int, *stamp: int) -> CodeType | None:
     try:
-        # without docstrings and assertions
-        content = _code(compile(text, module, "exec", dont_inherit=True, optimize=2))
+        return compile(_text(module, *stamp), module, "exec", dont_inherit=True, optimize=optimize)
     except (SyntaxError, ValueError):
-        content = text
+        return None
+
+
+@lru_cache(maxsize=1024)
+def _given(module: str, optimize: int, *stamp: int) -> Given:
+    """What the file gives its names; functions are as this process has them if ``optimize`` is -1."""
+    code = _compiled(module, optimize, *stamp)
+    return Given() if code is None else given(code)
+
+
+@lru_cache(maxsize=1024)
+def _hash(module: str, *stamp: int) -> str:
+    # without docstrings and assertions
+    code = _compiled(module, 2, *stamp)
+    content = _text(module, *stamp) if code is None else _code(code)
     return hashlib.sha256(content.encode("utf-8", "surrogatepass")).hexdigest()[:16]
 
 
@@ -125,8 +170,9 @@ def _code(code: CodeType) -> str:
     """All of a code object but its place in a file."""
     constants = [_code(value) if isinstance(value, CodeType) else f"{type(value).__name__} {_ordered(value)}"
                  for value in code.co_consts]
-    return repr((code.co_name, code.co_flags, code.co_argcount, code.co_kwonlyargcount, code.co_code.hex(),
-                 code.co_names, code.co_varnames, code.co_freevars, constants))
+    return repr((code.co_name, code.co_flags, code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount,
+                 code.co_code.hex(), code.co_names, code.co_varnames, code.co_freevars, code.co_exceptiontable.hex(),
+                 constants))
 
 
 def _ordered(value: object) -> str:

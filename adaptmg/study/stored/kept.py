@@ -7,6 +7,7 @@ content in the name keeps the old file until the row that names the new one is s
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import os
@@ -23,6 +24,7 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder, write_bytes
+from adaptmg.runtime.text import printable
 
 __all__ = ["Folder", "Packed", "pack"]
 
@@ -66,6 +68,8 @@ def pack(value: Any) -> Packed | None:
 
 
 def _of_arrays(ending: str, array: np.ndarray) -> Packed:
+    if isinstance(array, np.ma.MaskedArray):
+        raise TypeError("a masked array cannot be kept, as its mask would be lost: return its data and mask")
     if array.dtype.kind not in "biufcUSMm":
         raise TypeError(f"an array of {array.dtype} cannot be kept: return numbers or texts")
     buffer = io.BytesIO()
@@ -80,9 +84,12 @@ def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
 
 
 def _figure(figure: Any) -> bytes:
+    import matplotlib
+
     buffer = io.BytesIO()
-    # without date and with numbered names the same figure is the same file
-    figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
+    # without date and with names that follow from the content the same figure is the same file
+    with matplotlib.rc_context({"svg.hashsalt": "adaptmg"}):
+        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})
     return buffer.getvalue()
 
 
@@ -115,6 +122,15 @@ def _unpack(file: Path) -> Any:
     return Result.load(file)
 
 
+def _write_all(base: Path, contents: Mapping[str, bytes]) -> None:
+    """Files by their paths from ``base``, each whole."""
+    for path, content in contents.items():
+        target = base / path
+        make_folder("the folder of the store's files", target.parent)
+        if not target.exists():
+            write_bytes(target, content)
+
+
 class Folder:
     """The files of the runs in a store.
 
@@ -127,6 +143,7 @@ class Folder:
     def __init__(self, store: Path | None) -> None:
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._store = store
+        self._trouble = ""
 
     @property
     def path(self) -> Path:
@@ -142,16 +159,34 @@ class Folder:
         if not packed:
             return {}
         folder = hashlib.sha256(f"{study}\0{key}".encode()).hexdigest()[:24]
-        make_folder("the folder of the store's files", self.path / folder)
         written = {}
         for name, item in packed.items():
             digest = hashlib.sha256(item.content).hexdigest()[:12]
             plain = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:60]
             written[name] = f"{folder}/{plain}-{digest}{item.ending}"
-            target = self.path / written[name]
-            if not target.exists():
-                write_bytes(target, item.content)
+        contents = {written[name]: item.content for name, item in packed.items()}
+        try:
+            _write_all(self.path, contents)
+        except OSError as error:
+            self._write_elsewhere(contents, error)
         return written
+
+    def _write_elsewhere(self, contents: Mapping[str, bytes], error: OSError) -> None:
+        """Where there is room; :meth:`told` tells of it."""
+        told = f"{printable(os.fspath(self.path))}: {error.strerror or error}: make room, or look at its permissions"
+        for base in (Path(tempfile.gettempdir()), Path.home()):
+            target = base / f"{self.path.name}.rescued-{os.getpid()}"
+            with contextlib.suppress(OSError):
+                _write_all(target, contents)
+                self._trouble = (f"{told}. The files of runs that are done are safe in {printable(os.fspath(target))}: "
+                                "copy the folders in it there")
+                return
+        raise OSError(f"{told}; files of a run could not be written elsewhere either, run it again") from error
+
+    def told(self) -> str:
+        """What to tell the user of files that could not be written where they belong; once."""
+        trouble, self._trouble = self._trouble, ""
+        return trouble
 
     def remove(self, old: Mapping[str, str], new: Mapping[str, str]) -> None:
         """Remove files of a run that its new row does not name."""

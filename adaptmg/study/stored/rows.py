@@ -6,18 +6,21 @@ import gc
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
+from itertools import chain
 from typing import Any
 
 from adaptmg.problem import checks
 from adaptmg.runtime.text import printable
 from adaptmg.study.record import Record, canonical, plain_results, restored
 
-__all__ = ["json_object", "record_row", "row_record", "uncollected"]
+__all__ = ["json_object", "record_row", "row_records", "uncollected"]
 
 _PLAIN = {bool, int, float, str, type(None)}
-_NAMES = ("status", "error", "seconds", "code", "finished", "traceback", "peak_memory", "started", "machine", "commit",
-          "tries")
+#: attributes of a record, in the order of the columns of a row after its study
+_COLUMNS = ("parameters", "status", "results", "error", "seconds", "code", "versions", "finished", "traceback",
+            "peak_memory", "started", "machine", "commit", "tries", "files")
+_NUMBERS = ("seconds", "peak_memory", "tries")
+_TEXTS = ("error", "code", "finished", "traceback", "started", "machine", "commit")
 
 
 def record_row(study: str, record: Record) -> tuple[Any, ...]:
@@ -28,33 +31,50 @@ def record_row(study: str, record: Record) -> tuple[Any, ...]:
             json.dumps(record.files) if record.files else "{}")
 
 
-def row_record(row: Sequence[Any], parameters: Any, results: Any) -> Record:
-    """A record of a row without its study; parameters and results are those of the row, read from JSON.
+def row_records(rows: Sequence[Sequence[Any]]) -> list[Record]:
+    """Records of rows without their study, checked column by column, as there may be 100 000.
 
     Raises
     ------
-    ValueError, TypeError
-        If adaptmg cannot have written it.
+    ValueError, TypeError, RecursionError
+        If adaptmg cannot have written one of them; which one, rows given one by one tell.
     """
-    (_, status, _, error, seconds, code, versions, finished, traceback, peak, started, machine, commit, tries,
-     files) = row
-    for found in (parameters, results):
-        checks.instance("its JSON", found, dict, "an object")
-    if not _PLAIN.issuperset(map(type, results.values())):
-        plain_results(results, {})
-    texts = (error, code, finished, traceback, started, machine, commit)
-    if status not in ("done", "failed") or not {int, float}.issuperset(map(type, (seconds, peak, tries))) \
-            or {str} != set(map(type, texts)):
+    if not rows:
+        return []
+    columns = dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True))
+    found = {name: _objects(columns[name]) for name in ("parameters", "results")}
+    if not _PLAIN.issuperset(map(type, _values(found["results"]))):
+        for results in found["results"]:
+            plain_results(results, {})
+    if not _PLAIN.issuperset(map(type, _values(found["parameters"]))):
+        found["parameters"] = [{name: restored(value) for name, value in point.items()}
+                               for point in found["parameters"]]
+    if not {"done", "failed"}.issuperset(columns["status"]) \
+            or any(not {int, float}.issuperset(map(type, columns[name])) for name in _NUMBERS) \
+            or any(set(map(type, columns[name])) != {str} for name in _TEXTS):
         raise ValueError("a column holds something else than it should")
-    if not _PLAIN.issuperset(map(type, parameters.values())):
-        parameters = {name: restored(value) for name, value in parameters.items()}
-    record = object.__new__(Record)
-    # 100 000 of them: the __init__ of a frozen dataclass takes three times as long
-    record.__dict__.update(zip(_NAMES, (status, error, seconds, code, finished, traceback, peak, started, machine,
-                                        commit, tries), strict=True))
-    record.__dict__.update(parameters=parameters, results=results, versions=_versions(versions),
-                           files={} if files == "{}" else _files(files))
-    return record
+    # the same for all rows of a sweep
+    versions = {text: json_object(text) for text in set(columns["versions"])}
+    found["versions"] = [versions[text] for text in columns["versions"]]
+    found["files"] = [{} if text == "{}" else _files(text) for text in columns["files"]]
+    make, put, made = object.__new__, object.__setattr__, []
+    for values in zip(*(columns | found).values(), strict=True):
+        # the __init__ of a frozen dataclass takes five times as long
+        made.append(record := make(Record))
+        put(record, "__dict__", dict(zip(_COLUMNS, values, strict=True)))
+    return made
+
+
+def _objects(texts: Sequence[Any]) -> list[dict[str, Any]]:
+    """What texts of JSON hold, all read at once, if each is an object."""
+    found = json.loads(f"[{','.join(texts)}]")
+    if len(found) != len(texts) or set(map(type, found)) != {dict}:
+        raise ValueError("its JSON must be an object")
+    return found
+
+
+def _values(objects: Sequence[dict[str, Any]]) -> Iterator[Any]:
+    return chain.from_iterable(map(dict.values, objects))
 
 
 @contextmanager
@@ -72,12 +92,6 @@ def uncollected() -> Iterator[None]:
 def json_object(text: Any) -> dict[str, Any]:
     """What a text of JSON holds, if that is an object."""
     return checks.instance("its JSON", json.loads(text), dict, "an object")
-
-
-@lru_cache(maxsize=64)
-def _versions(text: Any) -> dict[str, Any]:
-    """The same for all rows of a sweep."""
-    return json_object(text)
 
 
 def _files(text: Any) -> dict[str, str]:

@@ -1,0 +1,149 @@
+"""Ways in which what a run computes can change, and ways in which its text can that change nothing.
+
+Each is a script with a function ``run``, before and after, loaded anew; ``code_changes.txt`` is the table. '=== KIND:
+NAME' begins a change, '### FILE' a file beside script.py, '<<a|>b>>' is a before the change and b after it. KIND: seen
+(rows become stale), refused (with a way out), unseen (as the documentation says), same.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptmg.study.fingerprint import fingerprint, package
+from adaptmg.study.fingerprint.loaded import edited, given, loaded_before, set_values
+
+TABLE = [re.match(r"(\w+): (.*?)\n(.*)", block, re.DOTALL).groups() for block in
+         Path(__file__).with_name("code_changes.txt").read_text(encoding="utf-8").split("=== ")[1:]]
+BOTH = re.compile(r"<<(.*?)\|>(.*?)>>", re.DOTALL)
+
+
+@pytest.fixture
+def load(tmp_path, monkeypatch):
+    """Write the files of a script and load it, without any of a script before."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    before, path, turn = set(sys.modules), list(sys.path), iter(range(10))
+
+    def forget():
+        for name in set(sys.modules) - before:
+            module = sys.modules[name]
+            if str(tmp_path) in f"{getattr(module, '__file__', '')} {getattr(module, '__path__', '')}":
+                del sys.modules[name]
+
+    def loaded(text: str) -> Any:
+        forget()
+        folder = tmp_path / f"{next(turn)}"
+        for part in f"script.py\n{text}".split("### "):
+            name, _, body = part.partition("\n")
+            file = folder / name.strip()
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(body, encoding="utf-8")
+        monkeypatch.setattr(sys, "path", [str(folder), *path])
+        importlib.invalidate_caches()
+        monkeypatch.chdir(folder)
+        return importlib.import_module("script")
+
+    yield loaded
+    forget()
+
+
+def known(script: Any) -> str:
+    """The fingerprint, or why there is none; it does not depend on what a run has loaded or called."""
+    try:
+        code = fingerprint(script.run).code
+    except TypeError as error:
+        return f"refused: {error}"
+    return code
+
+
+def value(script: Any) -> str:
+    try:
+        return repr(script.run(3))
+    except ValueError as error:
+        return repr(error)
+
+
+@pytest.mark.parametrize(("kind", "text"), [pytest.param(kind, text, id=name) for kind, name, text in TABLE])
+def test_a_change_is_seen_where_it_changes_what_a_run_gives(load, kind, text):
+    found = []
+    for side in (r"\1", r"\2"):
+        script = load(BOTH.sub(side, text))
+        found.append((known(script), value(script)))
+    (code, result), (code_after, result_after) = found
+    assert (result == result_after) == (kind == "same")
+    if kind == "refused":
+        assert code.startswith("refused: ") and re.search(r"depends=\{'\w+': \.\.\.\}", code), code
+    else:
+        assert not code.startswith("refused") and (code != code_after) == (kind == "seen")
+    again = load(BOTH.sub(r"\1", text))
+    assert known(again) == code
+
+
+@pytest.mark.parametrize("text", ["import other\nother.K = 5\ndef run(n): return {'m': other.K}\n### other.py\nK = 1\n",
+                                  "import other\nother.K = 5\ndef run(n):\n    import other\n"
+                                  "    return {'m': other.K}\n### other.py\nK = 1\n",
+                                  "import other\nother.f = lambda: 5\ndef run(n):\n    import other\n"
+                                  "    return {'m': other.f()}\n### other.py\ndef f(): return 1\n",
+                                  "import other\nother.A.f = lambda s: 5\ndef run(n):\n    import other\n"
+                                  "    return {'m': other.A().f()}\n### other.py\nclass A:\n"
+                                  "    def f(self): return 1\n"])
+def test_what_a_script_sets_in_a_module_is_seen(load, text):
+    changed, plain = load(text), None
+    first = known(changed), value(changed)
+    plain = load(re.sub(r"^other.*\n", "", text, flags=re.MULTILINE))
+    assert first[0] != known(plain) and first[1] == "{'m': 5}" and value(plain) == "{'m': 1}"
+
+
+def test_a_module_that_was_edited_after_it_was_loaded_is_not_what_its_file_says(load):
+    text = "def run(n):\n    import other\n    return {'m': other.f()}\n### other.py\ndef f():\n    return 1\n"
+    script = load(text)
+    first, _ = known(script), value(script)
+    assert known(script) == first
+    file = Path(sys.modules["other"].__file__)
+    file.write_text("# what it is\ndef f():\n    return 1\n", encoding="utf-8")
+    assert known(script) == first
+    file.write_text("def f():\n    return 2\n", encoding="utf-8")
+    stale, there = known(script), value(script)
+    importlib.reload(sys.modules["other"])
+    fresh = known(script)
+    assert there == "{'m': 1}" and value(script) == "{'m': 2}" and len({first, stale, fresh}) == 3
+    assert known(load(text.replace("return 1", "return 2"))) == fresh
+
+
+def test_adaptmg_that_was_edited_or_changed_after_it_was_loaded(monkeypatch):
+    import adaptmg as am
+
+    def run(n):
+        return {"cycles": am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))).cycles}
+
+    before, name = fingerprint(run), "adaptmg.problem.laws"
+    run(1)
+    assert fingerprint(run).parts == before.parts
+    module = sys.modules[name]
+    text = package._text(name, *package._stamp(name))
+    changed = given(compile(text.replace(">= 0", "> 0").replace("self.friction", "-self.friction"), name, "exec"))
+    assert not edited(module, given(compile("# why\n" + text, name, "exec"))) and edited(module, changed)
+    monkeypatch.setattr(package, "loaded_before", lambda changed: True)
+    assert fingerprint(run).parts == before.parts
+    monkeypatch.setattr(package, "_given", lambda module, *rest: changed)
+    assert name + " is changed" in fingerprint(run).differences(before.parts)
+    assert loaded_before(Path(__file__).stat().st_mtime + 1e6) and not loaded_before(0.0)
+
+
+def test_a_constant_that_is_set_in_adaptmg_is_seen(monkeypatch):
+    import adaptmg as am
+    from adaptmg.multigrid.truncated import step
+
+    def run(n):
+        return {"cycles": am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))).cycles}
+
+    names = given(compile(Path(step.__file__).read_text(encoding="utf-8"), "step", "exec"))
+    assert names.functions and not set_values(step, names)
+    name, before = next(iter(names.functions)), fingerprint(run)
+    monkeypatch.setattr(step, name, lambda *given: None)
+    assert f"value of {step.__name__}.{name} is new" in fingerprint(run).differences(before.parts)
