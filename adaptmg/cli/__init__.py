@@ -4,3 +4,7 @@ from adaptmg.cli import report, runs, study  # each adds its command
 from adaptmg.cli.command import app, main
 
 __all__ = ["app", "main", "report", "runs", "study"]
+
+#: as they are listed
+_ORDER = ("cases", "solve", "adapt", "study", "runs", "report")
+app.registered_commands.sort(key=lambda command: _ORDER.index(command.callback.__name__))

@@ -9,6 +9,7 @@ from typing import Any
 import adaptmg as am
 from adaptmg.cli import work
 from adaptmg.cli.choices import EngineName, IndicatorName
+from adaptmg.cli.plain import finite
 
 __all__ = ["limits", "stepped", "summary", "write"]
 
@@ -47,7 +48,7 @@ def summary(steps: list[am.Step], files: list[Path]) -> dict[str, Any]:
              "total_work_units": step.total_work_units, "seconds": step.seconds, "total_seconds": step.total_seconds,
              "timings": dict(step.timings)} for step in steps]
     last = steps[-1]
-    return work.finite({"problem": last.result.problem_name, "indicator": last.estimate.indicator,
+    return finite({"problem": last.result.problem_name, "indicator": last.estimate.indicator,
                         "outcome": last.outcome, "steps": rows, "result": work.summary(last.result, files)})
 
 

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["CorrectionName", "EngineName", "IndicatorName", "LawName", "LinearName", "Shape", "SolverName",
-           "TransferName"]
+__all__ = [
+    "CorrectionName",
+    "EngineName",
+    "GoalName",
+    "IndicatorName",
+    "LawName",
+    "LinearName",
+    "MarkName",
+    "Shape",
+    "SolverName",
+    "Sweeping",
+    "TransferName",
+]
 
 
 class SolverName(StrEnum):
@@ -71,3 +82,27 @@ class IndicatorName(StrEnum):
 
     RESIDUAL = "residual"
     RECOVERY = "recovery"
+
+
+class GoalName(StrEnum):
+    """Quantities whose error an adaptive loop follows."""
+
+    DISPLACEMENT = "displacement"
+    MEAN_DISPLACEMENT = "mean-displacement"
+    CONTACT_FORCE = "contact-force"
+    OPENING = "opening"
+
+
+class MarkName(StrEnum):
+    """What marks elements."""
+
+    DOERFLER = "doerfler"
+    MAXIMUM = "maximum"
+
+
+class Sweeping(StrEnum):
+    """Order of the nodes in a sweep."""
+
+    FORWARD = "forward"
+    BACKWARD = "backward"
+    SYMMETRIC = "symmetric"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -26,9 +27,10 @@ from adaptmg.runtime.text import printable
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False,
+app = typer.Typer(pretty_exceptions_enable=False,
                   context_settings={"help_option_names": ["-h", "--help"]},
-                  epilog="Example: adaptmg solve greco_bar --divisions 4,8,16,32")
+                  epilog="Example: adaptmg solve greco_bar --divisions 4,8,16,32. Exit codes: 0 done, 1 failed or not "
+                         "converged, 2 bad input, 130 Ctrl-C.")
 
 
 def main() -> None:
@@ -46,22 +48,31 @@ def _root(context: typer.Context,
         typer.echo(context.get_help())
 
 
-@app.command(epilog="Example: adaptmg cases --json")
-def cases(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
-    """List the benchmark cases."""
-    with _told():
+@app.command(epilog="Example: adaptmg cases dovetail")
+def cases(
+    case: Annotated[str | None, typer.Argument(help="Name of a case: its arguments and boundaries.",
+                                               show_default=False)] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """List the benchmark cases, or say what one is: arguments with units and defaults, boundaries, loads."""
+    with _told(as_json):
         from adaptmg.cases import CASES
 
+        if case is not None:
+            from adaptmg.cli.described import guide
+
+            _say(json.dumps(guide.case_facts(case), indent=2) if as_json else guide.about_case(case))
+            return
         if as_json:
-            _say(json.dumps([{"name": n, "description": case.description} for n, case in CASES.items()], indent=2))
+            _say(json.dumps([{"name": n, "description": found.description} for n, found in CASES.items()], indent=2))
             return
         width = max(map(len, CASES))
-        for name, case in CASES.items():
-            _say(f"{name:<{width}}  {case.description}")
+        for name, found in CASES.items():
+            _say(f"{name:<{width}}  {found.description}")
 
 
 @app.command(epilog="Example: adaptmg solve greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
-                    "--transfer pseudo-l2 --friction 0.3 --out results/bar")
+                    "--transfer pseudo-l2 --friction 0.3 --set young=7e10 --out results/bar")
 def solve(
     case: Annotated[str, typer.Argument(help="Name of a case, see 'adaptmg cases'.")],
     divisions: Annotated[str | None, typer.Option(
@@ -75,6 +86,8 @@ def solve(
     law: Annotated[LawName | None, typer.Option(show_default="that of the case", help="Contact law.")] = None,
     friction: Annotated[float | None, typer.Option(help="Coefficient of Coulomb friction.")] = None,
     limit: Annotated[float | None, typer.Option(help="Tresca limit, Pa.")] = None,
+    own: Annotated[list[str] | None, typer.Option(
+        "--set", metavar="NAME=VALUE", help="Argument of the case, see 'adaptmg cases NAME'; several times.")] = None,
     solver: Annotated[SolverName, typer.Option(help="Method.")] = SolverName.FULL,
     correction: Annotated[CorrectionName | None, typer.Option(
         show_default="truncated, or monotone with --cycle, --pre, --post, --omega",
@@ -91,15 +104,19 @@ def solve(
     out: Annotated[Path | None, typer.Option(help="Directory for the result (.npz), pictures and a .vtu file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Solve a case and say how it went: exit code 1 if the tolerance was not reached, 2 for bad input."""
-    with _told():
+    """Solve a case and say how it went.
+
+    Exit code 1 if the tolerance was not reached, 2 for bad input, 130 for Ctrl-C.
+    """
+    with _told(as_json):
         from adaptmg.cli import work
+        from adaptmg.cli.methods import method_of
         from adaptmg.cli.progress import watched
 
         folder = None if out is None else work.out_folder(out)
-        problem = work.problem_of(case, law, friction, limit)
-        method = work.solver_of(solver, correction=correction, cycle=cycle, pre=pre, post=post, omega=omega,
-                                linear=linear, rtol=rtol, most=most)
+        problem = work.problem_of(case, law, friction, limit, own or ())
+        method = method_of(solver, correction=correction, cycle=cycle, pre=pre, post=post, omega=omega, linear=linear,
+                           rtol=rtol, most=most)
         with watched(method.rtol) as callback:
             grids = work.hierarchy_of(problem, divisions, sizes, contact_ratio, transfer)
             result = work.solved(grids, method, callback)
@@ -130,19 +147,25 @@ def adapt(
     law: Annotated[LawName | None, typer.Option(show_default="that of the case", help="Contact law.")] = None,
     friction: Annotated[float | None, typer.Option(help="Coefficient of Coulomb friction.")] = None,
     limit: Annotated[float | None, typer.Option(help="Tresca limit, Pa.")] = None,
+    own: Annotated[list[str] | None, typer.Option(
+        "--set", metavar="NAME=VALUE", help="Argument of the case, see 'adaptmg cases NAME'; several times.")] = None,
     out: Annotated[Path | None, typer.Option(
         help="Directory for the last result (.npz), pictures and a .vtu file.")] = None,
     store: Annotated[Path | None, typer.Option(
         help="Directory where every step is kept; a loop that was broken off goes on there.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Solve a case on meshes that follow the error, until a limit is reached: a line a step. Exit code 2: bad input."""
-    with _told():
+    """Solve a case on meshes that follow the error, until a limit is reached: a line a step.
+
+    Exit code 1 if a mesh could not be solved to its tolerance, 2 for bad input, 130 for Ctrl-C: with --store the same
+    command goes on.
+    """
+    with _told(as_json, "" if store is None else "what is done is stored, the same command goes on"):
         from adaptmg.cli import adaptive, work
         from adaptmg.cli.progress import watched_loop
 
         folder = None if out is None else work.out_folder(out)
-        problem = work.problem_of(case, law, friction, limit)
+        problem = work.problem_of(case, law, friction, limit, own or ())
         told: list[str] = []
         with watched_loop() as progress:
             # lines would run into the bar: they wait until it has gone
@@ -158,18 +181,41 @@ def adapt(
 
 
 @contextmanager
-def _told() -> Iterator[None]:
-    """Bad input and files that cannot be written become a line on standard error and exit code 2; Ctrl-C is 130."""
+def _told(as_json: bool = False, go_on: str = "") -> Iterator[None]:
+    """Bad input and files that cannot be written become a line on standard error and exit code 2; Ctrl-C is 130.
+
+    Parameters
+    ----------
+    as_json : bool
+        Print {"error": TEXT} too, as whoever reads JSON wants some.
+    go_on : str
+        What to say of an interrupt.
+    """
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            yield
     except BrokenPipeError:
         raise  # who read the output has gone: typer ends quietly
     except KeyboardInterrupt:
-        _say("adaptmg: interrupted", err=True)
+        _fail(f"interrupted{': ' * bool(go_on)}{go_on}", as_json)
         raise typer.Exit(130) from None
     except (ValueError, TypeError, OSError, MemoryError, ArithmeticError, RuntimeError) as error:
-        _say(f"adaptmg: {' '.join(_words(error).split())}", err=True)
-        raise typer.Exit(2) from None
+        # by its name: solvers may not be loaded
+        missed = "NotConverged" in {kind.__name__ for kind in type(error).__mro__}
+        _fail(f"{'not converged: ' * missed}{' '.join(_words(error).split())}", as_json)
+        raise typer.Exit(1 if missed else 2) from None
+
+
+def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
+    """A warning as a line; where in Python it arose is of no use here."""
+    _say(f"adaptmg: warning: {' '.join(str(message).split())}", err=True)
+
+
+def _fail(text: str, as_json: bool) -> None:
+    if as_json:
+        _say(json.dumps({"error": text}))
+    _say(f"adaptmg: {text}", err=True)
 
 
 def _words(error: Exception) -> str:
@@ -178,7 +224,8 @@ def _words(error: Exception) -> str:
         return error.strerror if error.filename is None else f"{error.strerror}: {error.filename!r}"
     if isinstance(error, MemoryError):
         return f"not enough memory: take fewer or larger elements ({error})"
-    return str(error) if isinstance(error, ValueError | TypeError) else f"{type(error).__name__}: {error}"
+    plain = isinstance(error, ValueError | TypeError | OSError) or hasattr(error, "result")
+    return str(error) if plain else f"{type(error).__name__}: {error}"
 
 
 def _say(text: str, err: bool = False) -> None:

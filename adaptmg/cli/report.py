@@ -26,23 +26,28 @@ def report(
 ) -> None:
     """Write a page that opens offline: how many runs there are, pictures of results, all runs, those that failed."""
     with told():
-        from adaptmg.cli.described import listing
+        from adaptmg.cli.listed import listing, writing
         from adaptmg.export import study_report
         from adaptmg.problem import checks
+        from adaptmg.study.frame import from_columns
 
         found = listing.opened(store)
         names = found.studies()
-        if not names:
-            raise ValueError(f"the store {store} has no runs")
-        if study is None and len(names) != 1:
-            raise ValueError(f"the store has several studies: give --study, one of {', '.join(names)}")
+        if not names or (study is None and len(names) != 1):
+            raise ValueError(listing.which(store, names))
         name = listing.chosen(names, study)
-        table = listing.table(found, name, False)
+        records = found.runs(name)
+        columns, _ = listing.selected(found, name)
+        table = from_columns(columns)
         table.attrs["study"] = name
-        known = {key for record in found.get(name).values() for key in record.parameters}
+        known = {key for record in records for key in record.parameters}
         page = store.with_name(f"{name}.html") if to is None else checks.file_path("--to", to)
         csv = page.with_suffix(".csv")
-        listing.write(table, csv)
+        if csv == page:
+            raise ValueError(f"--to must be an HTML file, got {checks.shown(str(to))}: its table goes into a .csv "
+                             "beside it")
         written = study_report(table, page, parameters=[key for key in table if key in known], results=result,
-                               csv=csv.name)
+                               csv=csv.name, units=listing.units(found, name, columns),
+                               summary=listing.same_in_all(records, columns), made=listing.made(records))
+        writing.write(columns, csv)
         say(f"wrote {written} and {csv}", err=True)

@@ -3,73 +3,31 @@
 from __future__ import annotations
 
 import io
-import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import adaptmg as am
-from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
+from adaptmg.cli.choices import LawName, TransferName
+from adaptmg.cli.described.arguments import given_arguments
+from adaptmg.cli.laws import posed
+from adaptmg.cli.plain import finite
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder, write_bytes
 from adaptmg.solver.run import Solver
 
-__all__ = ["finite", "hierarchy_of", "out_folder", "problem_of", "save_picture", "solved", "solver_of", "summary",
-           "write"]
+__all__ = ["hierarchy_of", "out_folder", "problem_of", "save_picture", "solved", "summary", "write"]
 
-#: options, beside rtol and most, that a method takes
-_TAKES = {SolverName.FULL: ("correction", "cycle", "pre", "post", "omega"),
-          SolverName.MULTIGRID: ("correction", "cycle", "pre", "post", "omega"),
-          SolverName.SINGLE: ("omega",), SolverName.ACTIVE: ("linear",)}
-_CORRECTIONS = {CorrectionName.TRUNCATED: am.Truncated, CorrectionName.MONOTONE: am.Monotone,
-                CorrectionName.PAPER: am.PaperCorrection}
 _DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
 
 
-def problem_of(case: str, law: LawName | None, friction: float | None, limit: float | None) -> am.ContactProblem:
-    """The case, with another law if one is asked for."""
-    function = am.cases.get(case).function
-    if law is None and friction is None and limit is None:
-        return function()
-    if law is None:
-        law = LawName.TRESCA if friction is None else LawName.COULOMB
-    for option, value, owner in (("friction", friction, LawName.COULOMB), ("limit", limit, LawName.TRESCA)):
-        if law is owner and value is None:
-            raise ValueError(f"--law {law} needs --{option}")
-        if law is not owner and value is not None:
-            raise ValueError(f"--{option} belongs to --law {owner}, not to {law}")
-    if law is LawName.COULOMB:
-        return function(law=am.Coulomb(friction))
-    return function(law=am.Frictionless() if law is LawName.FRICTIONLESS else am.Tresca(limit))
-
-
-def solver_of(name: SolverName, *, correction: CorrectionName | None, cycle: Shape | None, pre: int | None,
-              post: int | None, omega: float | None, linear: LinearName | None, rtol: float | None,
-              most: int | None) -> Solver:
-    """The method with the options that are given; ValueError for one it has no use for."""
-    given = {"correction": correction, "cycle": cycle, "pre": pre, "post": post, "omega": omega, "linear": linear}
-    useless = [option for option, value in given.items() if value is not None and option not in _TAKES[name]]
-    if useless:
-        raise ValueError(f"--{useless[0]} has no meaning for --solver {name}; "
-                         f"it takes {', '.join(f'--{option}' for option in _TAKES[name])}")
-    if name is SolverName.SINGLE:
-        return am.SingleGrid(**_only(omega=omega, rtol=rtol, max_sweeps=most))
-    if name is SolverName.ACTIVE:
-        method = am.AMG() if linear is LinearName.AMG else am.Direct()
-        return am.ActiveSet(linear=method, **_only(rtol=rtol, max_steps=most))
-    kind = am.FullMultigrid if name is SolverName.FULL else am.Multigrid
-    return kind(cycle=am.Cycle(**_only(shape=None if cycle is None else cycle.value, pre=pre, post=post)),
-                smoother=am.ProjectedGaussSeidel(**_only(omega=omega)),
-                correction=None if correction is None else _CORRECTIONS[correction](),
-                **_only(rtol=rtol, max_cycles=most))
-
-
-def _only(**options: Any) -> dict[str, Any]:
-    """Options that are given; the others keep the defaults of the class."""
-    return {name: value for name, value in options.items() if value is not None}
+def problem_of(case: str, law: LawName | None, friction: float | None, limit: float | None,
+               texts: Sequence[str] = ()) -> am.ContactProblem:
+    """The case, with another law if one is asked for, and with its own arguments, ``NAME=VALUE``."""
+    return posed(am.cases.get(case).function, law, friction, limit, **given_arguments(case, texts))
 
 
 def hierarchy_of(problem: am.ContactProblem, divisions: str | None, sizes: str | None, contact_ratio: float | None,
@@ -116,17 +74,6 @@ def summary(result: am.Result, files: list[Path]) -> dict[str, Any]:
            "max_displacement": float(np.linalg.norm(result.displacement, axis=1).max()),
            "versions": result.versions, "files": [str(file) for file in files]}
     return finite(row)
-
-
-def finite(value: Any) -> Any:
-    """Plain values as JSON takes them: numbers that are not finite become None."""
-    if isinstance(value, dict):
-        return {key: finite(v) for key, v in value.items()}
-    if isinstance(value, list):
-        return [finite(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def out_folder(given: Path) -> Path:

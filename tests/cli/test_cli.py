@@ -19,20 +19,6 @@ from adaptmg.cli import app
 from adaptmg.cli.progress import watched
 
 
-@pytest.fixture
-def command(capsys, monkeypatch):
-    """Run the command in this process: exit code, standard output, standard error."""
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as end:
-            app(list(arguments), prog_name="adaptmg")
-        out, err = capsys.readouterr()
-        return end.value.code or 0, out, err
-
-    return run
-
-
 def test_the_version(command):
     assert command("--version") == (0, f"adaptmg {am.__version__}\n", "")
 
@@ -41,6 +27,19 @@ def test_the_version(command):
 def test_every_help_has_an_example(command, arguments):
     code, out, _ = command(*arguments)
     assert code == 0 and "Example: adaptmg" in out
+
+
+def test_commands_are_listed_in_the_order_of_work(command):
+    out = command("--help")[1]
+    places = [out.index(f" {name} ") for name in ("cases", "solve", "adapt", "study", "runs", "report")]
+    assert places == sorted(places) and "130 Ctrl-C" in " ".join(out.split())
+
+
+def test_a_shell_can_complete(command, monkeypatch):
+    monkeypatch.setenv("_ADAPTMG_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "adaptmg solve --tr")
+    monkeypatch.setenv("COMP_CWORD", "2")
+    assert command()[1].split() == ["--transfer"]
 
 
 def test_help_loads_nothing_heavy():
@@ -100,6 +99,16 @@ def test_every_method_and_law_gives_its_solution(command, options):
     assert code == 0 and row["status"] == "CONVERGED" and row["residual"] < 1e-6
 
 
+def test_arguments_of_the_case_are_set(command):
+    code, out, _ = command("solve", "greco_block", "--divisions", "2,4", "--set", "young=7e10", "--set",
+                           "plane_strain=false", "--friction", "0.3", "--json")
+    problem = am.cases.greco_block(law=am.Coulomb(0.3), young=7e10, plane_strain=False)
+    wanted = am.solve(am.Hierarchy.uniform(problem, divisions=(2, 4)), am.FullMultigrid())
+    assert code == 0 and json.loads(out)["max_displacement"] == float(
+        np.linalg.norm(wanted.displacement, axis=1).max())
+    assert command("solve", "bolted_junction", "--set", "bolt=traction", "--sizes", "20e-3,12e-3")[0] == 0
+
+
 def test_independent_meshes_are_solved_with_any_transfer(command):
     code, out, _ = command("solve", "greco_bar", "--sizes", "20e-3,8e-3", "--contact-ratio", "2", "--transfer",
                            "lumped-l2", "--friction", "0.3", "--json")
@@ -124,6 +133,9 @@ def test_a_run_that_does_not_converge_ends_with_code_1(command):
     (("greco_bar", "--law", "coulomb"), "needs --friction"),
     (("greco_bar", "--law", "tresca", "--limit", "1", "--friction", "1"), "--friction belongs to"),
     (("greco_bar", "--divisions", "2,4", "--out", "/dev/null/x"), "/dev/null"),
+    (("greco_bar", "--set", "yong=1"), "did you mean 'young'"), (("greco_bar", "--set", "young"), "NAME=VALUE"),
+    (("greco_bar", "--set", "young=steel"), "young must be a number"), (("greco_bar", "--set", "young=-1"), "> 0"),
+    (("greco_bar", "--set", "friction=1"), "an option of its own"), (("dovetail", "--set", "angle="), "NAME=VALUE"),
 ])
 def test_bad_input_is_one_line_and_code_2(command, options, message):
     code, out, err = command("solve", *options)

@@ -9,24 +9,9 @@ import math
 import pytest
 
 import adaptmg as am
-from adaptmg.cli import app
 from adaptmg.cli.progress import watched_loop
 
 SMALL = ("adapt", "upset_block", "--start", "8e-3", "--engine", "bisect", "--max-nodes", "120")
-
-
-@pytest.fixture
-def command(capsys, monkeypatch):
-    """Run the command in this process: exit code, standard output, standard error."""
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as end:
-            app(list(arguments), prog_name="adaptmg")
-        out, err = capsys.readouterr()
-        return end.value.code or 0, out, err
-
-    return run
 
 
 def test_its_help_has_an_example(command):
@@ -69,6 +54,16 @@ def test_files_are_written_and_a_store_is_gone_on_from(command, tmp_path):
     assert {"adaptation.png", "result.npz", "result.vtu"} <= names
     code, _, err = command(*SMALL, *store, "--theta", "0.3")
     assert code == 2 and "another loop: mark differs" in err
+
+
+def test_a_mesh_that_is_not_solved_ends_with_code_1(command, monkeypatch):
+    from adaptmg.estimate.loop import walk
+
+    result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8)),
+                      am.FullMultigrid(max_cycles=1), throw=False)
+    monkeypatch.setattr(walk.AdaptiveWalk, "steps", lambda self: (_ for _ in ()).throw(am.NotConverged(result)))
+    code, out, err = command(*SMALL, "--json")
+    assert code == 1 and "not converged" in json.loads(out)["error"] and "not converged: " in err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("options, words", [(("--max-nodes", "0"), "max_nodes"), (("--start", "-1"), "start"),

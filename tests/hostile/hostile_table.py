@@ -21,6 +21,7 @@ TABLES = (
     "mesh_files",
     "mesh_objects",
     "domains_and_sizes",
+    "adaptive_loops",
 )
 
 

@@ -1,28 +1,60 @@
-"""The keys of a study file, and what their values must be."""
+"""The keys of a study file: what their values must be, what they mean, and what holds where they are left out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
-from adaptmg.cli.choices import CorrectionName, LawName, LinearName, Shape, SolverName, TransferName
+from adaptmg.cli.choices import (
+    CorrectionName,
+    EngineName,
+    GoalName,
+    IndicatorName,
+    LawName,
+    LinearName,
+    MarkName,
+    Shape,
+    SolverName,
+    Sweeping,
+    TransferName,
+)
 from adaptmg.problem import checks
 
-__all__ = ["KINDS", "SECTIONS", "Check", "plain"]
+__all__ = ["OPEN", "SECTIONS", "SETTINGS", "WORDS", "Check", "Key", "plain"]
 
 Check = Callable[[str, Any], Any]
 
 
-def _text(name: str, value: Any) -> str:
-    return checks.boundary_name(name, value)
+@dataclass(frozen=True)
+class Key:
+    """A key of a section.
+
+    Attributes
+    ----------
+    check : callable
+        Of name and value -> the value, or TypeError or ValueError.
+    values : str
+        What it takes, in words, with the unit.
+    meaning : str
+    default : str
+        What holds where it is left out; empty where it must be given, or where nothing then happens.
+    """
+
+    check: Check
+    values: str
+    meaning: str
+    default: str = ""
 
 
-def _one_of(*names: str) -> Check:
+def _one_of(names: Iterable[str]) -> Check:
     choices = tuple(map(str, names))
 
     def check(name: str, value: Any) -> str:
         if not isinstance(value, str) or value not in choices:
-            near = checks.suggestion(value, choices) if isinstance(value, str) else ""
+            same = {choice.casefold(): choice for choice in choices}
+            near = checks.suggestion(same.get(value.casefold(), value), choices) if isinstance(value, str) else ""
             raise ValueError(f"{name} must be one of {', '.join(choices)}, got {checks.shown(value)}{near}")
         return value
 
@@ -38,17 +70,65 @@ def _list_of(check: Check, words: str) -> Check:
     return checked
 
 
+def _ordered(check: Check, words: str, sign: int) -> Check:
+    """Lists that rise, or fall: grids from coarse to fine."""
+    listed = _list_of(check, words)
+
+    def checked(name: str, value: Any) -> tuple[Any, ...]:
+        found = listed(name, value)
+        if any(sign * a >= sign * b for a, b in pairwise(found)):
+            raise ValueError(f"{name} must go from coarse to fine, got {checks.shown(list(value))}")
+        return found
+
+    return checked
+
+
 def _whole(name: str, value: Any) -> int:
-    return checks.integer(name, value, minimum=1)
+    return checks.integer(name, value, minimum=1, maximum=10**9)
 
 
 def _count(name: str, value: Any) -> int:
+    return checks.integer(name, value, maximum=10**9)
+
+
+def _seed(name: str, value: Any) -> int:
     return checks.integer(name, value)
 
 
+def _flag(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"{name} must be true or false, got {checks.shown(value)}")
+    return value
+
+
+def _length(name: str, value: Any) -> float:
+    return checks.quantity(name, value, positive=True)
+
+
+def _omega(name: str, value: Any) -> float:
+    omega = checks.number(name, value)
+    if not 0 < omega < 2:
+        raise ValueError(f"{name} must lie between 0 and 2 (both excluded), got {checks.shown(value)}")
+    return omega
+
+
+def _share(name: str, value: Any) -> float:
+    share = checks.number(name, value)
+    if not 0 < share < 1:
+        raise ValueError(f"{name} must be > 0 and < 1, got {checks.shown(value)}")
+    return share
+
+
+def _ratio(name: str, value: Any) -> float:
+    ratio = checks.quantity(name, value)
+    if not ratio >= 1:
+        raise ValueError(f"{name} must be >= 1, got {checks.shown(value)}")
+    return ratio
+
+
 def _factors(name: str, value: Any) -> Any:
-    return _list_of(checks.number, "factors, one a step")(name, value) if isinstance(value, list | tuple) else \
-        checks.number(name, value)
+    return _list_of(checks.quantity, "factors, one a step")(name, value) if isinstance(value, list | tuple) else \
+        checks.quantity(name, value)
 
 
 def plain(name: str, value: Any) -> Any:
@@ -60,23 +140,109 @@ def plain(name: str, value: Any) -> Any:
     raise TypeError(f"{name} must be a number, text, true, false, or a list of those, got {checks.shown(value)}")
 
 
-#: by section and key: the check of a value; a section that is None takes any keys of its own
-SECTIONS: dict[str, dict[str, Check]] = {
-    "case": {"case": _text, "law": _one_of(*LawName), "friction": checks.nonnegative, "limit": checks.nonnegative},
-    "hierarchy": {"divisions": _list_of(_whole, "whole numbers"), "sizes": _list_of(checks.positive, "sizes in m"),
-                  "contact_ratio": checks.positive, "transfer": _one_of(*TransferName)},
-    "solver": {"method": _one_of(*SolverName), "correction": _one_of(*CorrectionName), "cycle": _one_of(*Shape),
-               "pre": _count, "post": _count, "omega": checks.positive, "linear": _one_of(*LinearName),
-               "rtol": checks.tolerance, "max_cycles": _whole},
-    "adapt": {"start": checks.positive, "indicator": _one_of("residual", "recovery"),
-              "engine": _one_of("remesh", "bisect"), "theta": checks.tolerance, "tolerance": checks.tolerance,
-              "max_nodes": _whole, "max_seconds": checks.positive},
-    "load_path": {"default": _factors},
-    "measure": {"columns": _list_of(_text, "names"), "keep": checks.flag},
-    "run": {"workers": _whole, "limit_s": checks.positive, "memory_limit": checks.positive, "cost": _text},
-    "design": {"kind": _one_of("grid", "zip", "random", "latin-hypercube", "sobol"), "runs": _whole, "seed": _count,
-               "log": _list_of(_text, "names")},
+_point = _list_of(checks.quantity, "coordinates in m")
+_names = _list_of(checks.boundary_name, "names")
+
+
+def _named(names: Iterable[str], meaning: str, default: str) -> Key:
+    return Key(_one_of(names), " | ".join(map(str, names)), meaning, default)
+
+
+SECTIONS: dict[str, dict[str, Key]] = {
+    "case": {
+        "case": Key(checks.boundary_name, "name", "the problem, see 'adaptmg cases'"),
+        "law": _named(LawName, "contact law", "that of the case"),
+        "friction": Key(checks.nonnegative, ">= 0", "coefficient of Coulomb friction", "that of the case"),
+        "limit": Key(checks.nonnegative, "Pa", "Tresca limit"),
+    },
+    "hierarchy": {
+        "divisions": Key(_ordered(_whole, "whole numbers", 1), "list",
+                         "uniform nested grids of rectangles and boxes: cells a side, coarse to fine",
+                         "[4, 8, 16, 32], in 3D [2, 4, 8]"),
+        "sizes": Key(_ordered(_length, "sizes in m", -1), "list, m",
+                     "independent, non-nested meshes of any shape instead: element sizes, coarse to fine"),
+        "contact_ratio": Key(_ratio, ">= 1", "with sizes: size away from contact over size at contact", "1"),
+        "transfer": _named(TransferName, "with sizes: transfer between the meshes", "interpolation"),
+    },
+    "solver": {
+        "method": _named(SolverName, "full-multigrid has a nested start, multigrid starts from zero", "full-multigrid"),
+        "correction": _named(CorrectionName, "multigrid: truncated is the fast one, monotone is proven, paper is that "
+                             "of the paper", "truncated; monotone with cycle, pre, post, omega or order"),
+        "cycle": _named(Shape, "multigrid: shape of the cycle of the monotone and the paper's correction", "V"),
+        "pre": Key(_count, "whole number", "multigrid: sweeps before the correction", "2"),
+        "post": Key(_count, "whole number", "multigrid: sweeps after the correction", "0"),
+        "omega": Key(_omega, "0 to 2", "relaxation of the sweeps", "1"),
+        "order": _named(Sweeping, "order of the nodes in a sweep (multigrid)", "forward"),
+        "gap": _named(("smallest", "largest", "injected"), "correction paper: opening of coarse nodes", "smallest"),
+        "slip": _named(("initial", "injected", "minmod"), "correction paper: slip of coarse nodes", "initial"),
+        "sliding_limit": _named(("initial", "injected", "summed"), "correction paper: limit of coarse ones", "initial"),
+        "condensed": Key(_flag, "true | false", "single-grid: sweep on the contact line alone, the rest eliminated",
+                         "false"),
+        "linear": _named(LinearName, "active-set: linear solver", "direct"),
+        "rtol": Key(checks.tolerance, "0 to 1", "tolerance: estimated relative algebraic error in the energy "
+                    "norm", "1e-8; active-set 1e-10"),
+        "max_cycles": Key(_whole, "whole number", "cycles, sweeps or Newton steps at most",
+                          "100; single-grid 200000, active-set 60"),
+    },
+    "adapt": {
+        "start": Key(_length, "m", "element size of the first mesh", "5e-3"),
+        "indicator": _named((*IndicatorName, "goal"), "what estimates the error; goal: of one quantity", "residual"),
+        "engine": _named(EngineName, "meshes made anew by sizes, or marked elements bisected", "remesh"),
+        "mark": _named(MarkName, "which elements are marked", "doerfler"),
+        "theta": Key(_share, "0 to 1", "doerfler: share of the squared estimate that is marked; "
+                     "maximum: share of the largest above which an element is", "0.5"),
+        "coarsen": Key(_share, "0 to 1", "bisect: share of the squared estimate that the elements "
+                       "hold which become coarser", "none do"),
+        "goal": _named(GoalName, "indicator goal: the quantity", ""),
+        "goal_boundary": Key(checks.boundary_name, "name", "where, for mean-displacement, contact-force and opening",
+                             "contact"),
+        "goal_point": Key(_point, "[x, y], m", "where, for displacement and opening", "opening: its mean"),
+        "goal_component": _named(("x", "y", "z", "normal", "tangential"), "of displacement, mean-displacement, "
+                                 "contact-force", "contact-force: normal"),
+        "tolerance": Key(checks.tolerance, "0 to 1", "stop when the estimate is so small, relative"),
+        "max_nodes": Key(_whole, "whole number", "stop before a mesh has more nodes"),
+        "max_seconds": Key(checks.positive, "s", "begin no step after so long"),
+    },
+    "load_path": {
+        "default": Key(_factors, "factor, or list", "factor of what is not named", "1"),
+    },
+    "measure": {
+        "columns": Key(_names, "list", "measures in the table", '["cycles", "work_units", "residual", '
+                       '"nodes"]'),
+        "forces_on": Key(_names, "list", "boundaries: resultant force on each, N or N/m, columns 'force_x(NAME)'"),
+        "points": Key(_point, "A = [0.0, 0.0], m", "named points: displacement there, m, columns 'A.x' and so on"),
+        "keep": Key(_flag, "true | false", "keep the result of the last step in the folder "
+                    "STORE.files (am.Result.load)", "false"),
+    },
+    "run": {
+        "workers": Key(_whole, "whole number", "processes on this machine", "this process"),
+        "limit_s": Key(checks.positive, "s", "with workers: a run that takes longer is stopped and recorded as failed"),
+        "memory_limit": Key(checks.positive, "bytes", "with workers: the same for memory"),
+        "cost": Key(checks.boundary_name, "setting, measure, or \"seconds\"", "runs where it is largest go first"),
+    },
+    "design": {
+        "kind": _named(("grid", "zip", "random", "latin-hypercube", "sobol"), "every combination of values; lists side "
+                       "by side; samples of ranges [low, high]", "grid"),
+        "runs": Key(_whole, "whole number", "samples: how many points"),
+        "seed": Key(_seed, "whole number", "samples: the same seed gives the same points", "0"),
+        "log": Key(_names, "list", "samples: settings on a logarithmic scale"),
+        "repeats": Key(_whole, "whole number", "how often each point is run: a parameter 'repeat' counts them", "1"),
+    },
     "vary": {},
 }
-#: sections that take keys beside those, with the check of their values
-KINDS: dict[str, Check] = {"case": plain, "load_path": _factors}
+#: sections whose keys are settings of a run, which [vary] can name
+SETTINGS = ("case", "hierarchy", "solver", "adapt", "load_path")
+#: what sections are for
+WORDS = {
+    "case": "which problem; beside these keys its own arguments, see 'adaptmg cases NAME'",
+    "hierarchy": "grids; without it the default divisions",
+    "solver": "method; without it full multigrid, truncated, to 1e-8",
+    "adapt": "instead of [hierarchy]: meshes that follow the error, until one of the limits",
+    "load_path": "load steps: factors by boundary or body, NAME = [0.5, 1.0], one a step",
+    "measure": "what the table shows, beside the outcome; it may be empty",
+    "run": "how runs are computed",
+    "design": "which points",
+    "vary": "settings and their values, \"solver.pre\" = [1, 2, 4]; samples: their ranges [low, high]",
+}
+#: sections that take keys beside those, with the check of their values; those of [case] by its arguments
+OPEN: dict[str, Check] = {"case": plain, "load_path": _factors}

@@ -5,27 +5,31 @@ Every message about a file begins with its name and the line.
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from adaptmg.cli.described.keys import KINDS, SECTIONS
-from adaptmg.cli.described.measures import MEASURES
+from adaptmg.cli.described.arguments import case_keys
+from adaptmg.cli.described.design import design_of
+from adaptmg.cli.described.keys import OPEN, SECTIONS, SETTINGS, Check, Key
+from adaptmg.cli.described.meanings import MEANINGS
+from adaptmg.cli.described.toml import TomlFile
 from adaptmg.problem import checks
-from adaptmg.runtime.text import printable
-from adaptmg.study.designs import Design, Grid, LatinHypercube, Random, Sobol, Zip
+from adaptmg.study.designs import Design
 
 __all__ = ["StudyFile", "read"]
 
+#: keys outside sections
 _TOP = ("name", "store")
-_SAMPLES = {"random": Random, "latin-hypercube": LatinHypercube, "sobol": Sobol}
-#: sections whose keys are parameters of a run
-_SETTINGS = ("case", "hierarchy", "solver", "adapt", "load_path")
+#: what keys are called elsewhere
+_ALIASES = {"mu": "friction", "coefficient": "friction", "E": "young", "youngs_modulus": "young", "nu": "poisson",
+            "poisson_ratio": "poisson", "tol": "rtol", "tolerance": "rtol", "maxit": "max_cycles",
+            "max_iterations": "max_cycles", "presweeps": "pre", "postsweeps": "post", "levels": "divisions",
+            "cells": "divisions", "h": "sizes", "name": "case", "type": "method", "solver": "method",
+            "quantities": "columns"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,9 +44,12 @@ class StudyFile:
     design : Design
         Of the settings that vary, as ``"section.key"``.
     fixed : dict
-        The other settings, by the same names; ``measure.columns`` and ``measure.keep`` too.
+        The other settings, by the same names; ``measure.columns`` and the like too.
     options : dict
         Of :meth:`adaptmg.study.Study.run`.
+    file : TomlFile
+    places : dict
+        By setting the path of its key in the file.
     """
 
     name: str
@@ -50,6 +57,8 @@ class StudyFile:
     design: Design
     fixed: dict[str, Any]
     options: dict[str, Any] = field(default_factory=dict)
+    file: TomlFile
+    places: dict[str, tuple[str, ...]]
 
 
 def read(path: str | os.PathLike[str]) -> StudyFile:
@@ -62,143 +71,174 @@ def read(path: str | os.PathLike[str]) -> StudyFile:
     OSError
         If it cannot be read.
     """
-    file = checks.file_path("FILE", path)
-    try:
-        text = file.read_bytes().decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{printable(str(file))} is no text in UTF-8 ({error})") from None
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{printable(str(file))}: {error}") from None
-    return _Reader(file, text, content).result()
+    return _Reader(TomlFile(path)).result()
 
 
 class _Reader:
     """Checks one file."""
 
-    def __init__(self, file: Path, text: str, content: dict[str, Any]) -> None:
-        self._file, self._lines, self._content = file, text.splitlines(), content
+    def __init__(self, file: TomlFile) -> None:
+        self._file, self._content = file, file.content
+        #: by setting the path of its key in its section, and in [vary]
+        self._places: dict[str, tuple[str, ...]] = {}
+        self._varied: dict[str, tuple[str, ...]] = {}
 
     def result(self) -> StudyFile:
         """The file, checked."""
-        self._check_names()
-        for section in ("case", "measure", "vary"):
-            if section not in self._content:
-                raise self._wrong(f"there is no section [{section}]", "")
-        settings = {f"{section}.{key}": self._checked(section, key, value) for section in _SETTINGS
-                    for key, value in self._content.get(section, {}).items()}
-        if "case.case" not in settings:
-            raise self._wrong("[case] needs case = \"NAME\", see 'adaptmg cases'", "case")
-        self._check_case(settings)
-        design = self._design(settings)
-        self._check_measures()
-        fixed = {name: value for name, value in settings.items() if name not in design.names}
-        for key, value in self._content["measure"].items():
-            fixed[f"measure.{key}"] = self._checked("measure", key, value)
-        options = {key: self._checked("run", key, value) for key, value in self._content.get("run", {}).items()}
-        name = self._content.get("name", self._file.stem)
-        store = Path(self._content.get("store", f"results/{name}.sqlite"))
-        return StudyFile(name=name, store=store, design=design, fixed=fixed, options=options)
+        self._check_sections()
+        varied = self._flat("vary", ("vary",), self._content["vary"])
+        keys = {section: dict(SECTIONS[section]) for section in SECTIONS}
+        keys["case"] = self._case_keys(varied)
+        fixed = {f"{section}.{key}": self._checked(keys, section, key, value, self._places[f"{section}.{key}"])
+                 for section in SETTINGS for key, value in self._given(section).items()}
+        design = self._design(keys, varied)
+        fixed = {name: value for name, value in fixed.items() if name not in design.names} | self._measures(keys)
+        options = {key: self._checked(keys, "run", key, value, ("run", key))
+                   for key, value in self._given("run").items()}
+        self._check_options(options, [*fixed, *design.names])
+        name = self._content.get("name", self._file.path.stem)
+        store = checks.file_path("store", self._content.get("store", f"results/{name}.sqlite"))
+        return StudyFile(name=name, store=store, design=design, fixed=fixed, options=options, file=self._file,
+                         places=self._places | self._varied)
 
-    def _check_names(self) -> None:
+    def _check_sections(self) -> None:
         for name, value in self._content.items():
             if name in _TOP:
-                if not isinstance(value, str) or not value or not value.isprintable():
-                    raise self._wrong(f"{name} must be text, got {checks.shown(value)}", name)
-                continue
-            if name not in SECTIONS:
-                raise self._wrong(f"there is no section {name!r}{checks.suggestion(name, [*SECTIONS, *_TOP])}; there "
-                                  f"are {', '.join(SECTIONS)}", name)
-            if not isinstance(value, dict):
-                raise self._wrong(f"{name} must be a section, [{name}], got {checks.shown(value)}", name)
-            for key in value:
-                if name not in KINDS and name != "vary" and key not in SECTIONS[name]:
-                    raise self._wrong(f"[{name}] has no key {key!r}{checks.suggestion(key, SECTIONS[name])}; it has "
-                                      f"{', '.join(SECTIONS[name])}", name, key)
+                self._check_text(name, value)
+            elif name not in SECTIONS:
+                owners = [section for section in SECTIONS if name in SECTIONS[section]]
+                hint = f" (it belongs below [{owners[0]}])" if owners else checks.suggestion(name, [*SECTIONS, *_TOP])
+                raise self._file.wrong(f"there is no section {name!r}{hint}; there are {', '.join(SECTIONS)}, and "
+                                       f"before them {' and '.join(_TOP)}", name)
+            elif not isinstance(value, dict):
+                raise self._file.wrong(f"{name} must be one section, [{name}], got {checks.shown(value)}", name)
+        for section in ("case", "measure", "vary"):
+            if section not in self._content:
+                raise self._file.wrong(f"there is no section [{section}] ({_PURPOSE[section]}); 'adaptmg study "
+                                       "--template greco_bar' prints a file to begin with")
+        if not self._content["vary"]:
+            raise self._file.wrong("[vary] is empty: name a setting and its values, such as \"solver.pre\" = [1, 2]",
+                                   "vary")
 
-    def _checked(self, section: str, key: str, value: Any, where: tuple[str, str] | None = None) -> Any:
-        check = SECTIONS[section].get(key) or KINDS[section]
+    def _check_text(self, name: str, value: Any) -> None:
+        if not isinstance(value, str) or not value.strip() or not value.isprintable():
+            raise self._file.wrong(f"{name} must be text, got {checks.shown(value)}", name)
+        if name == "name" and (set(value) & set("/\\") or value.startswith(".") or len(value) > 100):
+            raise self._file.wrong(f"name must be a name, which becomes that of files, got {checks.shown(value)}", name)
+
+    def _flat(self, top: str, place: tuple[str, ...], table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+        """Keys of tables in each other, with dots between: ``case.friction`` is the same as ``"case.friction"``."""
+        found: dict[str, Any] = {}
+        for key, value in table.items():
+            name, path = f"{before}{key}", (*place, key)
+            inner = self._flat(top, path, value, f"{name}.") if isinstance(value, dict) and value else {name: value}
+            for twice in set(inner) & set(found):
+                raise self._file.wrong(f"[{top}] names {twice} twice", *path)
+            found |= inner
+            if name in inner:
+                if top == "vary":
+                    self._varied[name] = path
+                else:
+                    self._places[f"{top}.{name}"] = path
+        return found
+
+    def _given(self, section: str) -> dict[str, Any]:
+        """The keys of a section; those of open ones may have dots."""
+        table = self._content.get(section, {})
+        if section in OPEN:
+            return self._flat(section, (section,), table)
+        if section != "measure":
+            self._places |= {f"{section}.{key}": (section, key) for key in table}
+        return table
+
+    def _case_keys(self, varied: Mapping[str, Any]) -> dict[str, Key]:
+        """The keys that all cases take which are named."""
+        said = self._content["case"].get("case")
+        several = varied.get("case.case")
+        if said is None and several is None:
+            raise self._file.wrong("[case] needs case = \"NAME\", see 'adaptmg cases'", "case")
+        found: list[dict[str, Key]] = []
+        for name in [said] if several is None else several if isinstance(several, list) else []:
+            try:
+                found.append(case_keys(checks.boundary_name("case", name)))
+            except (ValueError, TypeError) as error:
+                raise self._file.wrong(str(error), *(("case", "case") if several is None else
+                                                     self._varied["case.case"])) from None
+            known = found[-1]
+            given = [(f"case.{key}", self._places) for key in self._given("case")]
+            for setting, places in [*given, *((setting, self._varied) for setting in varied)]:
+                key = setting.removeprefix("case.")
+                if setting.startswith("case.") and key not in known:
+                    raise self._file.wrong(f"the case {name} takes no {key!r}{_near(key, known)}; it takes "
+                                           f"{', '.join(known)}", *places[setting])
+        return found[0] if found else SECTIONS["case"]
+
+    def _checked(self, keys: Mapping[str, Mapping[str, Key]], section: str, key: str, value: Any,
+                 place: Iterable[str]) -> Any:
+        known = keys[section]
+        if key not in known and section not in OPEN:
+            raise self._file.wrong(f"[{section}] has no key {key!r}{_near(key, known)}; it has "
+                                   f"{', '.join(known)}", *place)
+        check: Check = known[key].check if key in known else OPEN[section]
         try:
             return check(f"{section}.{key}", value)
         except (TypeError, ValueError) as error:
-            raise self._wrong(str(error), *(where or (section, key))) from None
+            raise self._file.wrong(str(error), *place) from None
 
-    def _check_case(self, settings: Mapping[str, Any]) -> None:
-        """The case, and arguments that its function takes."""
-        from adaptmg import cases
-
-        varied = self._content["vary"]
-        names = varied.get("case.case", [settings["case.case"]]) if isinstance(varied, dict) else []
-        for name in [settings["case.case"], *(names if isinstance(names, list) else [])]:
-            try:
-                takes = inspect.signature(cases.get(name).function).parameters
-            except ValueError as error:
-                raise self._wrong(str(error), "case", "case") from None
-            given = [("case", key) for key in self._content["case"]]
-            given += [("vary", key) for key in varied if key.startswith("case.")]
-            for section, key in given:
-                bare = key.removeprefix("case.")
-                if bare not in SECTIONS["case"] and bare not in takes:
-                    known = [*SECTIONS["case"], *takes]
-                    raise self._wrong(f"the case {name} takes no {bare!r}{checks.suggestion(bare, known)}; it takes "
-                                      f"{', '.join(dict.fromkeys(known))}", section, key)
-
-    def _check_measures(self) -> None:
-        columns = self._content["measure"].get("columns", [])
-        for column in columns if isinstance(columns, list) else []:
-            if column not in MEASURES:
-                raise self._wrong(f"nothing measures {column!r}{checks.suggestion(str(column), MEASURES)}; there are "
-                                  f"{', '.join(MEASURES)}", "measure", "columns")
-
-    def _design(self, settings: Mapping[str, Any]) -> Design:
-        vary = self._content["vary"]
-        if not vary:
-            raise self._wrong("[vary] is empty: name a setting and its values, such as \"solver.pre\" = [1, 2]", "vary")
-        kind = self._content.get("design", {}).get("kind", "grid")
-        values = {}
-        for name, given in vary.items():
-            section, _, key = name.partition(".")
-            known = [f"{s}.{k}" for s in _SETTINGS for k in SECTIONS[s]]
-            if section not in _SETTINGS or not key or (key not in SECTIONS[section] and section not in KINDS):
-                raise self._wrong(f"{name!r} cannot be varied{checks.suggestion(name, known)}: name a setting as "
-                                  "\"section.key\"", "vary", name)
-            if not isinstance(given, list) or not given:
-                raise self._wrong(f"{name} must be a list of values" + (", got an empty one" if given == [] else
-                                  f", got {checks.shown(given)}"), "vary", name)
-            values[name] = [self._checked(section, key, value, ("vary", name)) for value in given]
-        try:
-            return self._made(kind, values)
-        except (TypeError, ValueError) as error:
-            raise self._wrong(str(error), "design" if "design" in self._content else "vary") from None
-
-    def _made(self, kind: str, values: dict[str, list[Any]]) -> Design:
-        given = {key: self._checked("design", key, value) for key, value in self._content.get("design", {}).items()}
-        kind = given.pop("kind", "grid")
-        if kind in _SAMPLES:
-            if "runs" not in given:
-                raise ValueError(f"a {kind} design needs runs = NUMBER, and (low, high) of each setting in [vary]")
-            # whole numbers where the setting is one: ends of floats that are written as integers are not
-            return _SAMPLES[kind](values, given.pop("runs"), **given)
-        if given:
-            raise ValueError(f"a {kind} design takes no {next(iter(given))}")
-        return Zip(values) if kind == "zip" else Grid(values)
-
-    def _wrong(self, text: str, section: str, key: str = "") -> ValueError:
-        """An error that names file and line."""
-        line = self._line(section, key)
-        return ValueError(f"{printable(str(self._file))}{f', line {line}' if line else ''}: {text}")
-
-    def _line(self, section: str, key: str) -> int:
-        """Where a key stands (or its section); 0 if it cannot be told."""
-        inside, found = "", 0
-        for number, line in enumerate(self._lines, start=1):
-            header = re.fullmatch(r"\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?", line)
-            if header:
-                inside = header[1].strip("\"'")
-                found = number if inside == section else found
-            word = re.match(r"\s*(\"[^\"]*\"|'[^']*'|[\w.-]+)\s*=", line)
-            if word and ((inside == section and word[1].strip("\"'") == key)
-                         or (not inside and word[1] == (section if not key else f"{section}.{key}"))):
-                return number
+    def _measures(self, keys: Mapping[str, Mapping[str, Key]]) -> dict[str, Any]:
+        """The settings of [measure]; points are settings each."""
+        found: dict[str, Any] = {}
+        for key, value in self._given("measure").items():
+            self._places[f"measure.{key}"] = ("measure", key)
+            if key == "points":
+                if not isinstance(value, dict):
+                    raise self._file.wrong("measure.points must be named points, points = {A = [0.0, 0.0]}, got "
+                                           f"{checks.shown(value)}", "measure", "points")
+                for name, point in value.items():
+                    place = self._places[f"measure.points.{name}"] = ("measure", "points", name)
+                    found[f"measure.points.{name}"] = self._checked(keys, "measure", key, point, place)
+                continue
+            found[f"measure.{key}"] = self._checked(keys, "measure", key, value, ("measure", key))
+        for column in found.get("measure.columns", ()):
+            if column not in MEANINGS:
+                raise self._file.wrong(f"nothing measures {column!r}{checks.suggestion(column, MEANINGS)}; there are "
+                                       f"{', '.join(MEANINGS)}", "measure", "columns")
         return found
+
+    def _design(self, keys: Mapping[str, Mapping[str, Key]], varied: Mapping[str, Any]) -> Design:
+        values: dict[str, list[Any]] = {}
+        for name, given in varied.items():
+            section, _, key = name.partition(".")
+            if section not in SETTINGS or not key or (key not in keys[section] and section not in OPEN):
+                known = [f"{s}.{k}" for s in SETTINGS for k in keys[s]]
+                raise self._file.wrong(f"{name!r} cannot be varied{checks.suggestion(name, known)}: name a setting as "
+                                       "\"section.key\"", *self._varied.get(name, ("vary",)))
+            place = self._varied[name]
+            if not isinstance(given, list) or not given:
+                raise self._file.wrong(f"{name} must be a list of values" + (", got an empty one" if given == [] else
+                                       f", got {checks.shown(given)}"), *place)
+            values[name] = [self._checked(keys, section, key, value, place) for value in given]
+        options = {key: self._checked(keys, "design", key, value, ("design", key))
+                   for key, value in self._given("design").items()}
+        try:
+            return design_of(values, **options)
+        except (TypeError, ValueError) as error:
+            named = [name for name in values if f"'{name}'" in str(error)]
+            place = self._varied[named[0]] if named else ("design",) if "design" in self._content else ("vary",)
+            words = re.sub(r"(?:parameters|ranges)\['([^']*)'\]", r"\1", str(error))
+            raise self._file.wrong(words, *place) from None
+
+    def _check_options(self, options: Mapping[str, Any], settings: list[str]) -> None:
+        cost, known = options.get("cost"), [*settings, *MEANINGS, "seconds"]
+        if cost is not None and cost not in known:
+            raise self._file.wrong(f"run.cost: there is no setting or measure {cost!r}{checks.suggestion(cost, known)}",
+                                   "run", "cost")
+
+
+def _near(key: str, known: Iterable[str]) -> str:
+    """What may be meant by a key that is none of those known."""
+    alias = _ALIASES.get(key)
+    return f" (did you mean {alias!r}?)" if alias in known else checks.suggestion(key, known)
+
+
+_PURPOSE = {"case": "which problem", "measure": "what the table shows; it may be empty", "vary": "what varies"}

@@ -1,0 +1,1 @@
+"""Runs of a store as tables, on the terminal and in files."""

@@ -1,0 +1,1 @@
+"""One run of a study file: what it is made of, and what is measured."""

@@ -1,0 +1,230 @@
+"""From the settings of a run to problem, load path, grids, method and adaptive loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+import adaptmg as am
+from adaptmg.cases import get
+from adaptmg.cli.choices import (
+    CorrectionName,
+    GoalName,
+    LawName,
+    LinearName,
+    MarkName,
+    Shape,
+    SolverName,
+    Sweeping,
+    TransferName,
+)
+from adaptmg.cli.laws import posed
+from adaptmg.cli.methods import method_of
+from adaptmg.problem import checks
+from adaptmg.problem.load_path import names_in_path
+from adaptmg.solver.run import Solver
+
+__all__ = ["Settings", "WrongSetting", "adaptation", "check", "grids", "load_path", "problem", "section", "solver"]
+
+Settings = Mapping[str, Any]
+
+_DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
+#: nodes of uniform grids that are refused before anything runs
+_MOST_NODES = {2: 5e6, 3: 2e6}
+#: the same of graded ones, whose domains fill a part of their boxes; elements along contact
+_MOST_ROUGHLY, _MOST_ALONG = 10.0, 1e5
+_LIMITS = ("tolerance", "max_nodes", "max_seconds")
+_NAMED = {"correction": CorrectionName, "cycle": Shape, "order": Sweeping, "linear": LinearName}
+
+
+class WrongSetting(ValueError):
+    """Settings of which a part cannot be made.
+
+    Parameters
+    ----------
+    text : str
+    section : str
+        In which the settings are.
+    """
+
+    def __init__(self, text: str, section: str) -> None:
+        super().__init__(text)
+        self.section = section
+
+
+def section(settings: Settings, name: str) -> dict[str, Any]:
+    """The settings of a section, by key."""
+    return {key[len(name) + 1:]: value for key, value in settings.items() if key.startswith(f"{name}.")}
+
+
+def check(settings: Settings) -> None:
+    """Make what can be made without meshing.
+
+    Raises
+    ------
+    WrongSetting
+        For what cannot be.
+    """
+    made: am.ContactProblem | None = None
+
+    def of_problem(part: Callable[..., Any]) -> Callable[[Settings], Any]:
+        return lambda settings: part(made, settings)
+
+    parts: dict[str, Callable[[Settings], Any]] = {
+        "case": problem, "load_path": of_problem(_check_path), "hierarchy": of_problem(_check_grids), "solver": solver,
+        "adapt": of_problem(_check_adaptation), "measure": of_problem(_check_measures)}
+    for name, part in parts.items():
+        try:
+            found = part(settings)
+        except (ValueError, TypeError) as error:
+            raise WrongSetting(str(error), name) from error
+        made = found if name == "case" else made
+
+
+def problem(settings: Settings) -> am.ContactProblem:
+    """The case, with the law that is asked for."""
+    given = section(settings, "case")
+    function, law = get(given.pop("case")).function, given.pop("law", None)
+    return posed(function, None if law is None else LawName(law), given.pop("friction", None), given.pop("limit", None),
+                 "case.", **given)
+
+
+def load_path(settings: Settings) -> am.LoadPath | None:
+    """The load path, if there is one."""
+    given = section(settings, "load_path")
+    default = given.pop("default", 1.0)
+    return am.LoadPath(given, default) if "load_path.default" in settings or given else None
+
+
+def _check_path(task: am.ContactProblem, settings: Settings) -> None:
+    path, known = load_path(settings), names_in_path(task)
+    for name in path.factors if path is not None else ():
+        if name not in known:
+            raise ValueError(f"load_path.{name}: the problem has no load there{checks.suggestion(name, known)}; it has "
+                             f"loads on {', '.join(known)}")
+
+
+def _check_grids(task: am.ContactProblem, settings: Settings) -> None:
+    given = section(settings, "hierarchy")
+    if section(settings, "adapt"):
+        if given:
+            raise ValueError("give [hierarchy] or [adapt], not both: adaptation makes its own meshes")
+        return
+    if "sizes" in given:
+        if "divisions" in given:
+            raise ValueError("give hierarchy.divisions or hierarchy.sizes, not both")
+        _check_size(task, "hierarchy.sizes", max(given["sizes"]))
+        _check_finest(task, min(given["sizes"]), given.get("contact_ratio", 1.0))
+        return
+    if useless := sorted(set(given) - {"divisions"}):
+        raise ValueError(f"hierarchy.{useless[0]} belongs to hierarchy.sizes (independent, non-nested meshes)")
+    parts = getattr(task.domain, "parts", {"": task.domain}).values()
+    if not all(isinstance(part, am.Rectangle | am.Box) for part in parts):
+        raise ValueError("hierarchy.divisions are for rectangles and boxes, which this case is not: give "
+                         "hierarchy.sizes = [10e-3, 5e-3] (element sizes in m, coarse to fine)")
+    finest = max(given.get("divisions", (1,)))
+    nodes = len(parts) * (finest + 1.0)**task.dim
+    if nodes > _MOST_NODES[task.dim]:
+        raise ValueError(f"hierarchy.divisions: {finest} cells a side make {nodes:.2g} nodes, at most "
+                         f"{_MOST_NODES[task.dim]:.2g} are run in a study: take fewer")
+
+
+def _check_size(task: am.ContactProblem, name: str, size: float) -> None:
+    """Most sizes that are too large are in millimetres."""
+    longest = max(float((part.upper - part.lower).max())
+                  for part in getattr(task.domain, "parts", {"": task.domain}).values())
+    if size > longest:
+        raise ValueError(f"{name} = {size:g} m is more than the body is long ({longest:g} m): sizes are in m, such as "
+                         f"{longest / 4:g}")
+
+
+def _check_finest(task: am.ContactProblem, size: float, ratio: float) -> None:
+    """Sizes of which Netgen would make elements for hours."""
+    parts = getattr(task.domain, "parts", {"": task.domain}).values()
+    nodes = sum(float(np.prod((part.upper - part.lower) / size)) for part in parts)
+    along = max(float((part.upper - part.lower).max()) for part in parts) / size * ratio
+    if nodes > _MOST_ROUGHLY * _MOST_NODES[task.dim] or along > _MOST_ALONG:
+        at_contact = f" ({size / ratio:g} m at contact)" if ratio > 1 else ""
+        raise ValueError(f"hierarchy.sizes, down to {size:g} m{at_contact}, make "
+                         f"some {max(nodes, along):.0e} nodes: at most {_MOST_NODES[task.dim]:.0e} are run in a study")
+
+
+def grids(task: am.ContactProblem, settings: Settings) -> am.Hierarchy:
+    """Uniform grids, or independent ones where sizes are given."""
+    _check_grids(task, settings)
+    given = section(settings, "hierarchy")
+    if "sizes" not in given:
+        return am.Hierarchy.uniform(task, divisions=given.get("divisions", _DIVISIONS[task.dim]))
+    kinds = {TransferName.INTERPOLATION: am.Interpolation, TransferName.L2: am.L2, TransferName.LUMPED: am.LumpedL2,
+             TransferName.PSEUDO: am.PseudoL2, TransferName.QUASI: am.QuasiInterpolation}
+    return am.Hierarchy.graded(task, sizes=given["sizes"], contact_ratio=given.get("contact_ratio", 1.0),
+                               transfer=kinds[given.get("transfer", TransferName.INTERPOLATION)]())
+
+
+def solver(settings: Settings) -> Solver:
+    """The method."""
+    given = section(settings, "solver")
+    name = SolverName(given.pop("method", SolverName.FULL))
+    given["most"] = given.pop("max_cycles", None)
+    named = {key: _NAMED[key](value) if key in _NAMED else value for key, value in given.items()}
+    return method_of(name, **named, flag="solver.", flag_of_name="solver.method")
+
+
+def adaptation(task: am.ContactProblem, settings: Settings) -> dict[str, Any]:
+    """Arguments of :func:`adaptmg.adapt` after the problem."""
+    given = section(settings, "adapt")
+    stops = {name: given[name] for name in _LIMITS if name in given}
+    if not stops:
+        raise ValueError("[adapt] needs a limit: max_nodes, tolerance or max_seconds")
+    bisect = given.get("engine") == "bisect"
+    if "coarsen" in given and not bisect:
+        raise ValueError("adapt.coarsen belongs to adapt.engine = \"bisect\"; remeshing makes elements coarser anyway")
+    if given.get("indicator") != "goal" and (useless := [key for key in given if key.startswith("goal")]):
+        raise ValueError(f"adapt.{useless[0]} belongs to adapt.indicator = \"goal\"")
+    goal = am.Goal(_goal(given)) if given.get("indicator") == "goal" else None
+    indicator = goal or (am.Recovery() if given.get("indicator") == "recovery" else am.Residual())
+    kind = am.Maximum if given.get("mark") == MarkName.MAXIMUM else am.Doerfler
+    # errors of single quantities scatter less on Netgen's own meshes
+    engine = am.Bisect(coarsen=given.get("coarsen", False)) if bisect else am.Remesh(refinements=0) if goal else \
+        am.Remesh()
+    return {"start": given.get("start", 5e-3), "indicator": indicator, "mark": kind(given.get("theta", 0.5)),
+            "engine": engine, "solver": solver(settings) if section(settings, "solver") else None,
+            "load_path": load_path(settings), **stops}
+
+
+def _goal(given: Mapping[str, Any]) -> Any:
+    """The quantity whose error is followed; its class says what is wrong."""
+    kind = given.get("goal")
+    boundary, point, component = (given.get(f"goal_{key}") for key in ("boundary", "point", "component"))
+    needs = {GoalName.DISPLACEMENT: {"point": point, "component": component}, GoalName.CONTACT_FORCE: {},
+             GoalName.MEAN_DISPLACEMENT: {"boundary": boundary, "component": component}, GoalName.OPENING: {}}
+    if kind is None:
+        raise ValueError(f"adapt.indicator = \"goal\" needs adapt.goal, one of {', '.join(GoalName)}")
+    for key, value in needs[kind].items():
+        if value is None:
+            raise ValueError(f"adapt.goal = \"{kind}\" needs adapt.goal_{key}")
+    if kind == GoalName.DISPLACEMENT:
+        return am.Displacement(point, component)
+    if kind == GoalName.MEAN_DISPLACEMENT:
+        return am.MeanDisplacement(boundary, component)
+    if kind == GoalName.CONTACT_FORCE:
+        return am.ContactForce(boundary or "contact", component or "normal")
+    return am.Opening(boundary or "contact", point)
+
+
+def _check_adaptation(task: am.ContactProblem, settings: Settings) -> None:
+    if section(settings, "adapt"):
+        _check_size(task, "adapt.start", adaptation(task, settings)["start"])
+
+
+def _check_measures(task: am.ContactProblem, settings: Settings) -> None:
+    for name, point in section(settings, "measure.points").items():
+        if len(point) != task.dim:
+            raise ValueError(f"measure.points.{name} must have {task.dim} coordinates, got {checks.shown(point)}")
+    known = ("contact", *task.domain.boundaries)
+    for name in settings.get("measure.forces_on", ()):
+        if name not in known:
+            raise ValueError(f"measure.forces_on: there is no boundary {name!r}{checks.suggestion(name, known)}; there "
+                             f"are {', '.join(known)}")

@@ -1,0 +1,26 @@
+"""The command line, run in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from adaptmg.cli import app
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def command(capsys, monkeypatch, tmp_path) -> Command:
+    """Run ``adaptmg`` in a folder of its own: exit code, standard output, standard error."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as end:
+            app(list(arguments), prog_name="adaptmg")
+        out, err = capsys.readouterr()
+        return end.value.code or 0, out, err
+
+    return run

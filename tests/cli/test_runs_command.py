@@ -1,0 +1,189 @@
+"""``adaptmg runs``: what is read, conditions, tables on narrow terminals, files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from adaptmg.cli.listed import conditions, listing, writing
+from adaptmg.cli.listed.fitting import printed
+from adaptmg.study import Study
+from adaptmg.study.record import Record
+from adaptmg.study.store import Store
+
+
+@pytest.fixture
+def command(command):
+    """``adaptmg runs``."""
+    return partial(command, "runs")
+
+
+def stored(count: int = 300) -> None:
+    """A store of many runs, every tenth failed; the first 150 have the same ``a``."""
+    records = [Record(parameters={"a": k // 150, "b": k, "same": "x,y", "pair": (1, 2)},
+                      status="done" if k % 10 else "failed", error="" if k % 10 else "ValueError: ten",
+                      results={"m": k / 4, "even": k % 2 == 0, "nothing": None, "nan": float("nan")} if k % 10 else {},
+                      seconds=0.5, versions={"python": "3"}, finished=f"2026-01-01T00:00:{k:05}") for k in range(count)]
+    Store("s.sqlite").put_all("first", records)
+
+
+def test_only_what_is_printed_is_read(command, monkeypatch):
+    stored()
+    read = []
+    whole = Store._records
+    monkeypatch.setattr(Store, "_records", lambda self, study, rows: read.append(len(rows)) or whole(self, study, rows))
+    code, out, _ = command("s.sqlite", "--limit", "7")
+    assert code == 0 and "... 293 more" in out and len(out.splitlines()) == 10
+    assert sum(read) < 20
+    # the parameter that is the same in all rows shown, but not in all, is there; those that are the same are not
+    assert out.split()[:2] == ["a", "b"] and "same" not in out and "pair" not in out
+    read.clear()
+    assert "23 more" in command("s.sqlite", "--limit", "7", "--status", "failed")[1] and sum(read) < 20
+
+
+def test_runs_that_lack_a_parameter_of_others(command):
+    store = Store("s.sqlite")
+    for given in ({"n": 1}, {"n": 1, "late": 2}, {"n": 1, "late": 3}):
+        store.put("first", Record(parameters=given, status="done"))
+    lines = [line.split() for line in command("s.sqlite")[1].splitlines()]
+    assert lines[0][0] == "late" and [line[0] for line in lines[2:5]] == ["-", "2", "3"]
+    rows = json.loads(command("s.sqlite", "--json", "--where", "late>2")[1])
+    assert [row["late"] for row in rows] == [3]
+
+
+def test_a_study_of_one_run_shows_its_parameters(command):
+    stored(1)
+    out = command("s.sqlite")[1]
+    assert "same" in out.splitlines()[0] and out.splitlines()[-1] == "1 run" and "ValueError: ten" in out
+
+
+def test_a_table_loads_neither_a_solver_nor_pandas(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    stored(3)
+    code = ("import sys\nfrom adaptmg.cli import app\ntry:\n    app(['runs', 's.sqlite', '--where', 'a=0'])\n"
+            "except SystemExit:\n    pass\n"
+            "sys.stderr.write(' '.join(m for m in ('pandas', 'numba', 'ngsolve', 'dask', 'adaptmg.solver') "
+            "if m in sys.modules))")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stderr == "" and "3 runs" in done.stdout
+
+
+@pytest.mark.parametrize(("given", "found"), [
+    (["b=4"], [4]), (["b=4.0"], [4]), (["b=4e0"], [4]), (["m=1"], [4]), (["m=.5"], [2]), (["b<3", "b>0"], [1, 2]),
+    (["b<=2", "b>=2"], [2]), (["even=true", "b<6"], [2, 4]), (["even=True", "b<6"], [2, 4]), (["even=1"], []),
+    (["same=x,y", "b=3"], [3]), (["pair=[1, 2]", "b=3"], [3]), (["status=failed", "b<20"], [0, 10]),
+    (["nothing=null", "b<3"], [1, 2]), (["nan=nan", "b<3"], [1, 2]), (["nan<1"], []), (["b!=1", "b<3"], [0, 2]),
+    (["error=ValueError: ten", "b<15"], [0, 10]), (["tries=1", "b=7"], [7]), ([" b = 7 "], [7]), (["same>1"], []),
+])
+def test_conditions(command, given, found):
+    stored(30)
+    rows = json.loads(command("s.sqlite", "--json", *(text for one in given for text in ("--where", one)))[1])
+    assert [row["b"] for row in rows] == found
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    ("c=1", "there is no column 'c'; there are a, b, pair, same, m"), ("sam=1", "did you mean 'same'"),
+    ("b", "NAME=VALUE"), ("=1", "NAME=VALUE"), ("b<x", "followed by a number, got 'x'"), ("b<nan", "by a number"),
+])
+def test_conditions_that_are_none(command, given, words):
+    stored(12)
+    code, out, err = command("s.sqlite", "--where", given)
+    assert (code, out) == (2, "") and words in err and err.count("\n") == 1
+
+
+def test_failure_is_json_too(command):
+    stored(3)
+    code, out, err = command("s.sqlite", "--json", "--where", "zz=1")
+    assert code == 2 and "zz" in json.loads(out)["error"] and err.startswith("adaptmg: ")
+    rows = json.loads(command("s.sqlite", "--json")[1], parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert rows[1]["nan"] is None and rows[0]["m"] is None
+
+
+def test_several_studies_are_counted_without_reading_them(command, monkeypatch):
+    stored(20)
+    Study(lambda n: {"m": n}, {"n": [1, 2]}, "s.sqlite", name="second").run(progress=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "_records", lambda *_: pytest.fail("runs are read"))
+        lines = [line.split() for line in command("s.sqlite")[1].splitlines()]
+    assert lines[2][:4] == ["first", "18", "2", "10"] and lines[3][:3] == ["second", "2", "0"]
+    code, _, err = command("s.sqlite", "--where", "n=1")
+    assert code == 2 and "give --study, one of first, second" in err
+
+
+def test_a_damaged_row_is_named_whether_it_is_read_alone_or_with_others(command):
+    stored(30)
+    store = Store("s.sqlite")
+    with store._connection as connection:
+        connection.execute("UPDATE runs SET results = '[1]' WHERE parameters LIKE '%\"b\":17,%'")
+    for options in ((), ("--where", "b=3")):
+        code, out, err = command("s.sqlite", *options)
+        assert (code, out) == (2, "") and "is damaged: the run" in err and '"b":17' in err
+    assert command("s.sqlite", "--limit", "9")[0] == 0
+
+
+def test_a_narrow_terminal_gets_blocks():
+    table = {"p": [1, 2], "q": ["a", "b"], **{f"column {k}": [k, 1.5 * k] for k in range(7)}}
+    text = printed(table, ["p", "q"], units={"column 3": "Pa"}, note="end", width=40)
+    blocks = text.split("\n\n")
+    assert len(blocks) > 2 and max(map(len, text.splitlines())) <= 40 and text.endswith("end")
+    assert all(block.split()[:2] == ["p", "q"] for block in blocks) and text.count("end") == 1
+    assert all(text.count(f"column {k}") == 1 for k in range(7)) and "column 3 [Pa]" in text
+    assert "\n\n" not in printed(table, ["p", "q"], units={}, width=400)
+    # parameters that fill the line do not stand in all blocks
+    wide = {"a" * 30: [1], "b" * 30: [2], "c": [3]}
+    assert max(map(len, printed(wide, list(wide)[:2], units={}, width=64).splitlines())) <= 64
+
+
+def test_latex_is_escaped_and_has_units_and_powers():
+    table = pd.DataFrame({"a_b": ["[x", "50 % & \\", "*"], "p": [1.5e9, -2e-7, 3.0], "n": [1, None, 3]})
+    text = writing._latex(table, {"p": "Pa"})
+    lines = text.splitlines()
+    assert lines[0] == r"\begin{tabular}{lrr}" and lines[2] == r"a\_b & p {[}Pa] & n \\"
+    assert lines[4].startswith(r"{[}x & $1.5 \cdot 10^{9}$ & 1") and lines[6].startswith("{*} & 3 &")
+    assert lines[5].startswith(r"50 \% \& \textbackslash{} & $-2 \cdot 10^{-7}$ & -")
+
+
+def test_parquet_and_csv_are_read_back(command):
+    pytest.importorskip("pyarrow")
+    stored(30)
+    for ending in ("parquet", "csv"):
+        assert command("s.sqlite", "--to", f"t.{ending}")[0] == 0
+    found, text = pd.read_parquet("t.parquet"), pd.read_csv("t.csv")
+    assert found["b"].tolist() == text["b"].tolist() == list(range(30))
+    assert found["m"].tolist()[1:3] == text["m"].tolist()[1:3] == [0.25, 0.5] and found["m"].isna()[0]
+    assert found["even"].tolist()[1:3] == [False, True] and found["status"].tolist().count("failed") == 3
+    mixed = pd.DataFrame({"v": [1, "one", (1, 2), None, True], "error": [""] * 5})
+    writing.write(dict(mixed), Path("mixed.parquet"))
+    assert pd.read_parquet("mixed.parquet")["v"].tolist()[:3] == ["1", '"one"', '"[1, 2]"']
+    for ending, read in (("parquet", pd.read_parquet), ("csv", pd.read_csv)):
+        writing.write({"v": ["\udcff\U0001f600", "b"]}, Path(f"text.{ending}"))
+        assert read(f"text.{ending}")["v"].tolist() == ["\\udcff\U0001f600", "b"]
+
+
+def test_without_pyarrow_parquet_says_what_to_do(command, monkeypatch):
+    stored(3)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "fastparquet", None)
+    code, _, err = command("s.sqlite", "--to", "t.parquet")
+    assert code == 2 and "pyarrow" in err and not Path("t.parquet").exists()
+
+
+def test_units_are_those_of_study_files(tmp_path):
+    store = Store(tmp_path / "s.sqlite")
+    measured = {"max_pressure": 1.0, "force_x(bar.bottom)": 2.0}
+    store.put("file", Record(parameters={"case.case": "greco_bar"}, status="done", results=measured))
+    store.put("script", Record(parameters={"n": 1}, status="done", results=measured))
+    for name, units in (("file", {"max_pressure": "Pa", "force_x(bar.bottom)": "N or N/m", "seconds": "s"}),
+                        ("script", {"seconds": "s"})):
+        assert listing.units(store, name, listing.selected(store, name)[0]) == units
+
+
+def test_a_condition_keeps_what_it_was_given():
+    assert conditions.parsed("a b>=1e3") == conditions.RowFilter("a b", ">=", "1e3")
+    assert conditions.parsed("law=a=b<c") == conditions.RowFilter("law", "=", "a=b<c")

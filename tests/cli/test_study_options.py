@@ -1,0 +1,336 @@
+"""Options of ``adaptmg study``: exit codes, JSON, silence, schedulers, what is measured, what a user can read of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.cli.described import guide, keys
+from adaptmg.cli.described.address import check_scheduler
+from adaptmg.cli.described.meanings import MEANINGS
+from adaptmg.cli.described.positions import positions
+from adaptmg.cli.described.study_file import read
+from adaptmg.cli.described.work import checked
+from adaptmg.cli.single_run.case_run import case_run
+from adaptmg.cli.single_run.measures import MEASURES
+from adaptmg.study.progress import Watch
+
+GOOD = """
+[case]
+case = "greco_bar"
+[hierarchy]
+divisions = [2, 4]
+[measure]
+columns = ["cycles"]
+[vary]
+case.friction = [0.2, 1.0]
+"""
+
+
+@pytest.fixture
+def command(command, monkeypatch):
+    """On a terminal of 100 columns."""
+    monkeypatch.setenv("COLUMNS", "100")
+    return command
+
+
+def written(text: str = GOOD) -> str:
+    Path("s.toml").write_text(text, encoding="utf-8")
+    return "s.toml"
+
+
+def test_a_run_that_does_not_converge_ends_with_code_1(command):
+    code, out, err = command("study", written(GOOD.replace("[measure]", "[solver]\nmax_cycles = 1\n[measure]")))
+    assert code == 1 and err.splitlines()[-1] == "adaptmg: 2 of 2 runs did not converge, see the column outcome"
+    assert out.splitlines()[0].split()[:3] == ["case.friction", "outcome", "cycles"] and out.count("LIMIT") == 2
+    code, out, _ = command("study", "s.toml", "--json")
+    assert code == 1 and [row["outcome"] for row in json.loads(out)["rows"]] == ["LIMIT", "LIMIT"]
+
+
+def test_quiet_says_nothing_but_errors(command):
+    assert command("study", written(), "--quiet") == (0, "", "")
+    assert Path("results/s.sqlite").exists()
+    code, out, err = command("study", written(GOOD.replace("[0.2, 1.0]", "[-1]")), "-q")
+    assert (code, out) == (2, "") and err.count("\n") == 1
+
+
+def test_failures_are_json_too(command):
+    code, out, err = command("study", "none.toml", "--json")
+    assert code == 2 and "no such file" in json.loads(out)["error"] and err.startswith("adaptmg: ")
+    for arguments in (("solve", "nothing"), ("adapt", "nothing"), ("cases", "nothing")):
+        assert "there is no case 'nothing'" in json.loads(command(*arguments, "--json")[1])["error"]
+
+
+def test_warnings_are_lines(command):
+    code, _, err = command("solve", "leaning_strut", "--sizes", "20e-3,10e-3", "--contact-ratio", "2",
+                           "--friction", "0.9")
+    assert code == 0 and re.search(r"^adaptmg: warning: friction 0.9 exceeds", err, re.MULTILINE)
+    assert "RuntimeWarning" not in err and ".py" not in err
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        warnings.warn("as before", stacklevel=1)
+    assert len(found) == 1
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    (("--workers", "100000"), "several machines need a scheduler"),
+    (("--workers", "2", "--scheduler", "tcp://localhost:1"), "not both"),
+    (("--scheduler", "localhost:8786"), "an address such as"), (("--scheduler", "tcp://localhost:0"), "an address"),
+    (("--scheduler", "tcp://localhost:1"), "nobody answers at tcp://localhost:1"),
+])
+def test_what_cannot_be_run_is_told_before_a_store_is_made(command, options, words):
+    code, out, err = command("study", written(), *options)
+    assert (code, out) == (2, "") and words in err and err.count("\n") == 1
+    assert [path.name for path in Path().iterdir()] == ["s.toml"]
+
+
+def test_limits_need_workers(command):
+    code, _, err = command("study", written(GOOD.replace("[vary]", "[run]\nlimit_s = 9\n[vary]")))
+    assert code == 2 and "s.toml, line 9: run.limit_s needs workers" in err and not Path("results").exists()
+
+
+@pytest.mark.parametrize(("greeting", "fine"), [((200).to_bytes(8, "little"), True), (b"HTTP/1.1", False),
+                                                (b"", False)])
+def test_only_dask_answers_like_dask(greeting, fine):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        def answer():
+            connection = server.accept()[0]
+            connection.sendall(greeting)
+            connection.close()
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        if fine:
+            check_scheduler(address)
+        else:
+            with pytest.raises(OSError, match="is no dask scheduler"):
+                check_scheduler(address)
+        thread.join()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(command):
+    written(GOOD.replace("[2, 4]", "[16, 32, 64]").replace("[0.2, 1.0]", str([k / 100 for k in range(1, 101)])))
+    # in a shell's background the signal comes ignored
+    code = ("import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\nfrom adaptmg.cli import main\n"
+            "main()")
+    process = subprocess.Popen([sys.executable, "-c", code, "study", "s.toml"], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True)
+    while "[2/100]" not in (line := process.stderr.readline()):
+        assert line
+    process.send_signal(signal.SIGINT)
+    begin = time.monotonic()
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130 and time.monotonic() - begin < 5 and out == ""
+    assert err.splitlines()[-1] == "adaptmg: interrupted: what is done is stored, the same command goes on"
+    done = json.loads(command("study", "s.toml", "--dry-run", "--json")[1])
+    assert 2 <= done["done"] < 100 and done["missing"] == 100 - done["done"] and done["stale"] == 0
+
+
+def test_everything_that_can_be_measured():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(1.0)), divisions=(4, 8))
+    result = am.solve(grids)
+    found = case_run(**{"case.case": "greco_bar", "case.friction": 1.0, "hierarchy.divisions": (4, 8),
+                        "measure.columns": tuple(MEASURES), "measure.forces_on": ("bottom", "right"),
+                        "measure.points.A": (0.0, 0.0), "measure.points.B": (0.04, 0.04)})
+    contact, force = result.contact, result.resultant("right").force
+    closed = contact.state != am.OPEN
+    wanted = {"nodes": 81, "levels": 2, "steps": 1, "contact_nodes": 9, "max_gap": contact.gap.max(),
+              "max_slip": abs(contact.slip[closed]).max(),
+              "contact_area": contact.weights[closed].sum(), "max_traction": abs(contact.traction).max(),
+              "max_von_mises": result.von_mises().max(), "energy_error": result.certificate().energy_error,
+              "violation": result.certificate().worst.relative, "force_x(right)": force[0], "force_y(right)": force[1],
+              "max_displacement": np.linalg.norm(result.displacement, axis=1).max(),
+              "force_y": result.resultant("bottom").force[1], "force_x(bottom)": result.resultant("bottom").force[0],
+              "A.x": result.probe([(0.0, 0.0)])[0, 0], "B.y": result.probe([(0.04, 0.04)])[0, 1]}
+    assert {name: found[name] for name in wanted} == pytest.approx(wanted, rel=1e-12, abs=1e-30)
+    assert (found["outcome"], found["force_z"], found["estimate"]) == ("CONVERGED", None, None)
+    assert found["open"] + found["slip"] + found["stick"] == 9 and found["open"] == (~closed).sum() > 0
+    assert set(found) == {*MEASURES, *(f"force_{c}({b})" for b in ("bottom", "right") for c in "xy"),
+                          *(f"{p}.{c}" for p in "AB" for c in "xy")}
+
+
+def test_cycles_and_work_are_those_of_all_load_steps_and_all_meshes():
+    given = {"case.case": "upset_block", "case.friction": 0.3, "measure.columns": ("cycles", "work_units", "steps")}
+    problem = am.cases.upset_block(law=am.Coulomb(0.3))
+    path = am.LoadPath({"top": [0.5, 1.0, 0.5]})
+    steps = am.solve_path(am.Hierarchy.uniform(problem, divisions=(4, 8)), path, am.FullMultigrid())
+    found = case_run(**given, **{"hierarchy.divisions": (4, 8), "load_path.top": (0.5, 1.0, 0.5)})
+    assert (found["cycles"], found["steps"]) == (sum(step.cycles for step in steps), 3)
+    assert found["work_units"] == pytest.approx(sum(step.work_units for step in steps))
+    for factors in (None, (0.5, 1.0)):
+        with_path = {} if factors is None else {"load_path.top": factors}
+        meshes = list(am.adapt(problem, 10e-3, am.Residual(), am.Doerfler(0.5), am.Bisect(), max_nodes=150,
+                               load_path=None if factors is None else am.LoadPath({"top": list(factors)})))
+        found = case_run(**given, **with_path, **{"adapt.start": 10e-3, "adapt.engine": "bisect",
+                                                  "adapt.max_nodes": 150})
+        assert found["steps"] == len(meshes) > 1
+        assert found["cycles"] == sum(mesh.result.cycles for mesh in meshes)
+        assert found["work_units"] == pytest.approx(float(meshes[-1].total_work_units))
+
+
+def test_whole_numbers_are_numbers_where_an_argument_is_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = GOOD.replace("case.friction = [0.2, 1.0]", "case.size = [1, 3]").replace(
+        "[vary]", '[design]\nkind = "sobol"\nruns = 8\nlog = ["case.size"]\n[vary]')
+    sizes = [point["case.size"] for point in read(written(text)).design.points()]
+    assert len(set(sizes)) == 8 and all(isinstance(size, float) for size in sizes)
+
+
+@pytest.mark.parametrize("solver", [
+    {"correction": "paper", "gap": "largest", "slip": "minmod", "sliding_limit": "summed", "order": "symmetric"},
+    {"method": "single-grid", "condensed": True, "omega": 1.3}, {"method": "multigrid", "cycle": "complete", "pre": 1}])
+def test_settings_reach_the_method(solver):
+    from adaptmg.cli.single_run import parts
+
+    made = parts.solver({f"solver.{key}": value for key, value in solver.items()})
+    wanted = {"paper": am.FullMultigrid(correction=am.PaperCorrection(gap="largest", slip="minmod", limit="summed"),
+                                        smoother=am.ProjectedGaussSeidel(order="symmetric")),
+              "single-grid": am.SingleGrid(omega=1.3, condensed=True),
+              "multigrid": am.Multigrid(cycle=am.Cycle(shape="complete", pre=1))}
+    assert made == wanted[solver.get("method", "paper")]
+
+
+@pytest.mark.parametrize("adapt", [
+    {"indicator": "goal", "goal": "displacement", "goal_point": (0.0, 0.0), "goal_component": "x"},
+    {"indicator": "goal", "goal": "mean-displacement", "goal_boundary": "top", "goal_component": "y",
+     "engine": "bisect"},
+    {"indicator": "goal", "goal": "contact-force"}, {"indicator": "goal", "goal": "opening", "engine": "bisect"},
+    {"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3, "coarsen": 0.02}])
+def test_settings_reach_the_adaptive_loop(adapt):
+    from adaptmg.cli.single_run import parts
+
+    given = {"case.case": "greco_bar", "adapt.max_nodes": 90, "adapt.start": 10e-3,
+             **{f"adapt.{key}": value for key, value in adapt.items()}}
+    made = parts.adaptation(parts.problem(given), given)
+    goals = {"displacement": am.Displacement((0.0, 0.0), "x"), "mean-displacement": am.MeanDisplacement("top", "y"),
+             "contact-force": am.ContactForce(), "opening": am.Opening()}
+    assert made["indicator"] == (am.Goal(goals[adapt["goal"]]) if "goal" in adapt else am.Recovery())
+    assert made["mark"] == (am.Maximum(0.3) if "mark" in adapt else am.Doerfler(0.5))
+    assert made["engine"] == (am.Bisect(coarsen=adapt.get("coarsen", False)) if "engine" in adapt else
+                              am.Remesh(refinements=0))
+    found = case_run(**given, **{"measure.columns": ("estimate", "steps")})
+    assert found["outcome"] == "CONVERGED" and found["estimate"] > 0 and found["steps"] >= 1
+
+
+def test_friction_of_a_case_that_takes_no_law(command):
+    from adaptmg.cli.single_run import parts
+
+    made = parts.problem({"case.case": "bolted_junction", "case.friction": 0.35, "case.head_friction": 0.1})
+    points = np.array([[0.1, 0.0], [0.1, 0.05], [0.2, 0.03]])
+    wanted = am.cases.bolted_junction(friction=0.35, head_friction=0.1).law
+    assert (made.law.friction(points) == wanted.friction(points)).all() and made.law.friction(points).max() == 0.35
+    with pytest.raises(ValueError, match="its law cannot be changed"):
+        parts.problem({"case.case": "bolted_junction", "case.law": "frictionless"})
+    with pytest.raises(ValueError, match="its law cannot be changed"):
+        parts.problem({"case.case": "bolted_junction", "case.law": "tresca", "case.friction": 0.3})
+    assert "give --friction alone" in command("solve", "bolted_junction", "--limit", "1e6")[2]
+
+
+def test_repeats_and_load_paths_by_boundary(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = GOOD.replace('"greco_bar"', '"cattaneo"').replace("divisions = [2, 4]", "sizes = [10e-3]\ncontact_ratio = 5")
+    said = read(written(text.replace("[vary]", "[load_path]\nupper.top = [0.5, 1.0]\n[design]\nrepeats = 3\n[vary]")))
+    assert said.fixed["load_path.upper.top"] == (0.5, 1.0) and said.design.names == ("case.friction", "repeat")
+    assert [point["repeat"] for point in said.design.points()] == [0, 1, 2] * 2
+    assert len(checked(said, None)) == 6
+
+
+# what a user can read
+
+
+@pytest.mark.parametrize("name", am.cases.names())
+def test_the_file_to_begin_with_can_be_run(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said = read(written(guide.template(name)))
+    assert said.name == name and said.fixed["case.case"] == name and len(checked(said, None)) >= 2
+    # and with all that stands in comments, but for what excludes each other
+    text = re.sub(r"^# (?=\w+ = )(?!law|method)", "", guide.template(name), flags=re.MULTILINE)
+    assert len(tomllib.loads(text)["case"]) > len(tomllib.loads(guide.template(name))["case"])
+    assert len(checked(read(written(text)), None)) >= 2
+
+
+def test_all_keys_and_measures_are_explained(command):
+    code, text, _ = command("study", "--keys")
+    assert code == 0 and max(map(len, text.splitlines())) <= 110
+    for section, known in keys.SECTIONS.items():
+        assert f"[{section}]" in text
+        for name, key in known.items():
+            assert f"\n  {name} " in text and key.meaning and key.values
+    assert set(MEANINGS) == set(MEASURES) and all(f"\n  {name} " in text for name in MEANINGS)
+    assert set(keys.WORDS) == set(keys.SECTIONS)
+    facts = json.loads(command("study", "--keys", "--json")[1])
+    assert facts["sections"]["hierarchy"]["sizes"]["values"] == "list, m"
+    assert facts["measures"]["max_pressure"] == {"meaning": "largest contact pressure", "unit": "Pa"}
+    assert tomllib.loads(json.loads(command("study", "--template", "incline", "--json")[1])["template"])["vary"]
+
+
+def test_a_case_is_explained(command):
+    code, text, _ = command("cases", "cattaneo")
+    assert code == 0 and re.search(r"tangential\s+Q on the cylinder in \+x, N/m.*Default: 15000", text, re.DOTALL)
+    assert "Young's modulus, Pa" in text and "upper.contact" in text and "lower.bottom, upper.top (names for" in text
+    facts = json.loads(command("cases", "bolted_junction", "--json")[1])
+    assert facts["arguments"]["bolt"]["values"] == "ring | traction | solid" and "law" not in facts["arguments"]
+    assert "did you mean 'dovetail'" in command("cases", "dovetial")[2]
+    for name in am.cases.names():
+        facts = json.loads(command("cases", name, "--json")[1])
+        assert all(item["meaning"] for item in facts["arguments"].values()), name
+
+
+def test_without_a_file_one_is_told_how_to_get_one(command):
+    code, out, err = command("study")
+    assert code == 2 and out == "" and "--template" in err
+
+
+def test_positions_of_keys():
+    text = ('# c\nname = "x = [a]"\n[a]\nb.c = [1, # no = ]\n  2]\nd = """\n[x]\ny = 2\n"""\n\n'
+            '[ "v.w".u ]\n\'k=1\' = {z = 1}\n[[t]]\nlist = [\n  [2, 4],  # ]\n  ["n = 1"],\n]\nlast = 1\n')
+    assert positions(text) == {("name",): 2, ("a",): 3, ("a", "b"): 4, ("a", "b", "c"): 4, ("a", "d"): 6,
+                               ("v.w", "u"): 11, ("v.w", "u", "k=1"): 12, ("t",): 13,
+                               ("t", "list"): 14, ("t", "last"): 18}
+
+
+@pytest.mark.parametrize("width", range(8, 130, 7))
+def test_the_line_of_progress_fits_and_keeps_the_counts(width):
+    watch = Watch("a study of a long name", 24, 0, lambda: 2)
+    watch.done, watch.failed = 13, 2
+    line = watch.line(width)
+    assert len(line) <= width and "13/24" in line
+    assert ("2 failed" in line) or width < 45
+    assert (line.count("━") == int(13 / 24 * 24) and line.startswith(watch.name)) or width < 120
+    watch.done = 24
+    assert "the end" in watch.line(40) and "failed" in watch.line(40)
+
+
+def test_a_terminal_gets_the_line_and_no_log(tmp_path):
+    pty = pytest.importorskip("pty")
+    (tmp_path / "s.toml").write_text(GOOD, encoding="utf-8")
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(tmp_path)
+        os.execve(sys.executable, [sys.executable, "-m", "adaptmg", "study", "s.toml"],
+                  os.environ | {"TERM": "xterm", "COLUMNS": "70", "PYTHONPATH": str(Path(am.__file__).parents[1])})
+    screen = b""
+    while True:
+        try:
+            screen += os.read(terminal, 4096)
+        except OSError:
+            break
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    text = screen.decode()
+    assert "2/2" in text and "the end" in text and "done in" not in text and "2 done, 0 failed" in text
