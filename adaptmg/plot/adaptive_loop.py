@@ -62,7 +62,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     relative = np.array([step.estimate.relative for step in steps])
     left, right = figure.add_subplot(2, 3, 5), figure.add_subplot(2, 3, 6)
     _falling(left, nodes, relative, "nodes")
-    if (relative > 0).all() and nodes[-1] > nodes[0]:
+    if (relative > 0).all() and np.isfinite(relative[-1]) and nodes[-1] > nodes[0]:
         guide = 1.35 * relative[-1] * (nodes / nodes[-1]) ** (-1 / dim)
         left.plot(nodes, guide, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
         middle = len(nodes) // 2

@@ -58,7 +58,7 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
         ax.axhline(k, color="#e6e9ed", linewidth=0.8, zorder=0)
     if len(stops) > steps:
         ax.text(1.0, -0.02, f"first {steps} of {len(stops)} steps", transform=ax.transAxes, ha="right", va="top",
-                color=GREY, fontsize=8.5)
+                color=INK, fontsize=8.5)
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
     return ax.figure
 

@@ -57,8 +57,9 @@ def test_a_report_is_one_sound_page_that_needs_nothing_else(tmp_path):
     assert len(page.all("svg")) == 3 and not page.all("link") and len(page.all("style")) == 1
     assert not page.all("metadata") and not re.search(r"@import|https?://", text)
     assert {"contents", "first", "section-2", "made"} <= {a["id"] for _, a in page.tags if "id" in a}
+    assert len(page.all("table")) == 2 and len(page.all("table", "sort")) == 1  # that of a card is not sorted
     links = [a["href"] for a in page.all("a")]
-    assert "#first" in links and "#section-2" in links and "a%20%22b%22.csv" in links and "#nowhere" not in links
+    assert {"#first", "#section-2", "#made", "a%20%22b%22.csv"} <= set(links) and "#nowhere" not in links
     assert not plt.get_fignums()
 
 
@@ -85,9 +86,11 @@ def test_only_the_script_of_the_page_may_run(tmp_path):
 @pytest.mark.parametrize("name", NASTY, ids=ascii)
 def test_any_text_gives_a_sound_report(tmp_path, name):
     report = Report(f"t{name}", name)
-    report.card(f"k{name}", name, table=pd.DataFrame({f"c{name}": [name]}))
+    # pandas' own texts hold nothing else than UTF-8 where pyarrow is installed
+    frame = pd.DataFrame([[name]], columns=pd.Index([f"c{name}"], dtype=object), dtype=object)
+    report.card(f"k{name}", name, table=frame)
     report.section(f"s{name}", name, summary=name)
-    report.table(pd.DataFrame({f"c{name}": [name]}), f"t{name}", name, units={f"c{name}": f"u{name}"})
+    report.table(frame, f"t{name}", name, units={f"c{name}": f"u{name}"})
     report.figure(plt.figure(figsize=(0.5, 0.5)), f"f{name}")
     figure = plt.figure(figsize=(1, 1))
     # letters that UTF-8 does not have are drawn by no format of matplotlib
@@ -155,6 +158,37 @@ def test_a_long_table_is_cut_and_says_so(tmp_path):
     page, _ = made(tmp_path, lambda r: r.table(pd.DataFrame({"a": range(tables.LONGEST + 7)}), "t"))
     assert len(page.all("tr")) == tables.LONGEST + 1 and f"of {tables.LONGEST + 7} rows" in page.text("p")
     assert page.all("div", "tall")
+
+
+def test_a_table_no_paper_is_wide_enough_for_stands_in_parts_too(tmp_path):
+    frame = pd.DataFrame({f"c{k}": [1000 + k] for k in range(60)})  # six letters a column, with what is between
+    page, _ = made(tmp_path, lambda r: (r.table(frame, "wide"), r.table(frame.iloc[:, :30], "not so wide")))
+    heads = [a for a in page.all("th") if a.get("scope") == "col"]
+    assert len(page.all("div", "parts")) == len(page.all("table", "wide")) == 1 and len(page.all("table")) == 1 + 3 + 1
+    assert len(heads) == 60 + (30 + 30 + 2) + 30  # each part begins with the first column
+
+
+def test_words_longer_than_a_column_are_broken_and_others_are_not(tmp_path):
+    frame = pd.DataFrame({"a": ["x" * 300], "b": ["short"], "c": ["y" * 300]})
+    page, _ = made(tmp_path, lambda r: r.table(frame, "t"))
+    assert not page.all("table", "wide") and len(page.all("td", "l")) == 1 and len(page.all("th", "l")) == 3
+
+
+def test_marks_that_turn_texts_around_are_codes(tmp_path):
+    def fill(report):
+        report.section("s\u202e")
+        report.table(pd.DataFrame({"r\u202ex": ["a\u202db", "c"]}), "t\u202ev")
+        report.figure(drawing(), "g\u202eh")
+
+    page, text = made(tmp_path, fill)
+    assert not re.search("[\u202a-\u202e]", text)
+    shown = page.text("th", "figcaption")
+    assert all(code in shown for code in ("r\\u202ex", "a\\u202db", "g\\u202eh"))
+
+
+def test_small_numbers_are_whole_in_a_line(tmp_path):
+    page, _ = made(tmp_path, lambda r: r.section("s", "To 1e-6, not 2.5e-12."))
+    assert page.text("span") == "1e-6 2.5e-12" and "To" in page.text("p")
 
 
 def test_a_long_text_shows_its_first_sentences_and_folds_the_rest(tmp_path):

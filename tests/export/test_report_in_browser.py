@@ -1,4 +1,4 @@
-"""Reports in a real browser: nothing runs over, tables sort and fold, the dark is dark, paper shows all."""
+"""Reports in a real browser: one screen answers, nothing runs over, tables sort and fold, paper has all."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ def page(tmp_path_factory):
     report = Report("A title of some length " * 5 + "averylongword" * 20, "Summary. " * 40)
     many = pd.DataFrame({f"a column of number {k}": np.arange(90) * 10.0**(k - 8) for k in range(18)})
     many.insert(0, "method", [f"{'long ' * (k % 7)}method{k}" for k in range(90)])
-    for _ in range(3):
-        report.card("Table", "What it says. " * 8, table=many.iloc[:4, :4])
+    for k in range(3):
+        report.card("Table", "What it says in words. " * 8, table=answers(k), units={"paper": "CPU", "ours": "work"})
     for _ in range(2):
-        report.card("Picture", "What it says. " * 5, figure=drawing())
+        report.card("Picture", "What it says, in words that are not few. " * 15, figure=drawing())
     report.section("Sorted")
-    report.table(pd.DataFrame({"name": ["b", "a10", "a9"], "x": [2e-3, None, 1e5], "y": [-1.0, -20.0, 3.0]}), "sorted")
+    names = ["name", "a name of many words x", "a name of many words y"]
+    report.table(pd.DataFrame([("b", 2e-3, -1.0), ("a10", None, -20.0), ("a9", 1e5, 3.0)], columns=names), "sorted")
+    report.table(pd.DataFrame({"pointed": [0.01234567, 12.3, 0.1, 456.78, 2.0, np.nan]}), "points", open=True)
     for k in range(3):
         report.section(f"Section {k}", "Sentence of some words here. " * 50)
         report.table(many, "Wide " * 30, "Note of some words here. " * 60, csv="a.csv")
@@ -36,6 +38,12 @@ def page(tmp_path_factory):
         report.table(many.head(5), "wide and short", open=True)
         report.table(pd.DataFrame({"x" * 200: ["y" * 300], "n": [1]}), "folded")
     return report.write(tmp_path_factory.mktemp("page") / "report.html")
+
+
+def answers(k: int) -> pd.DataFrame:
+    """A table of the first screen."""
+    names = ["a method of two words", "289/81", "1089/289/81/25", "another method"]
+    return pd.DataFrame({"grids": names, "paper": [1.0, 7.2, 21.7, 27.3], "ours": np.arange(4) * 8.25, f"new {k}": 1.0})
 
 
 def drawing(width: float = 6.0):
@@ -64,7 +72,10 @@ function click(k) {
   table.tHead.rows[0].cells[k].querySelector("button").click();
   found.sorted.push(Array.from(table.tBodies[0].rows).map(row => row.cells[0].textContent).join(" "));
 }
+function places() { return Array.from(table.tHead.rows[0].cells).map(head => head.getBoundingClientRect().left); }
+var unsorted = places();
 [1, 1, 1, 0, 0, 2].forEach(click);
+found.moved = places().map((place, k) => place - unsorted[k]);
 found.order = Array.from(table.tHead.rows[0].cells).map(head => head.getAttribute("aria-sort"));
 
 function opened() { return all("details[open]").length; }
@@ -81,6 +92,27 @@ all("details").forEach(function (part) { part.open = true; });
   found[width] = over(".scroll table, .paper > *");
 });
 
+// where the decimal points are, or the ends of numbers that have none
+var pointed = all("table").find(part => part.textContent.includes("pointed"));
+found.points = Array.from(pointed.tBodies[0].rows).map(function (row) {
+  var text = row.cells[0].firstChild, range = document.createRange(), point = text.data.indexOf(".");
+  range.setStart(text, point < 0 ? text.length - 1 : point);
+  range.setEnd(text, point < 0 ? text.length : point + 1);
+  var at = range.getBoundingClientRect();
+  return point < 0 ? at.right : at.left;
+});
+
+resize(1280, 800);
+all(".card details").forEach(function (part) { part.open = false; });
+found.front = document.querySelector(".front").getBoundingClientRect().height;
+all(".card details").forEach(function (part) { part.open = true; });
+resize(1700);
+window.scrollTo(0, 3000);
+var contents = document.querySelector(".contents").getBoundingClientRect();
+found.contents = [contents.top, contents.right, document.querySelector("h1").getBoundingClientRect().left];
+window.scrollTo(0, 0);
+found.stops = all(".scroll[tabindex]").length;
+
 resize(600);
 var box = all("details.table .scroll").find(part => part.scrollWidth > 900), cell = box.querySelector("tbody th");
 var before = cell.getBoundingClientRect().left;
@@ -92,6 +124,12 @@ var style = document.querySelector("style");
 style.textContent = style.textContent.replace("@media print", "@media screen");
 resize(1032);
 found.paper = over(".paper > *");
+found.still = all("th").filter(head => getComputedStyle(head).position !== "static").length;
+found.parts = all(".parts table").map(part => part.tHead.rows[0].cells.length);
+found.whole = all("table.wide").filter(part => part.offsetParent).length;
+found.cards = all(".card, .pictures figure").filter(part => part.getBoundingClientRect().height > 50).length;
+// heads are text alone: a browser repeats no buttons on later pages
+found.buttons = all("th button").filter(part => getComputedStyle(part).display !== "contents").length;
 return found;
 """
 
@@ -125,6 +163,38 @@ def test_headers_sort_up_down_and_back_with_what_is_no_number_last(found):
     assert found["order"] == [None, None, "ascending"]
 
 
+def test_sorting_moves_no_column(found):
+    assert max(map(abs, found["moved"])) < 0.01
+
+
+def test_decimal_points_stand_below_each_other(found):
+    assert len(found["points"]) == 6 and max(found["points"]) - min(found["points"]) < 0.1
+
+
+def test_the_first_screen_holds_all_answers(found):
+    assert 500 < found["front"] <= 800 - 90  # a title and a line stand above
+
+
+def test_the_contents_stay_in_sight_beside_a_wide_page(found):
+    top, right, title = found["contents"]
+    assert top == 0 and right <= title
+
+
+def test_the_contents_mark_the_section_in_sight(page, tmp_path):
+    marked = re.findall(r'<a href="#([^"]*)" aria-current="true"', dom(tmp_path, page, "#section-3"))
+    assert marked == ["section-3"]
+
+
+def test_only_boxes_that_scroll_are_stops_of_the_keyboard(found):
+    assert 0 < found["stops"] < 16
+
+
+def test_paper_repeats_heads_and_parts_what_is_too_wide(found):
+    assert found["still"] == found["buttons"] == found["whole"] == 0
+    assert found["cards"] == 5 + 6
+    assert found["parts"] == 3 * [18, 2]  # columns, the first in both parts
+
+
 def test_the_first_column_stays_in_sight(found):
     assert found["first"] == [200, 0]
 
@@ -142,5 +212,6 @@ def test_the_dark_is_dark_and_drawings_stay_on_white(page, tmp_path):
         picture = Image.open(screenshot(tmp_path, page, 1440, 900, *flags)).convert("L")
         shades[name] = np.asarray(picture)
     assert np.median(shades["light"]) > 230 and np.median(shades["dark"]) < 60
-    assert (shades["dark"] > 250).mean() > 0.05  # the white cards of the pictures
+    paper = (shades["dark"] > 220) & (shades["dark"] < 240)  # of the pictures: light, and not glaring
+    assert paper.mean() > 0.05 and (shades["dark"] > 250).mean() < 0.01
     assert min(shade.std() for shade in shades.values()) > 10

@@ -39,6 +39,17 @@ def test_it_counts_draws_and_lists(tmp_path):
     assert "<b>no</b>" in errors and len(errors) < 600
 
 
+def test_a_study_too_long_to_be_shown_says_what_came_out_of_all(tmp_path):
+    frame = table(2000).assign(method="word " * 200)
+    page = written(tmp_path, frame, csv="runs.csv", parameters=["sweeps", "friction"])
+    assert "12\u202f000 runs: 11\u202f999 done" in page.text("p") and "12\u202f000 rows" in page.text("span")
+    assert "All rows as CSV" in page.text("a") and len(page.all("details", "table")) == 3
+    assert {"least", "median", "largest"} <= set(page.text("th").split())
+    assert "word " * 30 in page.text("p", "td") and "word " * 60 not in page.text("p", "td")
+    drawn = [a["aria-label"] for a in page.all("svg")] + [a["alt"] for a in page.all("img")]
+    assert all("middle half" in label for label in drawn) and drawn
+
+
 def test_results_and_columns_can_be_chosen(tmp_path):
     page = written(tmp_path, table(), results=["work_units"], hidden=["seconds", "method"], units={"work_units": "WU"})
     assert len(page.all("svg")) == 1 and "work units [WU]" in page.text("text") and "method" not in page.text("th")
@@ -83,6 +94,9 @@ def test_lines_are_medians_and_bands_span_the_runs():
     assert ax.lines[0].get_ydata().tolist() == [2.0, 5.0]
     band = ax.collections[0].get_paths()[0].vertices[:, 1]
     assert band.min() == 1.0 and band.max() == 9.0
+    many = pd.DataFrame({"a": [1] * 101 + [2] * 101, "r": [*range(101)] * 2})
+    band = curves(many, Axis("a", ""), "r").axes[0].collections[0].get_paths()[0].vertices[:, 1]
+    assert band.min() == 25.0 and band.max() == 75.0  # of many runs the middle half
 
 
 def test_what_counts_as_numbers():

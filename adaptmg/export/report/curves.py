@@ -1,8 +1,8 @@
 """Curves of a study: a numeric result against the parameter that varies most, a line for each value of another one.
 
 Where several runs share a point (repeats, or parameters that are neither on the axis nor a line), the line is their
-median and a band spans the least and the largest. Where no two runs share a value of any parameter (a random design, of
-several parameters) the runs are points without a line.
+median and a band spans the least and the largest, or the middle half where they are many. Where no two runs share a
+value of any parameter (a random design, of several parameters) the runs are points without a line.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from pandas.api import types
 
+from adaptmg.export.report.cells import worded
 from adaptmg.plot.style import CYCLE, plain, styled
 
-__all__ = ["Axis", "axes_of_study", "curves", "numbers"]
+__all__ = ["Axis", "axes_of_study", "caption", "curves", "numbers"]
 
 #: lines in a picture at most; further values share one colour, without a legend
 _LINES = 7
@@ -27,6 +28,10 @@ _LINES = 7
 _MARKED = 60
 #: names along an axis at most
 _NAMES = 40
+#: letters of a name in a drawing at most
+_LETTERS = 24
+#: of so many runs at a point the least and the largest are chance
+_MANY = 10
 #: an axis is logarithmic where the largest value is so many times the least
 _LOGARITHMIC = 30.0
 
@@ -50,6 +55,8 @@ class Axis:
 
 def numbers(column: pd.Series) -> pd.Series | None:
     """A column as floats if all that is known of it are finite or infinite numbers, else None."""
+    if isinstance(column.dtype, np.dtype) and column.dtype.kind in "iuf":
+        return column.astype(float) if column.notna().any() else None
     known = column.dropna()
     if known.empty or types.is_bool_dtype(known) or known.map(lambda v: isinstance(v, bool | np.bool_ | str)).any():
         return None
@@ -90,7 +97,7 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     unit, along_unit : str
         Of the result and of the parameter.
     """
-    figure = Figure(figsize=(6.4, 4.0))
+    figure = Figure(figsize=(6.2, 3.9))
     ax = figure.subplots()
     position = numbers(table[axis.along])
     names = None if position is not None else list(dict.fromkeys(_keys(table[axis.along])))[:_NAMES]
@@ -99,31 +106,49 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     data = pd.DataFrame({"x": position.to_numpy(), "y": numbers(table[result]).to_numpy(),
                          "line": [""] * len(table) if not axis.lines else _keys(table[axis.lines]).to_numpy()})
     data = data[np.isfinite(data["x"]) & np.isfinite(data["y"])]
+    many = _many(table, axis)
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
-        _line(ax, part, CYCLE[k % len(CYCLE)], f"{plain(axis.lines)} = {plain(line)}",
-              joined=axis.joined and names is None)
-    ax.set_xlabel(_name(axis.along, along_unit))
-    ax.set_ylabel(_name(result, unit))
+        _line(ax, part, CYCLE[k % len(CYCLE)], f"{plain(worded(axis.lines)[0])} = {_name(line)}",
+              joined=axis.joined and names is None, band=(0.25, 0.75) if many else (0.0, 1.0))
+    ax.set_xlabel(_label(axis.along, along_unit))
+    ax.set_ylabel(_label(result, unit))
     ax.grid(True)
     if names is None:
         _scale(ax, "x", data["x"])
     else:
-        ax.set_xticks(range(len(names)), [plain(name[:24]) for name in names], rotation=90 if len(names) > 6 else 0)
+        ax.set_xticks(range(len(names)), [_name(name) for name in names], rotation=90 if len(names) > 6 else 0)
     _scale(ax, "y", data["y"])
     if axis.lines and len(data):
-        ax.legend()
+        # above the drawing, where nothing is drawn
+        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(4, data["line"].nunique()), borderpad=0.0)
     return figure
 
 
-def _line(ax: Axes, part: pd.DataFrame, color: str, label: str, joined: bool) -> None:
-    points = part.groupby("x")["y"].agg(["median", "min", "max", "size"])
+def caption(table: pd.DataFrame, axis: Axis, result: str) -> str:
+    """What :func:`curves` shows."""
+    lines = f", a line for each value of {worded(axis.lines)[0]}" if axis.lines else ""
+    spread = "of their middle half" if _many(table, axis) else "from the least to the largest"
+    return (f"{worded(result)[0]} against {worded(axis.along)[0]}{lines}; where runs share a point their median, and "
+            f"the band {spread}")
+
+
+def _many(table: pd.DataFrame, axis: Axis) -> bool:
+    """Whether points are shared by many runs."""
+    points = pd.concat([_keys(table[name]) for name in (axis.along, axis.lines) if name], axis=1)
+    return bool(len(table)) and len(table) >= _MANY * len(points.drop_duplicates())
+
+
+def _line(ax: Axes, part: pd.DataFrame, color: str, label: str, joined: bool, band: tuple[float, float]) -> None:
+    values = part.groupby("x")["y"]
+    points = pd.DataFrame({"median": values.median(), "low": values.quantile(band[0]),
+                           "high": values.quantile(band[1]), "size": values.size()})
     style = {"linestyle": "-" if joined else "", "marker": "o" if len(points) <= _MARKED else "" if joined else "."}
     ax.plot(points.index, points["median"], color=color, label=label, **style)
     if (points["size"] > 1).any():
         if joined:
-            ax.fill_between(points.index, points["min"], points["max"], color=color, alpha=0.18, linewidth=0)
+            ax.fill_between(points.index, points["low"], points["high"], color=color, alpha=0.18, linewidth=0)
         else:
-            ax.vlines(points.index, points["min"], points["max"], color=color, alpha=0.5)
+            ax.vlines(points.index, points["low"], points["high"], color=color, alpha=0.5)
 
 
 def _scale(ax: Axes, name: str, values: pd.Series) -> None:
@@ -140,14 +165,23 @@ def _scale(ax: Axes, name: str, values: pd.Series) -> None:
         axis.set_ticks(single, [f"{value:g}" for value in single])
 
 
-def _name(name: str, unit: str) -> str:
-    words = name.replace("_", " ")
+def _name(value: str) -> str:
+    """A value as a name in the drawing: not longer than there is room for."""
+    return plain(value if len(value) <= _LETTERS else f"{value[:_LETTERS - 2]} …")
+
+
+def _label(name: str, unit: str) -> str:
+    words, unit = worded(name, unit)
     return plain(f"{words} [{unit}]" if unit else words)
 
 
 def _keys(column: pd.Series) -> pd.Series:
     """Values as texts, floats in few digits where that keeps them apart."""
-    if types.is_float_dtype(column):
-        short = column.map("{:g}".format)
-        return short if short.nunique() == column.nunique(dropna=False) else column.map(repr)
-    return column.map(lambda value: f"{value:g}" if isinstance(value, float) else str(value))
+    if not (isinstance(column.dtype, np.dtype) and column.dtype.kind in "iuf"):
+        return column.map(lambda value: f"{value:g}" if isinstance(value, float) else str(value))
+    # values repeat: each is written once
+    codes, found = pd.factorize(column, use_na_sentinel=False)
+    texts = [f"{value:g}" if isinstance(value, float) else str(value) for value in found.tolist()]
+    if len(set(texts)) < len(texts):
+        texts = [repr(value) for value in found.tolist()]
+    return pd.Series(np.array(texts, dtype=object)[codes], index=column.index)

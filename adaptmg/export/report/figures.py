@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 from PIL import Image
 
-from adaptmg.export.report.prose import given_text, one_line
+from adaptmg.export.report.prose import given_text, marked_up, one_line
 from adaptmg.export.report.svg import inline_svg
 from adaptmg.runtime.text import in_html, printable
 
@@ -35,8 +35,8 @@ class Picture:
 
     def block(self) -> str:
         """As ``<figure>`` with its caption."""
-        return (f'<figure style="width:{self.width + 12}px">\n<div class="paper">{self.html}</div>\n'
-                f"<figcaption>{in_html(one_line(self.caption))}</figcaption>\n</figure>")
+        return (f'<figure style="--w:{self.width}px">\n<div class="paper">{self.html}</div>\n'
+                f"<figcaption>{marked_up(self.caption)}</figcaption>\n</figure>")
 
 
 def picture_of(figure: Figure, caption: str, prefix: str) -> Picture:
@@ -55,12 +55,12 @@ def picture_of(figure: Figure, caption: str, prefix: str) -> Picture:
     label = one_line(given_text("caption", caption))
     width = round(96 * figure.get_size_inches()[0])
     _lay_out_once(figure)
-    drawn = _drawing(figure, prefix, label, width)
+    drawn = _drawing(figure, prefix, label)
     if drawn is None or len(drawn) > DENSE:
         png = small_png(figure, min(150.0, _ACROSS / figure.get_size_inches()[0]))
         if drawn is None or 4 * len(png) / 3 < len(drawn):
             data = base64.b64encode(png).decode("ascii")
-            drawn = f'<img src="data:image/png;base64,{data}" alt="{in_html(label)}" style="width:{width}px">'
+            drawn = f'<img src="data:image/png;base64,{data}" alt="{in_html(label)}">'
     plt.close(figure)
     return Picture(drawn, caption, width)
 
@@ -80,7 +80,7 @@ def small_png(figure: Figure, dpi: float = 130) -> bytes:
     return small.getvalue()
 
 
-def _drawing(figure: Figure, prefix: str, label: str, width: int) -> str | None:
+def _drawing(figure: Figure, prefix: str, label: str) -> str | None:
     """As SVG; None where that is far too large."""
     buffer = io.BytesIO()
     # letters stay letters; the salt makes identifiers the same from run to run
@@ -90,4 +90,4 @@ def _drawing(figure: Figure, prefix: str, label: str, width: int) -> str | None:
                        metadata={"Date": None, "Creator": None})
     if buffer.tell() > _HOPELESS:
         return None
-    return inline_svg(printable(buffer.getvalue().decode()), prefix, printable(label), width)
+    return inline_svg(printable(buffer.getvalue().decode()), prefix, printable(label))

@@ -14,6 +14,10 @@ from adaptmg.runtime.text import in_html
 
 __all__ = ["Card", "Section", "document"]
 
+#: characters of a card's text that are in sight
+_CARD = 220
+_UP = '<a class="up" href="#contents">Contents</a>'
+
 
 @dataclass(frozen=True)
 class Card:
@@ -49,12 +53,10 @@ def document(title: str, summary: str, terms: str, cards: Sequence[Card], sectio
     body.append(_contents(rest))
     body += _parts(first, opened)
     for number, section in enumerate(rest, start=1):
-        body.append(f'<section id="{section.key}">\n<h2>{number}. {in_html(one_line(section.title))} '
-                    '<a class="up" href="#contents">Contents</a></h2>')
+        body.append(f'<section id="{section.key}">\n<h2>{number}. {in_html(one_line(section.title))} {_UP}</h2>')
         body += [*_parts(section, opened), "</section>"]
     made = "\n".join(f"<dt>{in_html(name)}</dt><dd>{in_html(one_line(fact))}</dd>" for name, fact in facts.items())
-    body.append(f'<section id="made">\n<h2>How this was made <a class="up" href="#contents">Contents</a></h2>\n'
-                f"<dl>\n{made}\n</dl>\n</section>")
+    body.append(f'<section id="made">\n<h2>How this was made {_UP}</h2>\n<dl>\n{made}\n</dl>\n</section>')
     return (f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
@@ -80,14 +82,14 @@ def _card(card: Card, keys: set[str]) -> str:
         shown = card.shown.plain()
     elif isinstance(card.shown, Picture):
         shown = f'<div class="paper">{card.shown.html}</div>'
-    return f'<div class="{kind}">\n<h2>{title}</h2>\n{shown}\n{folded(card.text)}\n</div>'
+    return f'<div class="{kind}">\n<h2>{title}</h2>\n{shown}\n{folded(card.text, limit=_CARD)}\n</div>'
 
 
 def _contents(sections: Sequence[Section]) -> str:
     entries = "\n".join(f'<li><a href="#{section.key}">{in_html(one_line(section.title))}</a></li>'
                         for section in sections)
-    numbered = f"<ol>\n{entries}\n</ol>\n" if entries else ""
-    return f'<nav id="contents" class="contents" aria-label="Contents">\n{numbered}</nav>'
+    return (f'<nav id="contents" class="contents" aria-label="Contents">\n<ol>\n{entries}\n'
+            '<li class="last"><a href="#made">How this was made</a></li>\n</ol>\n</nav>')
 
 
 def _parts(section: Section, opened: set[int]) -> list[str]:

@@ -25,8 +25,8 @@ def machine() -> str:
     return f"{name}, {os.cpu_count()} cores{memory}, {platform.system()} {platform.release()}"
 
 
-def made(seconds: float) -> dict[str, str]:
+def made() -> dict[str, str]:
     """What is said of every report."""
     packages = {"Python": platform.python_version(), **versions()}
-    return {"Written": f"{datetime.now().astimezone().isoformat(sep=' ', timespec='minutes')}, in {seconds:.0f} s",
+    return {"Written": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}",
             "Versions": ", ".join(f"{name} {version}" for name, version in packages.items()), "Machine": machine()}

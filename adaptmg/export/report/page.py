@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import pandas as pd
@@ -23,14 +21,6 @@ from adaptmg.runtime.atomic import write_bytes
 __all__ = ["Report"]
 
 _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-
-
-@dataclass
-class _Count:
-    """Identifiers that are taken."""
-
-    pictures: int = 0
-    keys: list[str] = field(default_factory=list)
 
 
 class Report:
@@ -61,8 +51,7 @@ class Report:
         self.title, self.summary = given_text("title", title), given_text("summary", summary, empty=True)
         self.terms = given_text("terms", terms, empty=True)
         self.max_open = checks.integer("max_open", max_open)
-        self._began = time.perf_counter()
-        self._count = _Count()
+        self._pictures = 0
         self._cards: list[Card] = []
         self._sections: list[Section] = [Section("", "")]
         self._made: dict[str, str] = {}
@@ -115,9 +104,8 @@ class Report:
         if not _KEY.fullmatch(key) or key in ("contents", "made"):
             raise ValueError("key must begin with a letter, have only letters, digits, - and _, and not be 'contents' "
                              f"or 'made', got {checks.shown(key)}")
-        if key in self._count.keys:
+        if any(key == section.key for section in self._sections):
             raise ValueError(f"key {key!r} is that of another section")
-        self._count.keys.append(key)
         self._sections.append(Section(title, key))
         summary = given_text("summary", summary, empty=True)
         if summary.strip():
@@ -179,9 +167,9 @@ class Report:
 
     def page(self) -> str:
         """The whole page as text."""
-        facts = made(time.perf_counter() - self._began) | self._made
-        return document(self.title, self.summary, self.terms, self._cards, self._sections, facts, self.max_open)
+        return document(self.title, self.summary, self.terms, self._cards, self._sections, made() | self._made,
+                        self.max_open)
 
     def _picture(self, figure: Figure, caption: str) -> Picture:
-        self._count.pictures += 1
-        return picture_of(figure, caption, f"p{self._count.pictures}")
+        self._pictures += 1
+        return picture_of(figure, caption, f"p{self._pictures}")

@@ -1,7 +1,6 @@
-"""Prose and headers of a report as HTML: escaped, short in sight, the rest folded away.
+"""Prose of a report as HTML: escaped, short in sight, the rest folded away.
 
-A text is shown up to the sentence that passes a limit; what follows folds into ``<details>``. A header that is an
-identifier, such as ``total_s``, is written as words with its unit: 'total [s]'.
+A text is shown up to the sentence that passes a limit; what follows folds into ``<details>``.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import re
 from adaptmg.problem import checks
 from adaptmg.runtime.text import in_html
 
-__all__ = ["folded", "given_text", "header", "lead", "one_line", "paragraphs"]
+__all__ = ["IN_SIGHT", "count", "folded", "given_text", "lead", "marked_up", "one_line", "paragraphs"]
 
 #: characters of a text that are in sight
 IN_SIGHT = 420
@@ -19,10 +18,11 @@ IN_SIGHT = 420
 #: a text of more characters stands in two columns where there is room
 _IN_COLUMNS = 240
 
-_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)+")
-_SYMBOL = re.compile(r"([A-Za-z])_([A-Za-z0-9])")
-_UNITS = {"s": "s", "ms": "ms", "us": "µs", "min": "min", "m": "m", "mm": "mm", "pa": "Pa", "mpa": "MPa", "n": "N",
-          "kn": "kN", "mb": "MB", "mib": "MiB", "gb": "GB", "percent": "%"}
+_BLANK = re.compile(r"[ \t\n\v\f\r]+")
+# a number that a line would be broken in, after its minus
+_SMALL = re.compile(r"[\d.]+e-\d+")
+# embeddings and overrides of the direction of writing
+_TURNS = re.compile("[\u202a-\u202e]")
 # the end of a sentence: a full stop after a word or bracket of two characters or more, and a capital after the blank
 _SENTENCE = re.compile(r"(?<=[\w)%'\"]{2}[.!?])\s+(?=[A-Z'\"])")
 
@@ -37,14 +37,24 @@ def given_text(name: str, value: str, empty: bool = False) -> str:
 
 
 def one_line(text: object) -> str:
-    """A text in one line."""
-    return " ".join(str(text).split())
+    """A text in one line, marks that would turn what follows it around as codes; spaces that hold stay."""
+    return _TURNS.sub(lambda match: f"\\u{ord(match[0]):04x}", _BLANK.sub(" ", str(text)).strip())
+
+
+def marked_up(text: object) -> str:
+    """A text in one line as HTML, small numbers such as 1e-6 whole."""
+    return _SMALL.sub(r'<span class="whole">\g<0></span>', in_html(one_line(text)))
+
+
+def count(number: int) -> str:
+    """A whole number, its thousands apart."""
+    return str(number) if abs(number) < 10_000 else f"{number:,}".replace(",", "\u202f")
 
 
 def paragraphs(text: str, kind: str = "") -> list[str]:
     """``<p>`` elements; a blank line parts them."""
     opening = f'<p class="{kind}">' if kind else "<p>"
-    return [f"{opening}{in_html(one_line(part))}</p>" for part in text.split("\n\n") if part.strip()]
+    return [f"{opening}{marked_up(part)}</p>" for part in text.split("\n\n") if part.strip()]
 
 
 def lead(text: str, limit: int = IN_SIGHT) -> tuple[str, str]:
@@ -71,19 +81,3 @@ def folded(text: str, kind: str = "", limit: int = IN_SIGHT) -> str:
         shown.append(f'<details class="more"><summary>More</summary>\n<div class="columns">'
                      f'{"".join(paragraphs(rest, kind))}</div></details>')
     return "\n".join(shown)
-
-
-def header(name: object, unit: str | None = None) -> str:
-    """A column's name as HTML: words for an identifier, its unit in brackets."""
-    text, unit = one_line(name), one_line(unit or "")
-    symbol = _SYMBOL.fullmatch(text)
-    if symbol:
-        shown = f"{in_html(symbol[1])}<sub>{in_html(symbol[2])}</sub>"
-    elif _IDENTIFIER.fullmatch(text):
-        words = text.split("_")
-        if not unit and words[-1].lower() in _UNITS:
-            unit = _UNITS[words.pop().lower()]
-        shown = in_html(" ".join(words))
-    else:
-        shown = in_html(text)
-    return f'{shown} <span class="unit">[{in_html(unit)}]</span>' if unit else shown

@@ -1,4 +1,7 @@
-"""The script of a report: headers that sort their table, and everything open on paper. Without it all can be read."""
+"""The script of a report: headers that sort their table, the section in sight marked in the contents, paper all open.
+
+Without it everything can be read.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ SCRIPT = """\
   "use strict";
   function value(row, column, numeric) {
     var text = row.cells[column].textContent;
-    return numeric ? parseFloat(text) : text;
+    return numeric ? parseFloat(text.replace("inf", "Infinity")) : text;
   }
   function compare(a, b) {
     if (typeof a === "number") {
@@ -46,6 +49,25 @@ SCRIPT = """\
       });
     });
   });
+  // only what scrolls is a stop of the Tab key
+  function reach() {
+    document.querySelectorAll(".scroll").forEach(function (box) {
+      var scrolls = box.scrollWidth > box.clientWidth + 1 || box.scrollHeight > box.clientHeight + 1;
+      if (scrolls) { box.tabIndex = 0; } else { box.removeAttribute("tabindex"); }
+    });
+  }
+  reach();
+  window.addEventListener("resize", reach);
+  document.addEventListener("toggle", reach, true);
+  // the section that the upper part of the window shows
+  var seen = new IntersectionObserver(function (entries) {
+    entries.forEach(function (entry) {
+      var link = document.querySelector('.contents a[href="#' + entry.target.id + '"]');
+      if (entry.isIntersecting) { link.setAttribute("aria-current", "true"); }
+      else { link.removeAttribute("aria-current"); }
+    });
+  }, {rootMargin: "-20% 0px -79% 0px"});
+  document.querySelectorAll("section[id]").forEach(function (section) { seen.observe(section); });
   var closed = [];
   window.addEventListener("beforeprint", function () {
     closed = Array.from(document.querySelectorAll("details:not([open])"));

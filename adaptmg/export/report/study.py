@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 
 import pandas as pd
 
-from adaptmg.export.report.curves import Axis, axes_of_study, curves, numbers
+from adaptmg.export.report.cells import worded
+from adaptmg.export.report.curves import axes_of_study, caption, curves, numbers
 from adaptmg.export.report.page import Report
+from adaptmg.export.report.prose import count
+from adaptmg.export.report.tables import LONGEST
 from adaptmg.problem import checks
 
 __all__ = ["study_report"]
@@ -17,7 +21,8 @@ __all__ = ["study_report"]
 #: what a study says of its runs, beside parameters and results
 _STATUS, _ERROR = "status", "error"
 _DONE = "done"
-_ERROR_TEXT = 400
+#: letters of a text and of an error that are shown at most
+_TEXT, _ERROR_TEXT = 200, 400
 
 
 def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameters: Sequence[str],
@@ -60,7 +65,8 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
                           (("parameters", parameters), ("hidden", hidden)))
     units, formats = {"seconds": "s"} | dict(units or {}), dict(formats or {})
     done = table[table[_STATUS] == _DONE] if _STATUS in table else table
-    drawn = _drawable(done, [*parameters, *hidden]) if results is None else _columns("results", results, table)
+    drawn = [name for name, _ in islice(_varied(done, [*parameters, *hidden]), 2)] if results is None else \
+        _columns("results", results, table)
     if results is not None:
         _check_numbers(done, drawn)
     name = title or str(table.attrs.get("study") or "") or "Study"
@@ -69,10 +75,12 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     axis = axes_of_study(done, parameters) if len(done) else None
     for result in drawn if axis else ():
         page.figure(curves(done, axis, result, units.get(result, ""), units.get(axis.along, "")),
-                    _caption(axis, result))
+                    caption(done, axis, result))
+    if len(table) > LONGEST:
+        _add_ranges(page, done, [*parameters, *hidden], units)
     shown = table.drop(columns=[c for c in {_ERROR, *hidden} if c in table])
     _add(page, shown, "All runs", units, formats, csv=csv, open=True)
-    _add_failed(page, table, done, parameters, units, formats)
+    _add_failed(page, table, done, parameters, units, formats, csv)
     fixed = table.attrs.get("fixed") or {}
     if fixed:
         page.made(fixed_parameters=", ".join(f"{key} = {value}" for key, value in fixed.items()))
@@ -89,17 +97,13 @@ def _columns(name: str, given: Sequence[str], table: pd.DataFrame) -> list[str]:
     return list(given)
 
 
-def _drawable(done: pd.DataFrame, others: Sequence[str]) -> list[str]:
-    """The first two columns of numbers that vary."""
-    found = []
+def _varied(done: pd.DataFrame, others: Sequence[str]) -> Iterator[tuple[str, pd.Series]]:
+    """Columns of numbers that vary."""
     for name in done.columns:
         if name not in (*others, _STATUS, _ERROR):
             values = numbers(done[name])
             if values is not None and values.nunique() > 1:
-                found.append(name)
-        if len(found) == 2:
-            break
-    return found
+                yield name, values
 
 
 def _check_numbers(done: pd.DataFrame, drawn: Sequence[str]) -> None:
@@ -112,32 +116,45 @@ def _check_numbers(done: pd.DataFrame, drawn: Sequence[str]) -> None:
 def _counted(table: pd.DataFrame) -> str:
     """How many runs, by status."""
     if _STATUS not in table:
-        return f"{len(table)} runs."
-    counts = table[_STATUS].astype(str).value_counts()
-    return f"{len(table)} runs: " + ", ".join(f"{count} {status}" for status, count in counts.items()) + "." \
+        return f"{count(len(table))} runs."
+    found = table[_STATUS].astype(str).value_counts()
+    return f"{count(len(table))} runs: " + ", ".join(f"{count(n)} {status}" for status, n in found.items()) + "." \
         if len(table) else "No runs."
-
-
-def _caption(axis: Axis, result: str) -> str:
-    lines = f", a line for each {axis.lines.replace('_', ' ')}" if axis.lines else ""
-    return (f"{result.replace('_', ' ')} against {axis.along.replace('_', ' ')}{lines}; where runs share a point their "
-            "median, and the band from the least to the largest")
 
 
 def _add(page: Report, frame: pd.DataFrame, caption: str, units: Mapping[str, str], formats: Mapping[str, str],
          **options: object) -> None:
-    """A table, with the units and formats of the columns that it has."""
+    """A table, with the units and formats of the columns that it has, and long texts cut."""
+    for name in frame.columns:
+        most = _ERROR_TEXT if name == _ERROR else _TEXT
+        if any(isinstance(value, str) and len(value) > most for value in frame[name].head(LONGEST)):
+            frame = frame.assign(**{name: [_cut(value, most) for value in frame[name]]})
     page.table(frame, caption, units={k: v for k, v in units.items() if k in frame},
                formats={k: v for k, v in formats.items() if k in frame}, **options)
 
 
+def _cut(value: object, most: int) -> object:
+    return f"{value[:most]} ..." if isinstance(value, str) and len(value) > most else value
+
+
+def _add_ranges(page: Report, done: pd.DataFrame, others: Sequence[str], units: Mapping[str, str]) -> None:
+    """What the results of all runs are, where not all can be shown."""
+    rows = []
+    for name, values in _varied(done, others):
+        words, unit = worded(name, units.get(name))
+        marks = [int(x) if x.is_integer() else x for x in values.quantile([0.0, 0.25, 0.5, 0.75, 1.0])]
+        rows.append((f"{words} [{unit}]" if unit else words, values.count(), *marks))
+    if rows:
+        columns = ["result", "runs", "least", "lower quarter", "median", "upper quarter", "largest"]
+        page.table(pd.DataFrame(rows, columns=columns, dtype=object), "Results of all runs that are done", open=True)
+
+
 def _add_failed(page: Report, table: pd.DataFrame, done: pd.DataFrame, parameters: Sequence[str],
-                units: Mapping[str, str], formats: Mapping[str, str]) -> None:
+                units: Mapping[str, str], formats: Mapping[str, str], csv: str) -> None:
     if _ERROR not in table:
         return
     failed = table.loc[table.index.difference(done.index, sort=False), [*parameters, _ERROR]]
     failed = failed[failed[_ERROR].fillna("").astype(str) != ""]
     if len(failed):
-        cut = [text if len(text) <= _ERROR_TEXT else f"{text[:_ERROR_TEXT]} ..." for text in failed[_ERROR].astype(str)]
         page.section("Runs that failed")
-        _add(page, failed.assign(**{_ERROR: cut}), "Errors", units, formats)
+        _add(page, failed, "Errors", units, formats, csv=csv if len(failed) > LONGEST else "")

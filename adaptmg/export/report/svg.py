@@ -20,7 +20,7 @@ _SPACE = re.compile(r"\s*:\s*")
 _ROUNDED = ("d", "x", "y", "points", "x1", "x2", "y1", "y2")
 
 
-def inline_svg(source: str, prefix: str, label: str, width: int) -> str:
+def inline_svg(source: str, prefix: str, label: str) -> str:
     """An ``<svg>`` element for a page of HTML.
 
     Parameters
@@ -31,8 +31,6 @@ def inline_svg(source: str, prefix: str, label: str, width: int) -> str:
         Begins every identifier in it.
     label : str
         What the picture shows, for those who cannot see it.
-    width : int
-        In CSS pixels, where there is room.
     """
     root = ElementTree.fromstring(source)
     used = _used(root)
@@ -42,7 +40,7 @@ def inline_svg(source: str, prefix: str, label: str, width: int) -> str:
         _clean(element, prefix, used)
     view = root.get("viewBox")
     root.attrib.clear()
-    root.attrib.update({"viewBox": view, "role": "img", "aria-label": label, "style": f"width:{width}px"})
+    root.attrib.update({"viewBox": view, "role": "img", "aria-label": label})
     # HTML knows the namespace of <svg>; it has no element that closes itself, but those in foreign content do
     return re.sub(r"\s*\n\s*", "\n", ElementTree.tostring(root, encoding="unicode"))
 

@@ -6,17 +6,17 @@ Of a table with more than :data:`LONGEST` rows only the first so many are shown,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from urllib.parse import quote
 
 import pandas as pd
 
-from adaptmg.export.report.prose import folded, given_text, header, one_line
+from adaptmg.export.report.cells import Column, columns_of
+from adaptmg.export.report.prose import count, folded, given_text, marked_up, one_line
 from adaptmg.problem import checks
 from adaptmg.runtime.text import in_html
-from adaptmg.study.tables import shown_cells
 
 __all__ = ["LONGEST", "Table"]
 
@@ -24,6 +24,10 @@ __all__ = ["LONGEST", "Table"]
 LONGEST = 200
 #: a table with more columns says once what is the same in every row; one with fewer need not be as wide as the page
 _WIDE = 6
+#: letters across that a paper has room for, two between columns included; wider tables stand on it in parts
+_ON_PAPER = 180
+#: longer words are broken
+_WORD = 24
 #: a table with more rows scrolls up and down too
 _TALL = 24
 #: characters of a note that are in sight
@@ -67,59 +71,85 @@ class Table:
         if file.is_absolute() or ".." in file.parts or ":" in self.csv or "\\" in self.csv:
             raise ValueError(f"csv must name a file beside the page, got {checks.shown(self.csv)}")
         # what cannot be shown is refused when it is given, not when the page is written
-        shown_cells(self.frame.head(0), units=self.units, formats=self.formats)
+        columns_of(self.frame.head(0), self.units, self.formats)
 
     def folding(self, is_open: bool) -> str:
         """The table as ``<details>``."""
         rows = len(self.frame)
-        count = f'<span class="count">{rows} row{"" if rows == 1 else "s"}</span>'
-        return (f'<details class="table"{" open" * is_open}>\n<summary>{in_html(one_line(self.caption))} {count}'
+        size = f'<span class="count">{count(rows)} row{"" if rows == 1 else "s"}</span>'
+        tall = " long" * (rows > _TALL)
+        return (f'<details class="table{tall}"{" open" * is_open}>\n<summary>{marked_up(self.caption)} {size}'
                 f"</summary>\n{self._body()}</details>")
 
     def plain(self) -> str:
-        """The table alone, for the first screen."""
-        return self._box(list(self.frame.columns))
+        """The table alone, for the first screen: too small to be sorted."""
+        return self._box(self._columns())
+
+    def _columns(self) -> list[Column]:
+        return columns_of(self.frame.head(LONGEST), self.units, self.formats)
 
     def _body(self) -> str:
-        same = self._same_everywhere()
-        above = ""
-        if same:
-            said = "; ".join(f"{header(name, (self.units or {}).get(name))} {in_html(value)}"
-                             for name, value in same.items())
-            above = f'<p class="same">In every row: {said}.</p>\n'
-        below = folded(self.note, "note", _NOTE)
-        if len(self.frame) > LONGEST:
-            below += f'<p class="note">The first {LONGEST} of {len(self.frame)} rows are shown.</p>'
-        if self.csv:
-            below += f'<p class="note"><a href="{in_html(quote(self.csv))}">Table as CSV</a></p>'
-        return f"{above}{self._box([name for name in self.frame.columns if name not in same])}\n{below}\n"
+        columns, above = self._columns(), ""
+        if len(columns) > _WIDE and 3 <= len(self.frame) <= LONGEST:
+            same = [column for column in columns[1:] if column.same]
+            columns = [column for column in columns if column not in same]
+            if same:
+                said = "; ".join(f"{column.head} {marked_up(column.texts[0])}" for column in same)
+                above = f'<p class="same">In every row: {said}.</p>\n'
+        parts = _parts(columns)
+        box = self._box(columns, "sort", *["wide"] * bool(parts))
+        return f"{above}{box}{parts}\n{folded(self.note, 'note', _NOTE)}{self._whole()}\n"
 
-    def _same_everywhere(self) -> dict[str, str]:
-        """Columns whose cells all read the same, and what they read; none of a narrow or short table."""
-        shown = self.frame.head(LONGEST)
-        if len(shown.columns) <= _WIDE or not 3 <= len(self.frame) <= LONGEST:
-            return {}
-        cells, _ = shown_cells(shown, units=self.units, formats=self.formats)
-        return {name: column[0] for name, column in list(zip(shown.columns, cells, strict=True))[1:]
-                if len(set(column)) == 1}
+    def _whole(self) -> str:
+        """Where all rows are."""
+        rows = len(self.frame)
+        cut = f"The first {LONGEST} of {count(rows)} rows are shown. " * (rows > LONGEST)
+        link = f'<a href="{in_html(quote(self.csv))}">{"All rows" if cut else "Table"} as CSV</a>' * bool(self.csv)
+        return f'<p class="note{"" if cut else " file"}">{cut}{link}</p>' if cut or link else ""
 
-    def _box(self, names: list[str]) -> str:
-        """The table with these columns in a box that scrolls."""
-        shown = self.frame.head(LONGEST)
-        columns, numeric = shown_cells(shown, units=self.units, formats=self.formats)
-        kept = [k for k, name in enumerate(shown.columns) if name in names]
-        classes = [' class="n"' if is_number else "" for is_number in numeric]
-        headers = [header(name, (self.units or {}).get(name)) for name in shown.columns]
-        head = "".join(f'<th scope="col"{classes[k]}>{headers[k]}</th>' for k in kept)
-        rows = []
-        for row in zip(*(columns[k] for k in kept), strict=True):
-            cells = [in_html(cell) for cell in row]
-            first = f'<th scope="row"{classes[kept[0]]}>{cells[0]}</th>'
-            rest = "".join(f"<td{classes[k]}>{cell}</td>" for k, cell in zip(kept[1:], cells[1:], strict=True))
-            rows.append(f"<tr>{first}{rest}</tr>")
-        tall = " tall" * (len(rows) > _TALL)
-        label = in_html(one_line(self.caption))
-        narrow = " narrow" * (len(kept) < _WIDE)
-        return (f'<div class="scroll{tall}" tabindex="0" role="region" aria-label="{label}">'
-                f'<table class="sort{narrow}">\n'
-                f"<thead><tr>{head}</tr></thead>\n<tbody>\n" + "\n".join(rows) + "\n</tbody></table></div>")
+    def _box(self, columns: Sequence[Column], *kinds: str) -> str:
+        """These columns in a box that scrolls."""
+        kinds = [*kinds, *["narrow"] * (len(columns) < _WIDE)]
+        tall = " tall" * (len(self.frame) > _TALL)
+        return (f'<div class="scroll{tall}" tabindex="0" role="region" aria-label="{in_html(one_line(self.caption))}">'
+                f"{_drawn(columns, kinds)}</div>")
+
+
+def _parts(columns: Sequence[Column]) -> str:
+    """A table that no paper is wide enough for, in parts; nothing for others."""
+    if _width(columns) <= _ON_PAPER:
+        return ""
+    first, *others = columns
+    parts = [[first]]
+    for column in others:
+        if len(parts[-1]) > 1 and _width([*parts[-1], column]) > _ON_PAPER:
+            parts.append([first])
+        parts[-1].append(column)
+    return '\n<div class="parts">' + "\n".join(_drawn(part, ()) for part in parts) + "</div>"
+
+
+def _width(columns: Sequence[Column]) -> int:
+    """Letters across that columns need at least."""
+    return sum(min(column.least_width, _WORD) + 2 for column in columns)
+
+
+def _drawn(columns: Sequence[Column], kinds: Sequence[str]) -> str:
+    """Columns as ``<table>``."""
+    head = "".join(f'<th scope="col"{_kind(column)}>{column.head}</th>' for column in columns)
+    cells = [_cells(column, "td" if k else 'th scope="row"') for k, column in enumerate(columns)]
+    rows = "\n".join(f"<tr>{''.join(row)}</tr>" for row in zip(*cells, strict=True))
+    kind = f' class="{" ".join(kinds)}"' if kinds else ""
+    return f"<table{kind}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table>"
+
+
+def _kind(column: Column) -> str:
+    """Class of the cells of a column: of numbers, or of words that are longer than a column is wide."""
+    return ' class="n"' if column.numeric else ' class="l"' if column.least_width > _WORD else ""
+
+
+def _cells(column: Column, opening: str) -> list[str]:
+    """The cells of a column as HTML elements."""
+    shown = in_html if column.numeric else marked_up
+    begin, end = f"<{opening}{_kind(column)}", f"</{opening.split()[0]}>"
+    return [begin + (f' data-pad="{pad}"' if pad else "") + f">{shown(text)}{end}"
+            for text, pad in zip(column.texts, column.pads, strict=True)]
