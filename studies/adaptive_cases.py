@@ -191,3 +191,8 @@ CASES: Mapping[str, Case] = {
         compared=lambda x: (x[:, :2] <= 0.9 * _SIDE).all(axis=1),
         force=("friction force", friction_force), graded=(20 * MM, 3), goal=am.ContactForce("upper.bottom", "x")),
 }
+#: strongest singularity, u ~ r^exponent: end of a contact zone, stick at a free corner, edge of a punch, corners of
+#: 270 degrees; that of a free edge of one block on another of other stiffness is not known to us
+EXPONENTS: Mapping[str, float] = {
+    "GRECO bar": 1.39, "upset block": 0.781, "flat punch": 0.5, "dovetail": 0.5445, "bolted junction": 0.5445,
+    "upset block 3D": 0.781, "two blocks 3D": float("nan")}

@@ -8,24 +8,27 @@ import adaptive_runs as runs
 import common
 import numpy as np
 import pandas as pd
-from adaptive_cases import CASES
-from adaptive_tables import EXPONENTS
+from adaptive_cases import CASES, EXPONENTS
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 import adaptmg as am
 from adaptmg.plot.style import CYCLE, GREY, styled
 
 MARKERS = "osD^vP"
-#: adaptive loops that are drawn, with their nodes (quick, full)
-DRAWN = {"GRECO bar": (500, 1500), "dovetail": (700, 4000)}
+#: adaptive loops that are drawn, with their nodes; the last in a quick run too
+DRAWN = {"GRECO bar": 1500, "dovetail": 4000}
+QUICK_DRAWN = ("dovetail", 700)
 
 
 def figures(rows: pd.DataFrame, quick: bool) -> list[common.Figure]:
-    """All of them."""
-    return [against(rows, "nodes"), against(rows, "cpu"), pressure_figure(rows),
-            *(loop_figure(case, sizes[not quick]) for case, sizes in DRAWN.items())]
+    """Errors against cost, and meshes."""
+    both = [against(rows, "nodes"), against(rows, "cpu")]
+    if quick:
+        return [*both, loop_figure(*QUICK_DRAWN)]
+    return [*both, pressure_figure(rows), *(loop_figure(*drawn) for drawn in DRAWN.items())]
 
 
 def curves(ax: Axes, of_case: pd.DataFrame, x: str, y: str = "energy_error") -> None:
@@ -35,7 +38,27 @@ def curves(ax: Axes, of_case: pd.DataFrame, x: str, y: str = "energy_error") -> 
         ax.loglog(group[x], 100 * group[y], marker=MARKERS[k], color=CYCLE[k], markersize=3.5, linewidth=1.2,
                   label=family)
     ax.grid(True)
-    common.plain_ticks(ax.yaxis)
+
+
+def panels(rows: pd.DataFrame) -> tuple[Figure, list[Axes], Axes]:
+    """A figure with a place for each case, and one more for the legend, that has nothing else."""
+    count = rows["case"].nunique() + 1
+    across = (count + 1) // 2
+    figure, axes = plt.subplots(2, across, figsize=(3.4 * across, 6.8))
+    for ax in axes.flat[count - 1:]:
+        ax.set_axis_off()
+    return figure, list(axes.flat[:count - 1]), axes.flat[count - 1]
+
+
+def finished(figure: Figure, axes: Sequence[Axes], last: Axes) -> None:
+    """Ticks, for limits as they are now, and the legend."""
+    for ax in axes:
+        low, high = ax.get_ylim()
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 120 * low else (1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.set_minor_formatter(NullFormatter())
+    last.legend(*axes[0].get_legend_handles_labels(), loc="center", fontsize=10)
 
 
 def slope_line(ax: Axes, of_case: pd.DataFrame, exponent: float, family: str, text: str) -> None:
@@ -53,39 +76,36 @@ def slope_line(ax: Axes, of_case: pd.DataFrame, exponent: float, family: str, te
 @styled
 def against(rows: pd.DataFrame, x: str) -> common.Figure:
     """Energy error of all cases against nodes, or seconds."""
-    figure, axes = plt.subplots(2, 4, figsize=(13.5, 6.8))
-    for ax, (case, of_case) in zip(axes.flat, rows.groupby("case", sort=False), strict=False):
+    figure, axes, last = panels(rows)
+    for ax, (case, of_case) in zip(axes, rows.groupby("case", sort=False), strict=True):
         curves(ax, of_case, x)
         ax.set_title(case, fontsize=10)
         ax.set_ylabel("energy error [%]")
-        ax.set_xlabel("nodes" if x == "nodes" else "processor time, everything [s]")
+        ax.set_xlabel("nodes" if x == "nodes" else "processor time [s]")
         if x == "nodes":
             dim, exponent = CASES[case].dim, EXPONENTS[case] / CASES[case].dim
             slope_line(ax, of_case, 1 / dim, "residual, bisected", f"$N^{{-1/{dim}}}$")
             # unknown where NaN
             if exponent < 1 / dim:
                 slope_line(ax, of_case, exponent, "uniform", f"$N^{{-{exponent:.2f}}}$")
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    axes.flat[-1].set_axis_off()
-    axes.flat[-1].legend(handles, labels, loc="center", fontsize=10)
-    words = "nodes; dashed: rates of theory" if x == "nodes" else "processor time of one thread, everything counted"
+    finished(figure, axes, last)
+    words = ("nodes; dashed: rates of theory" if x == "nodes" else
+             "processor time of one thread, everything counted; of a loop that of all steps so far")
     return common.Figure(f"adaptive_energy_{x}", figure, f"Relative energy error against {words}")
 
 
 @styled
 def pressure_figure(rows: pd.DataFrame) -> common.Figure:
     """Pressure error of all cases against nodes."""
-    figure, axes = plt.subplots(2, 4, figsize=(13.5, 6.8))
-    for ax, (case, of_case) in zip(axes.flat, rows.groupby("case", sort=False), strict=False):
+    figure, axes, last = panels(rows)
+    for ax, (case, of_case) in zip(axes, rows.groupby("case", sort=False), strict=True):
         curves(ax, of_case, "nodes", "pressure_error")
         ax.set_title(case, fontsize=10)
         ax.set_ylabel("pressure error, $L^2$ [%]")
         ax.set_xlabel("nodes")
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    axes.flat[-1].set_axis_off()
-    axes.flat[-1].legend(handles, labels, loc="center", fontsize=10)
+    finished(figure, axes, last)
     return common.Figure("adaptive_pressure", figure, "Relative L2 error of the contact pressure against nodes, "
-                         "singular edges left out; it levels off at the reference's own (upset block, plane and 3D)")
+                         "singular edges left out; where it levels off it is the reference's own")
 
 
 def steps_of(case: str, nodes: int) -> list[am.Step]:
@@ -114,5 +134,6 @@ def picture(rows: pd.DataFrame, case: str, steps: Sequence[am.Step]) -> Figure:
         curves(ax, of_case, x)
         ax.set_ylabel("energy error [%]")
         ax.set_xlabel("nodes" if x == "nodes" else "processor time, everything counted [s]")
+        common.plain_ticks(ax.yaxis)
     axes[2].legend(fontsize=8)
     return figure

@@ -5,29 +5,26 @@ with friction, the rivals of the linear problem in which all contact dofs are fi
 nested start; set-up (splitting and coarse matrices) and transfers are listed apart and in a ratio of their own. A first
 run learns how many cycles or iterations that takes; timed runs then do exactly so many, in turns, medians are kept.
 The exact solution of a contact problem is our own at an estimated error of 1e-13, on grids small enough checked against
-the active set method with direct solves. Work: passes by nonzeros touched over those of the finest matrix (a sweep that
-reads one triangle is half a pass); 'full passes' counts every sweep and residual as a whole pass.
+the active set method with direct solves.
 
-    python studies/benchmark.py [--quick] [--out DIR]
+    python studies/benchmark.py [--quick | --full] [--out DIR]
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from statistics import median
 from typing import Any
 
+import benchmark_tables as shown
 import common
 import linear_rivals as rivals
 import numpy as np
 import pandas as pd
 import waiting
-from matplotlib import pyplot as plt
 
 import adaptmg as am
-from adaptmg.plot.style import styled
 from adaptmg.solver.run import Outcome, Run
 from adaptmg.solver.truncated.multigrid import TruncatedMultigrid
 
@@ -209,30 +206,6 @@ def contact_method(size: int, method: str) -> dict[str, Any]:
             "outcome": last.status.name}
 
 
-def exponent(nodes: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
-    """Exponent of values ~ nodes^e with its standard error (NaN with fewer than three)."""
-    x, y = np.log(np.asarray(nodes, float)), np.log(np.asarray(values, float))
-    if len(x) < 2:
-        return np.nan, np.nan
-    slope, offset = np.polyfit(x, y, 1)
-    spread = np.sum((y - slope * x - offset) ** 2) / max(len(x) - 2, 1) / np.sum((x - x.mean()) ** 2)
-    return float(slope), float(np.sqrt(spread)) if len(x) > 2 else np.nan
-
-
-@styled
-def _figure(rows: pd.DataFrame) -> common.Figure:
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6))
-    for family, part in rows.groupby("family", sort=False):
-        left.semilogx(part["nodes"], part["work"], "o-", label=family)
-        right.loglog(part["nodes"], part["solve_s"], "o-", label=family)
-        right.loglog(part["nodes"], part["pyamg_setup_s"] + part["pyamg_solve_s"], "x--", color="0.6")
-    left.set(xlabel="nodes", ylabel="work units to 1e-8", ylim=(0, None))
-    right.set(xlabel="nodes", ylabel="s (grey: pyamg on the glued problem)")
-    left.legend()
-    caption = "Work does not grow with the mesh; seconds beside pyamg's for one linear solve."
-    return common.Figure("benchmark", figure, caption)
-
-
 def run(context: common.Context) -> common.Section:
     """All tables."""
     run_ours(grids("nested 2D", 16, 1.0), TOLERANCE)
@@ -247,35 +220,14 @@ def run(context: common.Context) -> common.Section:
         friction.append(context.study(measure, {"family": [family], "size": [middle], "friction": list(coefficients)},
                                       repetitions=1, linear=False, timed=True))
     rows = pd.concat(parts, ignore_index=True)
-    scaling = []
-    for family, part in rows.groupby("family", sort=False):
-        part = part[part["nodes"] >= 10_000] if not context.quick else part
-        for name in ("work", "solve_s"):
-            # work units are per unknown: their product with the nodes is the work
-            total = part[name] * (part["nodes"] if name == "work" else 1.0)
-            slope, error = exponent(part["nodes"], total)
-            scaling.append({"family": family, "quantity": name, "exponent": slope, "standard_error": error})
     against = context.study(contact_method, {"size": [16, 32] if context.quick else [32, 64, 128],
                                              "method": list(METHODS)}, timed=True)
-    work = ["family", "nodes", "levels", "cycles", "rate", "work", "full_passes", "start_work", "start_error",
-            "bytes_per_dof"]
-    seconds = ["family", "nodes", "mesh_s", "assembly_s", "transfer_s", "setup_s", "solve_s", "pyamg_iterations",
-               "pyamg_setup_s", "pyamg_solve_s", "over_pyamg", "with_setup_over_pyamg", "best_setting",
-               "over_best_pyamg", "over_mgcg", "over_pyamg_mgcg", "over_cholesky"]
-    sweep = pd.concat(friction, ignore_index=True)[["family", "nodes", "friction", "cycles", "rate", "work"]]
     items: list[common.Table | common.Figure] = [
-        common.Table("benchmark_work", rows[work], "Work to a true energy error of 1e-8, friction 1."),
-        common.Table("benchmark_seconds", rows.reindex(columns=seconds),
-                     "Seconds, one thread, and ratios: ours over theirs."),
-        common.Table("benchmark_scaling", pd.DataFrame(scaling), "Exponents of nodes."),
-        common.Table("benchmark_friction", sweep, "Friction."),
-        common.Table("benchmark_methods", against[["nodes", "method", "cycles", "work", "s", "residual", "outcome"]],
-                     "Methods for the contact problem, each to its own estimated error of 1e-8."),
-        waiting.table(context),
-        _figure(rows),
-    ]
-    return common.Section("The fast solver", __doc__.split("\n\n")[1], items)
+        shown.work_table(rows), shown.seconds_table(rows), *shown.scaling_table(rows),
+        shown.friction_table(pd.concat(friction, ignore_index=True)), shown.methods_table(against),
+        waiting.table(context), shown.figure(rows)]
+    return common.Section("The fast solver", __doc__.split("\n\n")[1], items, summary=shown.summary(rows))
 
 
 if __name__ == "__main__":
-    common.main(run, __doc__.split("\n")[0])
+    common.main(run, __doc__.split("\n")[0] + " Example: python studies/benchmark.py --quick --out /tmp/benchmark")

@@ -66,17 +66,18 @@ def bisected_table(context: common.Context) -> common.Table:
     line = frame[frame["family"] == "bisected at contact"]
     rest = frame[frame["family"] == "adapted"]
     warned = line[line["warned"] != ""]
-    note = (f"GRECO bar. From {line['nodes'].iloc[0]} to {line['nodes'].iloc[-1]} nodes the family that refines only "
-            f"the elements at contact goes from {line['error'].iloc[0]:.2e} to {line['error'].iloc[-1]:.2e} at A-E, "
-            f"and its estimated energy error from {line['energy'].iloc[0]:.2%} to {line['energy'].iloc[-1]:.2%}; "
-            f"meshes that follow the error have {rest['error'].iloc[-1]:.1e} and {rest['energy'].iloc[-1]:.2%} with "
-            f"{rest['nodes'].iloc[-1]} nodes. "
+    first, last, best = line.iloc[0], line.iloc[-1], rest.iloc[-1]
+    note = (f"GRECO bar. From {first['nodes']} to {last['nodes']} nodes the family that refines only the elements at "
+            f"contact goes from an error of {first['error']:.3%} to {last['error']:.3%} at A-E (the largest of five "
+            f"displacements), and its energy error, estimated by recovery, from {first['energy']:.2%} to "
+            f"{last['energy']:.2%}; meshes that follow the error have {best['error']:.3%} and {best['energy']:.2%} "
+            f"with {best['nodes']} nodes. "
             + (f"Hierarchy.bisected warns from {warned['nodes'].iloc[0]} nodes on." if len(warned) else
                "Hierarchy.bisected does not warn yet."))
     table = pd.DataFrame({"family": frame["family"], "nodes": frame["nodes"], "contact nodes": frame["contact_nodes"],
-                          "h at contact": 1e3 * frame["at_contact"], "largest h": 1e3 * frame["largest"],
-                          "error A-E": frame["error"], "energy, ZZ": 100 * frame["energy"],
+                          "size at contact": 1e3 * frame["at_contact"], "largest size": 1e3 * frame["largest"],
+                          "error A-E": 100 * frame["error"], "energy, ZZ": 100 * frame["energy"],
                           "warns": frame["warned"] != ""})
     return common.Table("bisected_family", table, "Bisected at contact alone: the error stays", note,
-                        {"h at contact": "mm", "largest h": "mm", "energy, ZZ": "%"},
-                        {"h at contact": ".4f", "largest h": ".2f", "error A-E": ".2e", "energy, ZZ": ".3f"})
+                        {"size at contact": "mm", "largest size": "mm", "error A-E": "%", "energy, ZZ": "%"},
+                        {"size at contact": ".4f", "largest size": ".2f", "error A-E": ".4f", "energy, ZZ": ".3f"})

@@ -11,7 +11,7 @@ MM = 1e-3
 #: sizes away from contact, m; at contact 2 times finer. The third grid has about as many nodes as the paper's grid 1
 SIZES = (12 * MM, 7 * MM, 4 * MM, 2.4 * MM)
 #: the GRECO bar with about as many nodes, the same ratios between grids and towards contact
-BAR_SIZES = tuple(0.3 * size for size in SIZES)
+BAR_SIZES = tuple(0.38 * size for size in SIZES)
 RATIO = 2.0
 
 

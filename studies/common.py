@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
@@ -44,8 +45,22 @@ PROBLEMS: Mapping[str, Callable[[], am.ContactProblem]] = {
 }
 
 
+def plain_powers(text: str) -> str:
+    """Python's 1e-06 as 1e-6."""
+    return re.sub(r"(?<=\de)([+-])0(?=\d\b)", r"\1", text)
+
+
+class _Worded:
+    """Something with texts."""
+
+    def __post_init__(self) -> None:
+        for name in ("caption", "note", "text", "summary"):
+            if hasattr(self, name):
+                setattr(self, name, plain_powers(getattr(self, name)))
+
+
 @dataclass
-class Table:
+class Table(_Worded):
     """A table of a study: what is printed, written as CSV and put into the report.
 
     ``open`` says whether it stands open in the report; None: the first table of a section does.
@@ -61,7 +76,7 @@ class Table:
 
 
 @dataclass
-class Figure:
+class Figure(_Worded):
     """A figure of a study."""
 
     name: str
@@ -70,7 +85,7 @@ class Figure:
 
 
 @dataclass
-class Headline:
+class Headline(_Worded):
     """What a study has to say on the first screen of the report, at a place that :data:`front.PLACES` names.
 
     ``item`` is a small table (five rows, five columns) or a figure of some 5.6 x 2.5 inches, ``text`` a sentence or
@@ -83,7 +98,7 @@ class Headline:
 
 
 @dataclass
-class Section:
+class Section(_Worded):
     """What a study returns.
 
     ``summary`` says what was asked, what came out and why it differs from the paper, in few sentences; ``text`` has
@@ -210,7 +225,8 @@ def warm_up(dim: int = 2) -> None:
         hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), (20e-3, 10e-3), contact_ratio=2)
     else:
         hierarchy = am.Hierarchy.graded(am.cases.greco_block(), (40e-3, 20e-3))
-    for solver in (am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(), am.ActiveSet(linear=am.AMG())):
+    for solver in (am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(),
+                   am.ActiveSet(linear=am.AMG())):
         am.solve(hierarchy, solver, throw=False)
 
 
@@ -240,12 +256,13 @@ def slope(x: Sequence[float], y: Sequence[float]) -> float:
 def plain_ticks(*axes: Any) -> None:
     """Label logarithmic axes (``ax.xaxis``, ...) without exponents, at 1, 2, 5 times powers of ten where there is room.
 
-    Over more than a decade and a half such labels would overlap: then at the powers alone.
+    Over more than a decade and a half such labels would overlap: then at 1 and 3, or at the powers alone.
     """
     for axis in axes:
         low, high = axis.get_view_interval()
-        wide = low > 0 and high / low > 30
-        axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+        span = high / low if low > 0 else 1.0
+        subs = (1.0, 2.0, 5.0) if span <= 30 else (1.0, 3.0) if span <= 300 else (1.0,)
+        axis.set_major_locator(LogLocator(subs=subs))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 
@@ -290,4 +307,7 @@ def main(run: Callable[[Context], Section], description: str) -> None:
                         help="where CSV files, pictures and the store go (default: results)")
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    show(run(Context(arguments.quick, arguments.out, arguments.full)), arguments.out)
+    try:
+        show(run(Context(arguments.quick, arguments.out, arguments.full)), arguments.out)
+    except OSError as error:
+        raise SystemExit(f"{parser.prog}: {error}") from error

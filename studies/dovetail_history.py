@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from common import Context, Figure, Table
 from dovetail_sweeps import RTOL, TOP, grids_of, zones
-from paper_runs import table
+from paper_runs import span, table
 
 import adaptmg as am
 
@@ -84,7 +84,8 @@ def items(context: Context) -> tuple[list[Table | Figure], pd.DataFrame]:
     figure = dovetail_pictures.history_figure(history(**fixed, steps=10), PULL * factors(10, True),
                                               4 if context.quick else 8)
     costs = costs_of(context, here)
-    return [history_table(rows[10]), figure, step_table(rows, single), cost_table(costs)], costs
+    nodes = grids(**here).finest.n_nodes
+    return [history_table(rows[10], nodes), figure, step_table(rows, single, nodes), cost_table(costs)], costs
 
 
 def unfolded(row: pd.Series) -> pd.DataFrame:
@@ -105,7 +106,7 @@ def costs_of(context: Context, here: dict[str, Any]) -> pd.DataFrame:
                            "seconds ratio": frame["path_seconds"] / frame["one_seconds"] * 10 / frame["load_steps"]})
 
 
-def history_table(rows: pd.DataFrame) -> Table:
+def history_table(rows: pd.DataFrame, nodes: int) -> Table:
     """Step by step."""
     frame = rows.assign(step=range(len(rows)), pull=PULL * rows["factor"], lift=1e6 * rows["lift"],
                         slid=1e6 * rows["slid"], pressure=1e-6 * rows["pressure"],
@@ -116,34 +117,42 @@ def history_table(rows: pd.DataFrame) -> Table:
     half = frame[np.isclose(rows["factor"], 0.5)]["lift"]
     note = (f"The clamp stays; the pull rises to {PULL:g} MPa and falls again. Lift at full pull "
             f"{full['lift']:.1f} µm; at half of it {half.iloc[0]:.1f} µm on the way up, {half.iloc[-1]:.1f} µm on the "
-            f"way down, where the flank first sticks. Let go, the joint differs from the clamped one by "
-            f"{last['lift'] - first['lift']:.2f} µm of lift and at most {last['slid']:.2f} µm of slip: nearly all of "
-            "the flank slips back at its bound, to where the clamp alone had it. Slid: largest sum of the slips at a "
-            "node of the flank since the clamped state (of the open ones too). Stick: from the first node that sticks "
-            "to the last.")
+            "way down. Let go, the joint differs from the clamped one by "
+            f"{last['lift'] - first['lift']:.2f} µm of lift and at most {last['slid']:.2f} µm of slip. Open to, stick: "
+            "depth below the mouth; stick from the first node that sticks to the last ('-': none). Slid: largest sum "
+            "of the slips at a node of the flank since the clamped state (open ones too). Pressure: the largest.")
     columns = ["step", "pull", "lift", "open to", "stick from", "stick to", "slid", "pressure", "cycles", "work",
                "test", "residual", "outcome"]
-    made = table("dovetail_history", frame, columns, "Dovetail in load steps: clamped, pulled, let go (friction .2)",
-                 note, {"pull": ".0f", "lift": ".2f", "slid": ".2f", "pressure": ".0f", "open to": ".2f",
-                        "stick from": ".2f", "stick to": ".2f"})
+    made = table("dovetail_history", frame, columns, "Dovetail in load steps: clamped, pulled, let go (friction .2, "
+                 f"{nodes} nodes)", note,
+                 {"pull": ".0f", "lift": ".2f", "slid": ".2f", "pressure": ".0f", "open to": ".2f",
+                  "stick from": ".2f", "stick to": ".2f"})
     made.units = dict(made.units) | {"pull": "MPa", "lift": "µm", "slid": "µm", "pressure": "MPa", "open to": "mm",
                                      "stick from": "mm", "stick to": "mm"}
     return made
 
 
-def step_table(rows: dict[int, pd.DataFrame], single: float) -> Table:
+def step_table(rows: dict[int, pd.DataFrame], single: float, nodes: int) -> Table:
     """How the answer depends on the number of steps."""
-    frame = pd.DataFrame([{"steps up": n, "lift at full pull": 1e6 * part["lift"].iloc[len(part) // 2],
-                           "lift let go": 1e6 * part["lift"].iloc[-1], "lift clamped": 1e6 * part["lift"].iloc[0],
-                           "cycles": int(part["cycles"].sum()), "worst residual": part["residual"].max(),
-                           "all converged": bool((part["outcome"] == "CONVERGED").all())} for n, part in rows.items()])
-    values = frame["lift at full pull"]
-    note = (f"Coulomb friction depends on the way: clamp and pull in one step give a lift of {1e6 * single:.1f} µm; "
-            f"the clamp first, then the pull, {values.iloc[-1]:.1f} µm, with {frame['steps up'].iloc[0]} to "
-            f"{frame['steps up'].iloc[-1]} steps the same within {np.ptp(values):.2g} µm.")
-    units = dict.fromkeys(("lift at full pull", "lift let go", "lift clamped"), "µm")
-    return Table("dovetail_steps", frame, "Dovetail: number of load steps", note, units,
-                 {**dict.fromkeys(units, ".2f"), "worst residual": ".1e"})
+    found = []
+    for n, part in rows.items():
+        lift, half = 1e6 * part["lift"], np.flatnonzero(np.isclose(part["factor"], 0.5))
+        found.append({"steps up": n, "clamped": lift.iloc[0],
+                      "half, pulling": lift.iloc[half[0]] if half.size else np.nan, "full pull": lift.iloc[n],
+                      "half, letting go": lift.iloc[half[-1]] if half.size else np.nan, "let go": lift.iloc[-1],
+                      "sticks at full pull": bool(part["stick_from"].notna().iloc[n]),
+                      "cycles": int(part["cycles"].sum()), "largest residual": part["residual"].max(),
+                      "all converged": bool((part["outcome"] == "CONVERGED").all())})
+    frame = pd.DataFrame(found)
+    values = frame["full pull"]
+    note = (f"Lifts at {PULL / 2:g} MPa, where the number of steps allows, and {PULL:g} MPa. Coulomb friction depends "
+            f"on the way: clamp and pull in one step give a lift of {1e6 * single:.1f} µm; the clamp first, then the "
+            f"pull, {span(values, '.1f')} µm with {frame['steps up'].iloc[0]} to {frame['steps up'].iloc[-1]} steps")
+    note += "." if frame["sticks at full pull"].any() else (
+        ": at full pull the whole flank slips, so that the steps before leave no trace.")
+    units = dict.fromkeys(("clamped", "half, pulling", "full pull", "half, letting go", "let go"), "µm")
+    return Table("dovetail_steps", frame, f"Dovetail: lift against the number of load steps (friction .2, {nodes} "
+                 "nodes)", note, units, {**dict.fromkeys(units, ".2f"), "largest residual": ".1e"})
 
 
 def cost_table(costs: pd.DataFrame) -> Table:
@@ -151,12 +160,13 @@ def cost_table(costs: pd.DataFrame) -> Table:
     names = {"nodes": "nodes", "unload": "clamped first", "load_steps": "load steps", "one_cycles": "cycles of one",
              "one_work": "work of one", "one_rate": "rate of one", "one_seconds": "seconds of one",
              "path_cycles": "cycles", "most_cycles": "most in a step", "path_work": "work", "path_seconds": "seconds",
-             "work ratio": "work ratio", "seconds ratio": "seconds ratio", "residual": "residual",
+             "work ratio": "work ratio", "seconds ratio": "seconds ratio", "residual": "largest residual",
              "complete": "complete"}
     frame = costs[list(names)].rename(columns=names)
-    note = (f"Ratios: cost of ten steps over that of one solve with all loads, full multigrid start to {RTOL:g} in "
-            "both; set-up counts in the seconds (matrices and transfers of a path are made once).")
+    note = (f"Ratios: cost of ten steps (of more: ten on the average) over that of one solve with all loads, full "
+            f"multigrid start to {RTOL:g} in both; set-up counts in the seconds (matrices and transfers of a path are "
+            "made once). Clamped first: before the pull, and let go after it.")
     return Table("dovetail_history_cost", frame, "Dovetail: what ten load steps cost", note,
                  {"seconds": "s", "seconds of one": "s", "work": "WU", "work of one": "WU"},
                  {"work of one": ".1f", "rate of one": ".2f", "seconds of one": ".2f", "work": ".0f", "seconds": ".2f",
-                  "work ratio": ".2f", "seconds ratio": ".2f", "residual": ".1e"})
+                  "work ratio": ".2f", "seconds ratio": ".2f", "largest residual": ".1e"})

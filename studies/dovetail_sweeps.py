@@ -13,7 +13,7 @@ import dovetail_pictures
 import numpy as np
 import pandas as pd
 from common import Context, Figure, Table
-from paper_runs import repeats, span, table
+from paper_runs import listed, repeats, span, table
 
 import adaptmg as am
 
@@ -80,9 +80,7 @@ def beside_one_body(body: str, family: tuple[float, int], finest: float, rtol: f
     grids = am.Hierarchy.graded(problem, sizes(finest, *family), contact_ratio=4)
     am.solve(grids, am.FullMultigrid(rtol=rtol), throw=False)
     result = common.quickest(grids, am.FullMultigrid(rtol=rtol), times=times)
-    brief = am.solve(grids, am.FullMultigrid(rtol=rtol, start=am.NestedStart(cycles=1)), throw=False)
-    return {"brief_cycles": brief.cycles, "brief_work": brief.work_units,
-            "nodes": grids.finest.n_nodes, "coarsest": grids[0].n_nodes, "cycles": result.cycles,
+    return {"nodes": grids.finest.n_nodes, "coarsest": grids[0].n_nodes, "cycles": result.cycles,
             "work": result.work_units, "start_work": result.start_work_units, "rate": result.rate,
             "run_seconds": result.seconds, "residual": result.residual, "outcome": result.status.name,
             "mesh_ratio": max(level.mesh_ratio for level in grids.levels[1:])}
@@ -124,10 +122,10 @@ def with_units(made: Table, **units: str) -> Table:
 
 def friction_table(frame: pd.DataFrame) -> Table:
     """Lift, zones and cost against friction."""
-    low, high = frame["cycles"].min(), frame["cycles"].max()
-    note = (f"{low} to {high} cycles for all coefficients. Zones along the flank from the mouth (depth 0) to its lower "
-            "end (13 mm): open, slip, stick, slip; ends half-way between nodes. Without friction nothing sticks. All "
-            "loads are applied in one step; in several, friction gives another answer (see the load history).")
+    note = (f"{span(frame['cycles'], 'd')} cycles for all coefficients. Zones along the flank from the mouth (depth 0) "
+            "to its lower end (13 mm): open, slip, stick, slip; ends half-way between nodes. Nothing sticks ('-') at "
+            f"{listed(frame[frame['stick_from'].isna()]['friction'], 'g')}. All loads are applied in one step; in "
+            "several, friction gives another answer (see the load history).")
     columns = ["friction", "nodes", "lift", *_MM.values(), "cycles", "work", "rate", "run_seconds", "test", "residual",
                "outcome"]
     return with_units(table("dovetail_friction", in_units(frame), columns, "Dovetail: friction, full start in the "
@@ -140,11 +138,14 @@ def shape_table(clearances: pd.DataFrame, angles: pd.DataFrame) -> Table:
     tight = clearances[clearances["clearance"] == 0].set_index("friction")["lift"]
     rise = clearances["lift"] - clearances["friction"].map(tight)
     loose = clearances["clearance"] > 0
-    share = (rise / clearances["clearance"] * np.cos(np.radians(50)))[loose & (clearances["friction"] == 0)]
+    share = (rise / clearances["clearance"] * np.cos(np.radians(50)))[loose]
     frame["clearance"] = 1e6 * frame["clearance"]
-    note = ("A clearance c lets the tongue rise by c / cos(angle) before the flank carries; without friction the lift "
-            f"grows by {share.min():.3f} to {share.max():.3f} times that. With friction it grows less as long as the "
-            "flank sticks somewhere.")
+    parts = [f"with friction {friction:g} by {span(share[clearances['friction'] == friction], '.2f')}"
+             for friction in sorted(set(clearances["friction"]))]
+    note = ("A clearance c lets the tongue rise by c / cos(angle) before the flank carries. Over the joint without "
+            f"clearance the lift grows {listed(parts)} times that"
+            + ": part of a tight flank may stick, and clearance loosens it first" * bool(clearances["friction"].any())
+            + ". '-': nothing sticks.")
     columns = ["clearance", "angle", "friction", "nodes", "lift", *_MM.values(), "cycles", "work", "rate", "test",
                "residual", "outcome"]
     made = table("dovetail_shape", frame, columns, "Dovetail: clearance, and angle of the flanks from the horizontal",
@@ -164,7 +165,9 @@ def agreement_table(frame: pd.DataFrame) -> Table:
             f"error of multigrid to an estimated error of {RTOL:g}; difference, and nodes whose states differ, of "
             f"multigrid to {TIGHT:g}. Force error: contact force over the pull, minus 1 (of the former). Slave + "
             "master: sum of the forces of the flank on both sides, over the pull.")
-    return Table("dovetail_agreement", worst, "Dovetail: two independent methods, and the balance of forces", note,
+    nodes = span(frame["nodes"], "d")
+    return Table("dovetail_agreement", worst, "Dovetail: two independent methods, and the balance of forces "
+                 f"({nodes} nodes)", note,
                  formats={"true error": ".1e", "difference": ".1e", "force error": ".1e", "slave + master": ".1e"})
 
 
@@ -178,8 +181,7 @@ def ratios_of(context: Context) -> pd.DataFrame:
     frame["step"], frame["levels"] = zip(*frame["family"], strict=True)
     keys = list(zip(frame["finest"], frame["step"], strict=True))
     one = frame[frame["body"] == "GRECO bar"].set_index(["finest", "step"])["work"]
-    for name, work in (("ratio", "work"), ("brief_ratio", "brief_work")):
-        frame[name] = np.where(frame["body"] == "dovetail", frame[work] / one.loc[keys].to_numpy(), np.nan)
+    frame["ratio"] = np.where(frame["body"] == "dovetail", frame["work"] / one.loc[keys].to_numpy(), np.nan)
     return frame
 
 
@@ -191,21 +193,20 @@ def ratio_table(frame: pd.DataFrame) -> Table:
                if len(two) > 1 else f"Two bodies take {two['ratio'].iloc[0]:.2f} times the work units of one")
     note = f"Friction .2, sizes four times finer at contact, full start to an estimated error of {RTOL:g}. {counted}"
     if len(beyond) and len(two) > 1:
-        note += f", in the others {beyond['ratio'].min():.2f} to {beyond['ratio'].max():.2f} times"
-    note += (f"; with one cycle a level in the nested start (last columns), where bodies have two by default, "
-             f"{span(two['brief_ratio'], '.2f')}. Larger steps from grid to grid cost "
-             "fewer units on both, but the soft edge of the block at the mouth then needs more cycles.")
-    frame = frame.assign(test=f"error {RTOL:g}", finest=1e3 * frame["finest"],
-                         **{"cycles, brief": frame["brief_cycles"], "WU, brief": frame["brief_work"],
-                            "over one, brief": frame["brief_ratio"],
-                            "sizes fall by": frame["step"], "h ratio": frame["mesh_ratio"], "finest size":
-                            1e3 * frame["finest"], "over one body": frame["ratio"]})
+        note += f", in the others {span(beyond['ratio'], '.2f')} times"
+    note += ". h ratio: largest local ratio of mesh sizes between two levels."
+    if two["step"].nunique() > 1:
+        small, large = (two[two["step"] == step]["cycles"] for step in (two["step"].min(), two["step"].max()))
+        note += (f" Where sizes fall by {two['step'].max():g} instead of {two['step'].min():g} from level to level, "
+                 f"the dovetail takes {span(large, 'd')} cycles instead of {span(small, 'd')}: only the edge of the "
+                 "block at the mouth gives way, and coarse meshes know it less well.")
+    frame = frame.assign(test=f"error {RTOL:g}", **{
+        "sizes fall by": frame["step"], "h ratio": frame["mesh_ratio"], "finest size": 1e3 * frame["finest"],
+        "over one body": frame["ratio"]})
     made = table("dovetail_one_body", frame, ["body", "finest size", "sizes fall by", "levels", "coarsest", "nodes",
                                               "h ratio", "cycles", "start_work", "work", "over one body", "rate",
-                                              "run_seconds", "test", "residual", "outcome", "cycles, brief",
-                                              "WU, brief", "over one, brief"],
+                                              "run_seconds", "test", "residual", "outcome"],
                  "Two bodies beside one (GRECO bar) on grids of equal sizes and grading", note,
-                 {"finest size": ".2f", "sizes fall by": ".1f", "h ratio": ".2f", "over one body": ".2f",
-                  "cycles, brief": "d", "WU, brief": ".1f", "over one, brief": ".2f"})
+                 {"finest size": ".2f", "sizes fall by": ".1f", "h ratio": ".2f", "over one body": ".2f"})
     made.units = dict(made.units) | {"finest size": "mm"}
     return made

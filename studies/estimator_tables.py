@@ -6,6 +6,7 @@ import common
 import pandas as pd
 from estimator_runs import EXACT, PAIRS, SHARE
 from matplotlib import pyplot as plt
+from paper_runs import span
 
 from adaptmg.plot.style import CYCLE, GREY, styled
 
@@ -49,14 +50,14 @@ def summary_table(steps: pd.DataFrame) -> common.Table:
         rows.append(row | {"missed": _missed(row)})
     frame = pd.DataFrame(rows)
     missed = frame[frame["missed"] != ""]
-    note = ("eta/error, ZZ/error and spread (largest over least): of the steps after the start; with the start: of "
+    note = ("eta: residual estimate, ZZ: recovered one; eta/error, ZZ/error and spread (largest over least eta/error): "
+            "of the steps after the start; with the start: of "
             "all steps. cycles: most that a step used, from the step before; needed: most until the algebraic error "
             f"is below {SHARE:g} estimates (0: the first smoothing does); left: the largest algebraic error that the "
             "loop left, in estimates. rate: asymptotic, on the last hierarchy; largest rate: of all steps. Aimed at: "
             f"spread <= {SPREAD:g}, ZZ/error in [{RECOVERED[0]:g}, {RECOVERED[1]:g}], needed <= {CYCLES[0]} (pairs, "
-            f"punch {CYCLES[1]}), rate <= {RATES[0]:g} (pairs {RATES[1]:g}): met by {len(frame) - len(missed)} of "
-            f"{len(frame)}. The junction is axisymmetric and stands apart; on the first meshes of any loop all is "
-            "coarse.")
+            f"punch {CYCLES[1]}), left <= {SHARE:g}, rate <= {RATES[0]:g} (pairs {RATES[1]:g}): met by "
+            f"{len(frame) - len(missed)} of {len(frame)}.")
     return common.Table("estimator_summary", frame, "Effectivity and multigrid on adaptive meshes", note, {},
                         {"size ratio": ".2f", "least eta/error": ".2f", "largest eta/error": ".2f", "spread": ".2f",
                          "with the start": ".2f", "least ZZ/error": ".2f", "largest ZZ/error": ".2f", "needed": ".0f",
@@ -76,6 +77,8 @@ def _missed(row: dict) -> str:
         words.append("ZZ")
     if row["needed"] > wanted_cycles(row["case"]):
         words.append("cycles")
+    if row["left"] > SHARE:
+        words.append("left")
     if not row["rate"] <= wanted_rate(row["case"]):
         words.append("rate")
     return ", ".join(words)
@@ -89,17 +92,17 @@ def step_table(steps: pd.DataFrame, engine: str) -> common.Table:
         "size ratio": mine["size_ratio"], "error": 100 * mine["error"], "reference": 100 * mine["allowance"],
         "eta/error": mine["residual_effectivity"], "ZZ/error": mine["zz_effectivity"], "cycles": mine["cycles"],
         "needed": mine["needed"], "to the error": mine["needed_zz"], "start": mine["start_left"], "left": mine["left"],
-        "rate": mine["rate"], "WU": mine["work"], "WU in all": mine["work_in_all"]})
+        "rate": mine["rate"], "work": mine["work"], "work in all": mine["work_in_all"]})
     note = ("error: relative, energy norm; reference: the reference's own. size ratio: largest 99 % quantile between "
             "neighbouring levels. needed: cycles from the step before to an algebraic error of a tenth of the "
             "estimate; to the error: to a tenth of the true error. start, left: algebraic error over the estimate, "
-            "after the first smoothing of what the step before left, and where the loop stopped. WU: work of the "
-            "step and of the loop so far, in passes over the matrix of the step.")
+            "after the first smoothing of what the step before left, and where the loop stopped. Work of the step and "
+            "of the loop so far, in passes over the matrix of the step. '-': nothing before it to start from.")
     return common.Table(f"estimator_steps_{engine}", frame, f"Adaptive loops step by step, {engine}", note,
-                        {"error": "%", "reference": "%"},
+                        {"error": "%", "reference": "%", "work": "WU", "work in all": "WU"},
                         {"size ratio": ".2f", "error": ".3f", "reference": ".2f", "eta/error": ".2f", "ZZ/error": ".2f",
                          "needed": ".0f", "to the error": ".0f", "start": ".2f", "left": ".3f", "rate": ".2f",
-                         "WU": ".1f", "WU in all": ".1f"})
+                         "work": ".1f", "work in all": ".1f"})
 
 
 def goal_table(goals: pd.DataFrame) -> common.Table:
@@ -109,22 +112,23 @@ def goal_table(goals: pd.DataFrame) -> common.Table:
         # the reference is known to what its own estimate misses
         last = group[group["error"].abs() > 4 * group["reference_signed"].abs()].iloc[-4:]
         for _, step in last.iterrows():
-            rows.append({"case": case, "nodes": step["nodes"], "value": step["value"],
-                         "error": step["error"] / abs(step["exact"]), "estimate": step["signed"] / abs(step["exact"]),
-                         "estimate/error": step["signed"] / step["error"],
+            size = abs(step["exact"])
+            rows.append({"case": case, "nodes": step["nodes"], "error": step["error"] / size,
+                         "estimate": step["signed"] / size, "estimate/error": step["signed"] / step["error"],
                          "absolute/error": step["absolute"] / abs(step["error"])})
-    frame = pd.DataFrame(rows, columns=["case", "nodes", "value", "error", "estimate", "estimate/error",
-                                        "absolute/error"])
+    frame = pd.DataFrame(rows, columns=["case", "nodes", "error", "estimate", "estimate/error", "absolute/error"])
     for case, group in frame.groupby("case", sort=False):
-        words.append(f"{case} {group['estimate/error'].min():.2f} to {group['estimate/error'].max():.2f}")
+        words.append(f"{case} {span(group['estimate/error'], '.2f')}")
+    last = goals.groupby("case", sort=False)[["nodes", "reference"]].max()
+    finer = (last["reference"] / last["nodes"]).min()
     note = ("Goals (dual-weighted residuals) of the loops that follow them, bisected; error and estimate are signed, "
             "exact minus discrete, over the value. The exact value is the corrected one on the last mesh of the "
-            "loop, of at least eight times the nodes; steps whose error is less than four times the last estimate "
-            f"are left out. estimate/error: {'; '.join(words)}. The sum of absolute values, by which elements are "
-            "marked, is no estimate.")
-    return common.Table("estimator_goals", frame, "Goals: signed estimate over true error", note, {},
-                        {"value": ".6g", "error": "+.2e", "estimate": "+.2e", "estimate/error": ".2f",
-                         "absolute/error": ".1f"})
+            f"loop, of at least {finer:.1f} times the nodes; steps whose error is less than four times the last "
+            f"estimate are left out. estimate/error: {'; '.join(words)}. The sum of absolute values, by which elements "
+            "are marked (absolute/error), is no estimate.")
+    return common.Table("estimator_goals", frame, "Goals: signed estimate over true error", note,
+                        {"error": "of the value", "estimate": "of the value"},
+                        {"error": "+.2e", "estimate": "+.2e", "estimate/error": ".2f", "absolute/error": ".1f"})
 
 
 def cost_table(costs: pd.DataFrame) -> common.Table:
@@ -134,36 +138,31 @@ def cost_table(costs: pd.DataFrame) -> common.Table:
     frame = pd.DataFrame({
         "case": costs["case"], "engine": costs["engine"], "theta": costs["theta"], "nodes": costs["nodes"],
         "levels": costs["levels"], "rate": costs["rate"],
-        "loop WU": costs["loop_work"],
-        "nested WU": costs["nested_work"],
+        "loop": costs["loop_work"], "nested start": costs["nested_work"],
         "work": costs["loop_work"] / costs["nested_work"], "over 1e-8": costs["loop_work"] / costs["tight_work"],
         "meshes": costs["mesh_s"], "assembly": costs["assembly_s"], "solves": costs["solve_s"],
         "estimates": costs["estimate_s"], "nested": costs["alone_s"], "its levels": costs["build_s"],
         "without meshes": without / alone, "with meshes": (without + costs["mesh_s"]) / alone,
         "solves alone": costs["solve_s"] / costs["alone_s"], "all/nested": without / costs["alone_s"]})
     plane = frame[(frame["engine"] == "bisected") & (costs["dim"] == 2)]
-    note = ("loop WU: all solves of the loop, nested WU: FullMultigrid(rtol='discretisation') on the last hierarchy, "
-            f"in passes over its finest matrix; work: their ratio (aimed at <= {WORK:g}: "
-            f"{common_span(frame['work'])}); over 1e-8: loop over FullMultigrid(rtol=1e-8) (<= {TIGHT:g}: "
-            f"{common_span(frame['over 1e-8'])}). Processor seconds, medians in turns in one process: of the loop "
+    note = ("loop: work of all its solves, nested start: of FullMultigrid(rtol='discretisation') on the last "
+            f"hierarchy, in passes over its finest matrix; work: their ratio (aimed at <= {WORK:g}: "
+            f"{span(frame['work'], '.2f')}); over 1e-8: loop over FullMultigrid(rtol=1e-8) (<= {TIGHT:g}: "
+            f"{span(frame['over 1e-8'], '.2f')}). Processor seconds, medians in turns in one process: of the loop "
             "meshes, assembly (with transfers and the choice of levels), solves, estimates; of the last meshes alone "
             "the nested start and its levels (assembly, transfers). without meshes: assembly, solves and estimates "
-            f"of the loop over both (<= {WITHOUT:g}: {common_span(frame['without meshes'])}); with meshes, in 2D "
-            f"bisected, <= {WITH:g}: {common_span(plane['with meshes'])}. all/nested: the same as without meshes "
-            "over the nested start only, as if levels came for nothing. Ratios follow the growth of the meshes: "
-            "where the limit of nodes cuts the last one short, the one before it is nearly as large. rate: "
-            "asymptotic, to 1e-10 on the last hierarchy.")
+            f"of the loop over both (<= {WITHOUT:g}: {span(frame['without meshes'], '.2f')}); with meshes, in 2D "
+            f"bisected, <= {WITH:g}: {span(plane['with meshes'], '.2f')}. solves alone: solves over the nested start. "
+            "all/nested: the same as without meshes over the nested start only, as if levels came for nothing. Ratios "
+            "follow the growth of the meshes: where the limit of nodes cuts the last one short, the one before it is "
+            "nearly as large. rate: asymptotic, to 1e-10 on the last hierarchy.")
     return common.Table("estimator_costs", frame, "The whole loop over a nested start on its last meshes", note,
-                        {name: "s" for name in ("meshes", "assembly", "solves", "estimates", "nested", "its levels")},
-                        {"theta": ".1f", "rate": ".2f", "loop WU": ".1f", "nested WU": ".1f", "work": ".2f",
+                        {name: "s" for name in ("meshes", "assembly", "solves", "estimates", "nested", "its levels")}
+                        | {"loop": "WU", "nested start": "WU"},
+                        {"theta": ".1f", "rate": ".2f", "loop": ".1f", "nested start": ".1f", "work": ".2f",
                          "over 1e-8": ".2f", "meshes": ".3f", "assembly": ".3f", "solves": ".3f", "estimates": ".3f",
                          "nested": ".3f", "its levels": ".3f", "without meshes": ".2f", "with meshes": ".2f",
                          "solves alone": ".2f", "all/nested": ".2f"})
-
-
-def common_span(values: pd.Series) -> str:
-    """'smallest to largest'."""
-    return f"{values.min():.2f} to {values.max():.2f}"
 
 
 @styled
@@ -188,7 +187,7 @@ def effectivity_figure(steps: pd.DataFrame) -> common.Figure:
     _legend(figure, axes[0])
     return common.Figure("estimator_effectivity", figure,
                          "Estimate over true error on adaptive meshes; bisected solid, remeshed dotted; shaded: "
-                         "aimed at")
+                         "aimed at.")
 
 
 @styled
@@ -209,7 +208,8 @@ def rate_figure(steps: pd.DataFrame) -> common.Figure:
     common.plain_ticks(axes[1].yaxis)
     _legend(figure, axes[0])
     return common.Figure("estimator_rates", figure,
-                         "Multigrid on the levels that adaptivity leaves; bisected solid, remeshed dotted")
+                         "Multigrid on the levels that adaptivity leaves; bisected solid, remeshed dotted; grey line: "
+                         "aimed at.")
 
 
 def _style(case: str, engine: str, k: int) -> dict[str, object]:

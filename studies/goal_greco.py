@@ -1,6 +1,6 @@
 """Goal-oriented meshes of the GRECO bar: nodes from which the displacements at A-E stay within .05 %.
 
-    python studies/goal_greco.py [--quick] [--out DIR]
+    python studies/goal_greco.py [--quick | --full] [--out DIR]
 
 Eight adaptive loops for each way to refine, from four starting meshes with two growths: meshes of one size, meshes
 that follow the residual, and meshes that follow the dual-weighted residuals of the five displacements. Then the signed
@@ -16,6 +16,7 @@ import common
 import numpy as np
 import pandas as pd
 from matplotlib import pyplot as plt
+from paper_runs import span
 
 import adaptmg as am
 from adaptmg.mesh import graded
@@ -27,9 +28,10 @@ WAYS = {"uniform": 12_000, "residual": 5000, "goal": 2500, "goal, bisected": 250
 QUICK_WAYS = {"residual": 600, "goal": 600}
 #: of the displacement at all five points
 TOLERANCE = 5e-4
-#: quantity -> problem, arguments of its hierarchies, coarse to fine
-QUANTITIES = ("dovetail, lift", "dovetail, normal force", "dovetail, mean opening", "block 3D, u_x at the corner",
-              "junction, mean opening")
+#: quantities of other problems, and the unit and the factor to it
+QUANTITIES = {"dovetail, lift": ("µm", 1e6), "dovetail, normal force": ("MN/m", 1e-6),
+              "dovetail, mean opening": ("µm", 1e6), "block 3D, u_x at the corner": ("µm", 1e6),
+              "junction, mean opening": ("µm", 1e6)}
 
 
 def points() -> tuple[np.ndarray, np.ndarray]:
@@ -113,8 +115,20 @@ def run(context: common.Context) -> common.Section:
     text = ("A loop ends when its next mesh would be too large. The number in the tables is that of nodes from which "
             "on all meshes of the loop have errors below .05 % at all five points, against the converged P2 values. "
             "Meshes are by Netgen, whole, without uniform refinement of coarser ones, or bisected.")
+    totals = summary_table(loops)
     return common.Section("Goal-oriented meshes of the GRECO bar", text, [
-        needed_table(loops), summary_table(loops), signed_table(loops), quantity_table(context), figure(loops)])
+        totals, needed_table(loops), signed_table(loops), quantity_table(context), figure(loops)],
+        summary=summary(totals.frame, loops))
+
+
+def summary(totals: pd.DataFrame, loops: pd.DataFrame) -> str:
+    """What was asked and what came out."""
+    found = [f"{row['meshes']} {row['median']:.0f} ({row['largest']:.0f})" if np.isfinite(row["median"]) else
+             f"{row['meshes']} never" for _, row in totals.iterrows()]
+    count = len(loops) // loops["way"].nunique()
+    return ("How many nodes do the displacements at A-E need to stay within .05 % (Coulomb friction 1)? Median of "
+            f"{count} loops from different starting meshes (largest): {', '.join(found)}. Goal: meshes follow the "
+            "dual-weighted residuals of the five displacements; corrected: the same, with the signed estimate added.")
 
 
 def needed(nodes: np.ndarray, errors: np.ndarray, tolerance: float = TOLERANCE) -> float:
@@ -153,8 +167,8 @@ def summary_table(loops: pd.DataFrame) -> common.Table:
                                                                              strict=True)])
             rows.append({"meshes": name, "median": float(np.median(counts)), "smallest": counts.min(),
                          "largest": counts.max(), "error times nodes": float(np.exp(np.log(scaled).mean()))})
-    note = ("error times nodes: geometric mean over all meshes with more than 150 nodes; .05 % at so many nodes over "
-            ".0005. inf: not within the nodes of the loop.")
+    note = ("error times nodes: largest error at A-E (a number, not %) times nodes, geometric mean over all meshes "
+            "with more than 150 nodes. inf: not within the nodes of the loop.")
     return common.Table("goal_greco_summary", pd.DataFrame(rows), "Nodes to .05 % at A-E, all starting meshes", note,
                         {}, {"median": ".0f", "smallest": ".0f", "largest": ".0f", "error times nodes": ".3f"})
 
@@ -164,12 +178,14 @@ def signed_table(loops: pd.DataFrame) -> common.Table:
     loop = loops[loops["way"] == "goal"].iloc[-1]
     exact = points()[1]
     found, wanted = loop["estimates"] / exact[:, None], loop["differences"] / exact[:, None]
-    frame = pd.DataFrame({"nodes": loop["nodes"], "max error": 100 * loop["errors"],
+    frame = pd.DataFrame({"nodes": loop["nodes"], "largest error": 100 * loop["errors"],
                           "corrected": 100 * loop["corrected"]})
     for k in (0, 4):
         name = "AE"[k > 0]
         frame[f"error at {name}"], frame[f"estimate at {name}"] = 100 * wanted[k], 100 * found[k]
-    note = (f"The loop from {1e3 * loop['size']:.0f} mm with growth {loop['growth']:g}; exact minus discrete.")
+    note = (f"The loop by goals from {1e3 * loop['size']:.0f} mm with growth {loop['growth']:g}; errors and estimates "
+            "are exact minus discrete, over the converged value; largest error: of all five points, corrected: with "
+            "the estimates added.")
     columns = list(frame)[1:]
     return common.Table("goal_greco_signed", frame, "Signed estimates and errors at A and E", note,
                         dict.fromkeys(columns, "%"), dict.fromkeys(columns, ".4f"))
@@ -177,22 +193,25 @@ def signed_table(loops: pd.DataFrame) -> common.Table:
 
 def quantity_table(context: common.Context) -> common.Table:
     """Effectivity of the signed estimate for other quantities."""
-    wanted = QUANTITIES[:2] if context.quick else QUANTITIES
+    wanted = tuple(QUANTITIES)[:2 if context.quick else None]
     rows = context.study(effectivity, {"quantity": wanted, "levels": (2, 3) if context.quick else (2, 3, 4)})
     exact = context.study(reference, {"quantity": wanted}, max_nodes=3000 if context.quick else 20_000)
     exact = (exact["value"] + exact["signed"]).set_axis(exact["quantity"])
     parts = []
     for name, group in rows.groupby("quantity", sort=False):
         error = exact[name] - group["value"]
+        unit, factor = QUANTITIES[name]
         parts.append(pd.DataFrame({
-            "quantity": name, "nodes": group["nodes"], "value": group["value"], "error": error,
-            "estimate": group["signed"], "effectivity": group["signed"] / error,
-            "sum of marks / error": group["absolute"] / error.abs(), "GMRES": group["iterations"]}))
-    note = ("error: against the value, with its estimate added, at the end of an adaptive loop for this quantity. "
-            "effectivity: signed estimate over the error; below 1 where corners are singular, which quadratic "
-            "functions cannot follow. GMRES: steps with one multigrid cycle each to a residual of 1e-4; 0: solved "
-            "directly.")
-    return common.Table("goal_greco_quantities", pd.concat(parts), "Signed estimates of other quantities", note, {},
+            "quantity": f"{name} [{unit}]", "nodes": group["nodes"], "value": factor * group["value"],
+            "error": factor * error, "estimate": factor * group["signed"], "effectivity": group["signed"] / error,
+            "sum of marks / error": group["absolute"] / error.abs(), "GMRES steps": group["iterations"]}))
+    frame = pd.concat(parts, ignore_index=True)
+    note = ("Value, error (against the value, with its estimate added, at the end of an adaptive loop for this "
+            "quantity) and signed estimate in the unit of the quantity. Effectivity: estimate over error, here "
+            f"{span(frame['effectivity'], '.2f')}; below 1 where solutions are singular, which the quadratic functions "
+            "of the estimate cannot follow. GMRES steps: with one multigrid cycle each, to a residual of 1e-4, for the "
+            "dual problem; 0: solved directly. Solutions to an estimated error of 1e-8.")
+    return common.Table("goal_greco_quantities", frame, "Signed estimates of other quantities", note, {},
                         {"value": ".6g", "error": "+.2g", "estimate": "+.2g", "effectivity": ".2f",
                          "sum of marks / error": ".1f"})
 
@@ -214,4 +233,4 @@ def figure(loops: pd.DataFrame) -> common.Figure:
 
 
 if __name__ == "__main__":
-    common.main(run, __doc__.split("\n")[0])
+    common.main(run, __doc__.split("\n")[0] + " Example: python studies/goal_greco.py --quick --out /tmp/goal_greco")

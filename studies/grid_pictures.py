@@ -30,9 +30,10 @@ def error_figure(panels: list[tuple[pd.DataFrame, int]], tested: pd.DataFrame) -
         ax.axhline(TARGET, color=GREY, linewidth=0.8)
         ax.grid(True)
     axes[0, 0].set_ylabel("true error (relative A-norm)")
-    canvas.legend(lines.values(), lines.keys(), loc="outside right upper")
-    return Figure("grid_count_error", canvas, "True error against work units: one grid (dashed), the monotone mode "
-                  "with W-cycles (full lines), and the paper's mode (dotted), which comes to rest at the crosses.")
+    canvas.legend(lines.values(), lines.keys(), loc="outside right upper", handlelength=3)
+    return Figure("grid_count_error", canvas, "True error against work units: one grid (dash-dotted), the monotone "
+                  "mode with W-cycles (dashed; two grids: complete), the default (full line), and the paper's mode "
+                  "(dotted), which comes to rest at the crosses.")
 
 
 def curves(frame: pd.DataFrame, tested: pd.DataFrame) -> Iterator[tuple[pd.Series, str, dict[str, Any]]]:
@@ -41,12 +42,15 @@ def curves(frame: pd.DataFrame, tested: pd.DataFrame) -> Iterator[tuple[pd.Serie
              ("condensed, best omega", "#d9a3c6"))
     for (_, row), (label, color) in zip(frame[frame["levels"] == 1].iterrows(), roles, strict=True):
         if row["label"] != PREDICTED:
-            yield row, label, {"color": color, "linestyle": "--"}
+            yield row, label, {"color": color, "linestyle": "-."}
     colors = dict(zip(COUNT, (INK, BLUE, ORANGE, GREEN, "#806000", SKY), strict=True))
+    default = frame[frame["order"] == "truncated (default)"]
     swept = frame[(frame["levels"] > 1) & (frame["order"] == "forward") & (frame["coarse_rtol"] == 1e-2)]
     swept = swept[~swept["coarse_condensed"].astype(bool)]
     for _, row in swept[(swept["cycle"] == "W") | (swept["levels"] == 2)].iterrows():
-        yield row, COUNT[row["levels"]], {"color": colors[row["levels"]]}
+        yield row, f"{COUNT[row['levels']]}, monotone", {"color": colors[row["levels"]], "linestyle": "--"}
+    last = default.iloc[-1]
+    yield last, f"{COUNT[last['levels']]}, default", {"color": colors[last["levels"]]}
     stalled = tested[(tested["correction"] == "paper") & ((tested["cycle"] == "W") | (tested["levels"] == 2))]
     for _, row in stalled.iterrows():
         yield row, f"{COUNT[row['levels']]}, paper's mode", {"color": colors[row["levels"]], "linestyle": ":"}

@@ -1,6 +1,6 @@
 """Contact with closed forms: Hertz (cylinders, ball) and Cattaneo, on meshes refined near contact.
 
-    python studies/hertz.py [--quick] [--out DIR]
+    python studies/hertz.py [--quick | --full] [--out DIR]
 
 Half-width, peak and distribution of the pressure against the closed form, with edges at contact from a/5 to a/80;
 refinement near contact against uniform meshes; and what multigrid costs with two bodies against one.
@@ -175,14 +175,25 @@ def run(context: Context) -> Section:
         context.study(refined, {"refinement": ("uniform",), "fineness": even}, finest=even[-1], rtol=RTOL),
         context.study(refined, {"refinement": ("near contact",), "fineness": near}, finest=near[-1], rtol=RTOL)],
         ignore_index=True)
-    items = [convergence_table(rows), rate_table(rows), stick_table(rows), uniform_table(both), bodies_table(counts),
+    items = [convergence_table(rows), *rate_table(rows), stick_table(rows), uniform_table(both), bodies_table(counts),
              pressure_figure(rows), error_figure(rows), uniform_figure(both)]
-    last = rows[rows["fineness"] == fineness[-1]]
     text = ("Half-width a and peak p0 come from a least-squares line through p^2 against x^2 at the nodes within .8 a. "
-            f"With edges of a/{fineness[-1]} at contact they are within {100 * last['a_error'].abs().max():.2g} % and "
-            f"{100 * last['peak_error'].abs().max():.2g} % of the closed forms. All sizes are halved everywhere from "
-            f"mesh to mesh; the meshes are independent, and those before serve multigrid as coarse levels.")
-    return Section("Contact with closed forms", text, items)
+            "All sizes are halved everywhere from mesh to mesh; the meshes are independent, and those before serve "
+            "multigrid as coarse levels.")
+    return Section("Contact with closed forms", text, items, summary=summary(rows, counts))
+
+
+def summary(rows: pd.DataFrame, counts: pd.DataFrame) -> str:
+    """What was asked and what came out."""
+    last = rows[rows["fineness"] == rows["fineness"].max()]
+    cattaneo = last[last["case"] == "Cattaneo"].iloc[0]
+    work = counts.pivot(index=["solver", "fineness"], columns="count", values="work_units")
+    return ("Does the pressure come out right where it is known? With edges of "
+            f"a/{last['fineness'].iloc[0]} at contact half-width and peak (Hertz: cylinders, ball; Cattaneo) are "
+            f"within {100 * last['a_error'].abs().max():.2g} % and {100 * last['peak_error'].abs().max():.2g} % of "
+            f"the closed forms, Cattaneo's traction within {100 * cattaneo['traction_l2']:.2g} % of mu p0 (L2). "
+            f"Multigrid takes {span(rows['cycles'], 'd')} cycles to 1e-8 on all meshes; two bodies take "
+            f"{span(work[2] / work[1], '.2f')} times the work units of one.")
 
 
 def convergence_table(rows: pd.DataFrame) -> Table:
@@ -190,74 +201,96 @@ def convergence_table(rows: pd.DataFrame) -> Table:
     frame = pd.DataFrame({
         "case": rows["case"], "h": [f"a/{n}" for n in rows["fineness"]], "nodes": rows["nodes"],
         "contact nodes": rows["contact_nodes"], "a error": 100 * rows["a_error"], "p0 error": 100 * rows["peak_error"],
-        "L2 error": 100 * rows["l2"], "levels": rows["levels"], "cycles": rows["cycles"], "WU": rows["work_units"],
-        "rate": rows["rate"], "residual": rows["residual"], "status": rows["outcome"]})
-    note = ("a and p0: of the fit against the closed form. L2 error: of the nodal pressures, over p0 on the contact. "
-            "The closed forms hold for half-planes; terms of the order of (a/R)^2 = 2e-4 (Cattaneo 2e-5) remain. From "
-            "a nested start.")
+        "L2 error": 100 * rows["l2"], "levels": rows["levels"], "cycles": rows["cycles"], "work": rows["work_units"],
+        "rate": rows["rate"], "natural residual": rows["residual"], "status": rows["outcome"]})
+    note = ("h: edges at contact. a and p0: of the fit against the closed form. L2 error: of the nodal pressures, over "
+            f"p0 on the contact. The closed forms hold for half-spaces; terms of the order of (a/R)^2 = {bodies_end()} "
+            "remain. Nested start.")
     return Table("hertz_convergence", frame, f"Hertz and Cattaneo: errors of the pressure, full multigrid to {RTOL:g}",
-                 note, {"a error": "%", "p0 error": "%", "L2 error": "%"},
-                 {"a error": ".3f", "p0 error": ".3f", "L2 error": ".3f", "WU": ".1f", "rate": ".2f",
-                  "residual": ".1e"})
+                 note, {"a error": "%", "p0 error": "%", "L2 error": "%", "work": "WU"},
+                 {"a error": ".3f", "p0 error": ".3f", "L2 error": ".3f", "work": ".1f", "rate": ".2f",
+                  "natural residual": ".1e"})
 
 
-def rate_table(rows: pd.DataFrame) -> Table:
-    """Fitted exponents of the errors over h."""
+def over_size(problem: am.ContactProblem) -> float:
+    """a/R, R the extent of the smallest body from the middle of the contact."""
+    return problem.reference["half_width"] / min(float(part.upper[0]) for part in problem.domain.parts.values())
+
+
+def bodies_end() -> str:
+    """(a/R)^2 of the cases."""
+    squares = {case: over_size(make())**2 for case, make in CASES.items()}
+    cattaneo = squares.pop("Cattaneo")
+    return f"{span(squares.values(), '.0e')} (Cattaneo {cattaneo:.0e})"
+
+
+def rate_table(rows: pd.DataFrame) -> list[Table]:
+    """Fitted exponents of the errors over h, where there are three meshes or more."""
+    if rows["fineness"].nunique() < 3:
+        return []
     found = []
     for case, part in rows.groupby("case", sort=False):
         h = 1 / part["fineness"]
-        found.append({"case": case, "L2 of pressure": common.slope(h, part["l2"]),
-                      "L2 of traction": common.slope(h, part["traction_l2"]) if case == "Cattaneo" else np.nan,
-                      "largest WU": part["work_units"].max(), "most cycles": part["cycles"].max()})
-    note = ("Exponent of the error over h, fitted to three meshes or more. The pressure ends like the root of "
-            "the distance to the edge of contact, which lies anywhere between two nodes: the error of these is of the "
-            "order of h^(1/2), its L2 norm of that of h, up and down with the place of the edge.")
-    return Table("hertz_rates", pd.DataFrame(found), "Orders of convergence", note, {},
-                 {"L2 of pressure": ".2f", "L2 of traction": ".2f", "largest WU": ".1f"})
+        found.append({"case": case, "meshes": len(part), "L2 of pressure": common.slope(h, part["l2"]),
+                      "L2 of traction": common.slope(h, part["traction_l2"]) if case == "Cattaneo" else np.nan})
+    note = ("Exponent e of error ~ h^e, fitted to all meshes. The pressure ends like the root of the distance to the "
+            "edge of contact, which lies anywhere between two nodes: the error of these is of the order of h^(1/2), "
+            "its L2 norm of that of h, up and down with the place of the edge.")
+    return [Table("hertz_rates", pd.DataFrame(found), "Orders of convergence of the errors above", note, {},
+                  {"L2 of pressure": ".2f", "L2 of traction": ".2f"})]
 
 
 def stick_table(rows: pd.DataFrame) -> Table:
     """Stick zone and traction of Cattaneo's problem."""
-    part = rows[rows["case"] == "Cattaneo"]
+    part, problem = rows[rows["case"] == "Cattaneo"], CASES["Cattaneo"]()
+    stays = over_size(problem) / problem.reference["partial_slip"].friction
     frame = pd.DataFrame({"h": [f"a/{n}" for n in part["fineness"]], "nodes": part["nodes"],
                           "c error": 100 * part["stick_error"], "shift": 100 * part["shift"],
                           "traction L2 error": 100 * part["traction_l2"], "cycles": part["cycles"],
-                          "WU": part["work_units"], "status": part["outcome"]})
-    note = ("c: half the width that sticks, each end taken halfway between the last node that sticks and the next, so "
-            "that its error jumps by h/2; shift: of its middle, over a. Traction: over mu p0. What stays under "
-            "refinement is of the bodies' finite size, a / (mu R) = 1.6 %. Both loads at once, which gives the same "
-            "state as first P, then Q.")
-    return Table("hertz_cattaneo", frame, "Cattaneo: the strip that sticks, and the traction", note,
-                 {"c error": "%", "shift": "% of a", "traction L2 error": "%"},
-                 {"c error": ".2f", "shift": ".2f", "traction L2 error": ".2f", "WU": ".1f"})
+                          "work": part["work_units"], "natural residual": part["residual"], "status": part["outcome"]})
+    note = ("c: half the width that sticks, against the closed form, each end taken halfway between the last node that "
+            "sticks and the next, so that its error jumps by h/2; shift: of its middle. Traction: over mu p0. Both "
+            "loads in one step; bodies of one material do not couple pressure and slip, so that this is the state "
+            f"after first P, then Q. What stays under refinement is of the order of a / (mu R) = {100 * stays:.1f} %, "
+            "as the bodies are finite.")
+    return Table("hertz_cattaneo", frame, f"Cattaneo: the strip that sticks, and the traction (to {RTOL:g})", note,
+                 {"c error": "%", "shift": "% of a", "traction L2 error": "% of mu p0", "work": "WU"},
+                 {"c error": ".2f", "shift": ".2f", "traction L2 error": ".2f", "work": ".1f",
+                  "natural residual": ".1e"})
 
 
 def uniform_table(rows: pd.DataFrame) -> Table:
     """Uniform against refined meshes."""
     frame = pd.DataFrame({"mesh": rows["refinement"], "h": [f"a/{n:g}" for n in rows["fineness"]],
                           "nodes": rows["nodes"], "p0 error": 100 * rows["peak_error"], "L2 error": 100 * rows["l2"],
-                          "cycles": rows["cycles"], "WU": rows["work_units"], "status": rows["outcome"]})
-    return Table("hertz_uniform", frame, "Cylinder on block, a = R/20: uniform meshes against refinement near contact",
-                 equal_sizes(rows),
-                 {"p0 error": "%", "L2 error": "%"}, {"p0 error": ".3f", "L2 error": ".3f", "WU": ".1f"})
+                          "cycles": rows["cycles"], "work": rows["work_units"], "natural residual": rows["residual"],
+                          "status": rows["outcome"]})
+    return Table("hertz_uniform", frame, "Cylinder on block, a = R/20: uniform meshes against refinement near contact "
+                 f"(full multigrid to {RTOL:g}; one mesh alone: active set)", equal_sizes(rows),
+                 {"p0 error": "%", "L2 error": "%", "work": "WU"},
+                 {"p0 error": ".3f", "L2 error": ".3f", "work": ".1f", "natural residual": ".1e"})
 
 
-def order(name: str, x: pd.Series, y: pd.Series) -> str:
+def order(h: pd.Series, error: pd.Series) -> str:
     """For a legend: ': h^.9', fitted to three points or more; else nothing."""
-    exponent = common.slope(x, y)
-    return f": ${name}^{{{exponent:.2f}}}$" if np.isfinite(exponent) else ""
+    exponent = common.slope(h, error)
+    return f": $h^{{{exponent:.2f}}}$" if np.isfinite(exponent) else ""
 
 
 def equal_sizes(rows: pd.DataFrame) -> str:
     """Errors and nodes where both meshes have the same size at contact."""
     even, near = (rows[rows["refinement"] == name].set_index("fineness") for name in ("uniform", "near contact"))
     both = even.index.intersection(near.index)
-    if not len(both):
-        return ""
-    nodes, errors = even["nodes"] / near["nodes"], even["l2"] / near["l2"]
-    told = "; ".join(f"h = a/{n:g}: {nodes[n]:.0f} times the nodes, {errors[n]:.1f} times the L2 error" for n in both)
-    return (f"Uniform over refined at equal edges at contact: {told}. Meshes are independent, and the L2 error goes up "
-            "and down with the place of the edge of contact between two nodes.")
+    said = ["h: edges at contact. Meshes are independent, and the L2 error goes up and down with the place of the edge "
+            "of contact between two nodes."]
+    if rows["peak_error"].isna().any():
+        said.append("'-': too few nodes touch for a fit.")
+    if len(both):
+        nodes, errors = even["nodes"] / near["nodes"], even["l2"] / near["l2"]
+        told = "; ".join(f"h = a/{n:g}: {nodes[n]:.0f} times the nodes, {errors[n]:.1f} times the L2 error"
+                         for n in both)
+        said.append(f"Uniform over refined at equal edges at contact: {told}.")
+    return " ".join(said)
 
 
 def bodies_table(rows: pd.DataFrame) -> Table:
@@ -268,23 +301,23 @@ def bodies_table(rows: pd.DataFrame) -> Table:
         "start": [{"full": "nested", "zero": "zero"}[s] for s, _ in two.index],
         "h": [f"a/{n}" for _, n in two.index], "nodes, one": one["nodes"].loc[two.index].to_numpy(),
         "nodes, two": two["nodes"].to_numpy(), "cycles, one": one["cycles"].loc[two.index].to_numpy(),
-        "cycles, two": two["cycles"].to_numpy(), "WU, one": one["work_units"].loc[two.index].to_numpy(),
-        "WU, two": two["work_units"].to_numpy()})
-    frame["WU ratio"] = frame["WU, two"] / frame["WU, one"]
-    ends = [f"{s}: {span(part['WU ratio'], '.2f')}"
-            for s, part in frame.groupby("start", sort=False)]
-    return Table("hertz_bodies", frame, f"Multigrid on two bodies against one, to {RTOL:g}",
+        "cycles, two": two["cycles"].to_numpy(), "rate, two": two["rate"].to_numpy(),
+        "work, one": one["work_units"].loc[two.index].to_numpy(), "work, two": two["work_units"].to_numpy()})
+    frame["two over one"] = frame["work, two"] / frame["work, one"]
+    ends = [f"{s} {span(part['two over one'], '.2f')}" for s, part in frame.groupby("start", sort=False)]
+    return Table("hertz_bodies", frame, f"Multigrid on two bodies (cylinder on block) against one, to {RTOL:g}",
                  "One: the cylinder's meshes alone on a rigid plane, under the load that makes the contact as wide. A "
-                 "work unit is a pass over the finest matrix of the problem at hand. Ratio by start, "
+                 "work unit is a pass over the finest matrix of the problem at hand. Two over one, in work, by start: "
                  f"{'; '.join(ends)}.",
-                 {}, {"WU, one": ".1f", "WU, two": ".1f", "WU ratio": ".2f"})
+                 {"work, one": "WU", "work, two": "WU"},
+                 {"rate, two": ".2f", "work, one": ".1f", "work, two": ".1f", "two over one": ".2f"})
 
 
 @styled
 def pressure_figure(rows: pd.DataFrame) -> Figure:
     """Pressure and traction over x/a on one mesh of each case."""
     fineness = min(20, rows["fineness"].max())
-    figure, axes = plt.subplots(1, 4, figsize=(13.0, 3.3), sharey=True)
+    figure, axes = plt.subplots(1, 4, figsize=(13.0, 3.4), sharey=True)
     for ax, (case, part) in zip(axes, rows[rows["fineness"] == fineness].groupby("case", sort=False), strict=True):
         found = {name: np.array(values) for name, values in json.loads(part["profile"].iloc[0]).items()}
         ax.plot(found["x"], found["p"], "o", color=CYCLE[0], markersize=3, label="pressure / p0")
@@ -312,11 +345,11 @@ def error_figure(rows: pd.DataFrame) -> Figure:
     for k, (case, part) in enumerate(rows.groupby("case", sort=False)):
         h = 1 / part["fineness"]
         axes[0].loglog(h, 100 * part["l2"], marker="osv^"[k], color=CYCLE[k],
-                       label=f"{case}{order('h', h, part['l2'])}")
+                       label=f"{case}{order(h, part['l2'])}")
         axes[1].loglog(h, 100 * part["peak_error"].abs(), marker="osv^"[k], color=CYCLE[k], label=case)
         if case == "Cattaneo":
             axes[0].loglog(h, 100 * part["traction_l2"], marker="D", linestyle="--", color=CYCLE[k],
-                           label=f"its traction{order('h', h, part['traction_l2'])}")
+                           label=f"its traction{order(h, part['traction_l2'])}")
     axes[0].set_ylabel("L2 error of the pressure [% of p0]")
     axes[1].set_ylabel("error of the fitted peak [%]")
     for ax in axes:
@@ -334,13 +367,15 @@ def uniform_figure(rows: pd.DataFrame) -> Figure:
     figure, ax = plt.subplots(figsize=(5.6, 4.0))
     for k, (name, part) in enumerate(rows.groupby("refinement", sort=False)):
         ax.loglog(part["nodes"], 100 * part["l2"], marker="os"[k], color=CYCLE[k],
-                  label=f"{name}{order('N', part['nodes'], part['l2'])}")
-    ax.set(xlabel="nodes N", ylabel="L2 error of the pressure [% of p0]")
+                  label=name)
+    ax.set(xlabel="nodes", ylabel="L2 error of the pressure [% of p0]")
     ax.grid(True)
-    common.plain_ticks(ax.yaxis)
+    common.plain_ticks(ax.xaxis, ax.yaxis)
     ax.legend()
-    return Figure("hertz_uniform_nodes", figure, "Cylinder on block, a = R/20: error of the pressure against nodes.")
+    return Figure("hertz_uniform_nodes", figure, "Cylinder on block, a = R/20: error of the pressure against nodes, "
+                  "on uniform meshes and on meshes refined near contact.")
 
 
 if __name__ == "__main__":
-    main(run, "Contact with closed forms.")
+    main(run, "Contact with closed forms (Hertz, Cattaneo): errors, meshes, two bodies against one. "
+              "Example: python studies/hertz.py --quick --out /tmp/hertz")

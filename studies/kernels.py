@@ -1,22 +1,24 @@
 r"""How close the kernels come to the speed of memory, and what building an interpolation costs.
 
 A sweep reads the matrix once and does two operations a number read: memory is its limit. The measure is the bandwidth
-of a kernel over that of the triad a = b + s c on arrays that fit no cache, both best of several in one process and on
-one thread. Bytes are those a kernel must move at least: each array once, the unknowns read and written
-(triad: 24 bytes an element). Compare the ratios between machines, not the seconds.
+of a kernel over that of the triad a = b + s c on arrays of 240 MB, both best of several in one process and on one
+thread; where the matrix, or even these arrays, stay in a cache it says less. Bytes are those a kernel must move at
+least: each array once, the unknowns read and written (triad: 24 bytes an element).
 
-    python studies/kernels.py [--quick] [--out DIR]
+    python studies/kernels.py [--quick | --full] [--out DIR]
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from common import Context, Section, Table, main
 from numba import njit
+from paper_runs import listed, span
 
 import adaptmg as am
 from adaptmg.discretisation.elasticity import stiffness
@@ -119,7 +121,7 @@ def bandwidth(dim: int, divisions: int, repeats: int) -> pd.DataFrame:
     triad_speed = arrays.nbytes / memory
     return pd.DataFrame([
         {"kernel": kernel, "dim": dim, "nodes": system.n_nodes, "time": 1e3 * t, "data": moved / 1e6,
-         "bandwidth": moved / t / 1e9, "triad": triad_speed / 1e9, "over_triad": moved / t / triad_speed}
+         "bandwidth": moved / t / 1e9, "triad": triad_speed / 1e9, "over triad": moved / t / triad_speed}
         for (kernel, (_, moved)), t in zip(calls.items(), seconds, strict=True)])
 
 
@@ -129,7 +131,7 @@ def location(dim: int, divisions: int, points: int, repeats: int) -> dict[str, o
     where = np.random.default_rng(1).random((points, dim))
     seconds, = best_times([lambda: PointLocator(mesh).locate(where)], repeats)
     return {"task": f"locate {points} points", "dim": dim, "nodes": mesh.n_nodes, "time": seconds,
-            "per_point": 1e6 * seconds / points}
+            "a point": 1e6 * seconds / points}
 
 
 def interpolation(dim: int, coarse: int, fine: int, repeats: int) -> dict[str, object]:
@@ -137,7 +139,7 @@ def interpolation(dim: int, coarse: int, fine: int, repeats: int) -> dict[str, o
     meshes = unit_mesh(dim, coarse), unit_mesh(dim, fine)
     seconds, = best_times([lambda: am.Interpolation().build(*meshes)], repeats)
     return {"task": f"interpolation to {meshes[1].n_nodes} nodes", "dim": dim, "nodes": meshes[0].n_nodes,
-            "time": seconds, "per_point": 1e6 * seconds / meshes[1].n_nodes}
+            "time": seconds, "a point": 1e6 * seconds / meshes[1].n_nodes}
 
 
 def run(context: Context) -> Section:
@@ -157,19 +159,37 @@ def measured(context: Context) -> Section:
         tasks = [location(dim, divisions, points, 2) for dim, divisions in ((2, 128), (3, 24))
                  for points in (10_000, 100_000, 1_000_000)]
         tasks += [interpolation(2, 128, 256, 5), interpolation(2, 127, 256, 5), interpolation(3, 16, 32, 5)]
-    section = Section("Kernels", "The cost of a sweep of the smoother and of an interpolation here, on one thread.")
-    section.items = [
-        Table("kernels_bandwidth", speeds, "Bandwidth of the kernels over that of a triad, P1 elasticity",
-              f"Best of {repeats} runs in one process, in turns with the triad "
-              f"({TRIAD_LENGTH} doubles an array). Above 1: the matrix fits into a cache. The kernels ask for the "
-              "matrix ahead of its use.",
-              {"time": "ms", "data": "MB", "bandwidth": "GB/s", "triad": "GB/s"},
-              {"over_triad": ".2f", "bandwidth": ".1f", "triad": ".1f", "time": ".3f", "data": ".1f"}),
-        Table("kernels_transfer", pd.DataFrame(tasks), "Point location and interpolation between meshes",
-              "Search structure included, compiled before. The cost a point should stay flat.",
-              {"time": "s", "per_point": "us"}, {"time": ".4f", "per_point": ".2f"})]
-    return section
+    note = (f"Best of {repeats} runs in one process, in turns with the triad (240 MB). Data: what a kernel must move "
+            "at least. A kernel that runs after another on the same matrix may find part of it in a cache, and is then "
+            f"above 1{cache_text()}. The half sweeps (L) use each entry twice.")
+    return Section("Kernels", "", [
+        Table("kernels_bandwidth", speeds, "Bandwidth of the kernels over that of a triad, P1 elasticity, one thread",
+              note, {"time": "ms", "data": "MB", "bandwidth": "GB/s", "triad": "GB/s"},
+              {"over triad": ".2f", "bandwidth": ".1f", "triad": ".1f", "time": ".3f", "data": ".1f"}),
+        Table("kernels_transfer", pd.DataFrame(tasks), "Point location and interpolation between meshes, one thread",
+              "Nodes: of the mesh that is searched, or interpolated from. Search structure included, compiled before. "
+              f"A point takes {span([task['a point'] for task in tasks if task['dim'] == 2], '.1f')} µs in 2D.",
+              {"time": "s", "a point": "µs"}, {"time": ".4f", "a point": ".2f"})], summary=summary(speeds))
+
+
+def summary(speeds: pd.DataFrame) -> str:
+    """What was asked and what came out: the largest meshes."""
+    largest = speeds[speeds["data"] > 0.5 * speeds["data"].max()]
+    whole = largest[largest["kernel"].str.startswith("sweep")]["over triad"]
+    nodes = listed(largest["nodes"].unique(), "d")
+    return ("How close do the kernels come to the speed of memory, which is their limit? Sweeps of the smoother on "
+            f"the largest matrices ({nodes} nodes) move data at {span(whole, '.2f')} times the bandwidth of a triad"
+            f"{'; above 1 they find data in a cache' * bool((whole > 1).any())}. Compare these ratios between "
+            "machines, not the seconds.")
+
+
+def cache_text() -> str:
+    """What Linux says of the largest cache, for a sentence."""
+    sizes = [path.read_text().strip() for path in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size")]
+    largest = max((int(size[:-1]) for size in sizes if size.endswith("K")), default=0)
+    return f" (the largest cache of this machine: {largest / 1024:.0f} MB)" if largest else ""
 
 
 if __name__ == "__main__":
-    main(run, "Bandwidth of the smoother's kernels over that of the triad, and the cost of interpolation.")
+    main(run, "Bandwidth of the smoother's kernels over that of the triad, and the cost of interpolation. "
+              "Example: python studies/kernels.py --quick --out /tmp/kernels")

@@ -17,10 +17,12 @@ from common import write_picture
 from matplotlib.figure import Figure
 
 import adaptmg as am
+from adaptmg.plot.style import BLUE, GREEN, INK, ORANGE, styled
 
 SIZES = (10e-3, 6e-3, 3.6e-3, 2.2e-3, 1.3e-3)
 
 
+@styled
 def bar() -> Figure:
     """Solve the bar with friction 1 on graded independent meshes and draw."""
     problem = am.cases.greco_bar(law=am.Coulomb(1.0))
@@ -33,9 +35,9 @@ def bar() -> Figure:
                                              reference=exact),
             "monotone, nested start": am.solve(grids, full, reference=exact),
             "truncated (default)": am.solve(grids, am.FullMultigrid(), reference=exact)}
-    figure = plt.figure(figsize=(13, 8.2), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(3.6, 4.6))
-    left, right = above.subfigures(1, 2, width_ratios=(1.2, 2.2))
+    figure = plt.figure(figsize=(13.6, 8.6), layout="constrained")
+    above, below = figure.subfigures(2, 1, height_ratios=(4.0, 4.6))
+    left, right = above.subfigures(1, 2, width_ratios=(1.5, 2.2))
     am.plot.problem(problem, left.subplots())
     axes = right.subplots(1, 3)
     for k, ax in zip((0, 2, 4), axes, strict=True):
@@ -47,6 +49,8 @@ def bar() -> Figure:
     am.plot.contact(runs["truncated (default)"], left.subplots(3, 1, sharex=True))
     ax = right.subplots()
     am.plot.history(runs, ax=ax)
+    for line, color in zip(ax.get_lines(), (INK, ORANGE, BLUE, GREEN), strict=True):
+        line.set_color(color)
     ax.set_xscale("log")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4, fontsize=8, columnspacing=1.0)
     ax.set_title(f"{grids.finest.mesh.n_nodes} nodes: true error against work")

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "adaptive_vs_uniform",
            "transfer_operators", "amg_comparison")
 #: only with --full, or where they are named: minutes on large grids, and campaigns of hundreds of problems
-LARGE = ("hertz", "estimator_effectivity", "goal_greco", "kernels", "benchmark", "robustness", "true_errors")
+LARGE = ("hertz", "estimator_effectivity", "goal_greco", "kernels", "benchmark", "robustness", "true_errors",
+         "adaptive_campaign")
 TITLE = "adaptmg: multigrid for frictional contact"
 SUMMARY = "'Multigrid in Structure Assembling Problem' recomputed: its tables beside ours, and what they leave open."
 TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,
@@ -33,6 +34,10 @@ inside coarse solves and in nested starts too. Direct factorisations are reporte
 
 True error: ||u - u_h||_A / ||u_h||_A against the exact discrete solution, found by an independent method (semismooth
 Newton with direct solves).
+
+Natural residual: how far the contact and friction conditions and equilibrium are from met, relative to loads, contact
+forces and reactions. CONVERGED: the estimated error is below the tolerance and the residual below ten times that.
+LIMIT: cycles or sweeps ran out before. STALLED: the iteration no longer changes though the residual is above.
 
 Seconds are of this machine and this run, on one thread. Those of adaptive meshes, of building transfers and of
 algebraic multigrid were measured alone; elsewhere other runs may have gone on beside, so that they are rough. The paper
@@ -49,7 +54,9 @@ def main() -> None:
     if arguments.fresh:
         (out / "studies.sqlite").unlink(missing_ok=True)
     names = arguments.studies or (STUDIES + LARGE if arguments.full else STUDIES)
-    report(Context(arguments.quick, out, arguments.full), names, arguments.workers, arguments.pictures)
+    failed = report(Context(arguments.quick, out, arguments.full), names, arguments.workers, arguments.pictures)
+    if failed:
+        raise SystemExit(f"reproduce.py: failed: {', '.join(failed)} (the report says why; called again, it goes on)")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -81,13 +88,13 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def report(context: Context, names: Sequence[str], workers: int, pictures: bool = False) -> Path:
+def report(context: Context, names: Sequence[str], workers: int, pictures: bool = False) -> list[str]:
     """Run studies, show them as they are done, and write the report.
 
     Returns
     -------
-    Path
-        Of the HTML file.
+    list of str
+        Names of the studies that failed.
     """
     begin, sections, drawn = time.perf_counter(), {}, {}
 
@@ -99,14 +106,14 @@ def report(context: Context, names: Sequence[str], workers: int, pictures: bool 
 
     if workers > 1:
         print(f"{len(names)} studies on {workers} workers ...", file=sys.stderr, flush=True)
-        together.at_once(context, names, done, workers)
+        failed = together.at_once(context, names, done, workers)
     else:
-        together.in_turn(context, names, done)
+        failed = together.in_turn(context, names, done)
     page = page_of({name: sections[name] for name in names}, context, drawn)
     target = page.write(context.out / "report.html")
     print(f"\nreport: {target}")
     print(f"all done after {time.perf_counter() - begin:.0f} s", file=sys.stderr)
-    return target
+    return failed
 
 
 def page_of(sections: Mapping[str, Section], context: Context, drawn: Mapping[str, Picture] | None = None) -> Report:

@@ -11,6 +11,7 @@ import importlib
 import queue
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -97,13 +98,26 @@ class Turns:
 Done = Callable[[str, Section, dict[str, Picture], float], None]
 
 
-def in_turn(context: Context, names: Sequence[str], done: Done) -> None:
-    """Section after section in this process."""
+def in_turn(context: Context, names: Sequence[str], done: Done) -> list[str]:
+    """Section after section in this process; returns the names of the studies that failed."""
+    failed = []
     for name in names:
         begin = time.perf_counter()
-        section = importlib.import_module(name).run(context)
-        pictures = {key: picture_of(*given) for key, given in to_draw(name, section).items()}
+        try:
+            section = importlib.import_module(name).run(context)
+            pictures = {key: picture_of(*given) for key, given in to_draw(name, section).items()}
+        except Exception as error:
+            section, pictures = failure(name, error), {}
+            failed.append(name)
         done(name, section, pictures, time.perf_counter() - begin)
+    return failed
+
+
+def failure(name: str, error: Exception) -> Section:
+    """What stands in place of a section: others take minutes, and should not be lost with it."""
+    traceback.print_exception(error)
+    said = f"This study failed: {type(error).__name__}: {error}"
+    return Section(f"{name}: failed", f"python studies/{name}.py runs it alone.", summary=said)
 
 
 def to_draw(name: str, section: Section) -> dict[str, tuple[Any, str, str]]:
@@ -112,22 +126,28 @@ def to_draw(name: str, section: Section) -> dict[str, tuple[Any, str, str]]:
     return {item.name: (item.figure, item.caption, f"{name}-{k}") for k, item in enumerate(figures)}
 
 
-def at_once(context: Context, names: Sequence[str], done: Done, workers: int) -> None:
-    """All sections on one cluster of this machine, as :func:`in_turn`; the first error ends all."""
+def at_once(context: Context, names: Sequence[str], done: Done, workers: int) -> list[str]:
+    """All sections on one cluster of this machine, as :func:`in_turn`."""
     from adaptmg.study.cluster import local_cluster
 
     modules = {name: importlib.import_module(name) for name in names}
     ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
+    failed: list[str] = []
     with local_cluster(workers) as client:
         turns = Turns(len(names), client)
         own = replace(context, compute=turns.run, alone=turns.alone)
 
         def make(name: str) -> None:
+            begin = time.perf_counter()
             try:
                 with turns.turn():
-                    begin = time.perf_counter()
-                    section = modules[name].run(own)
-                    done(name, section, turns.draw(to_draw(name, section)), time.perf_counter() - begin)
+                    try:
+                        section = modules[name].run(own)
+                        pictures = turns.draw(to_draw(name, section))
+                    except Exception as error:
+                        section, pictures = failure(name, error), {}
+                        failed.append(name)
+                    done(name, section, pictures, time.perf_counter() - begin)
             except BaseException as error:
                 ended.put(error)
             else:
@@ -139,3 +159,4 @@ def at_once(context: Context, names: Sequence[str], done: Done, workers: int) ->
             error = ended.get()
             if error is not None:
                 raise error
+    return failed

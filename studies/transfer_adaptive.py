@@ -16,6 +16,7 @@ import estimator_runs as runs
 import pandas as pd
 from adaptive_cases import CASES
 from matplotlib import pyplot as plt
+from paper_runs import span
 
 import adaptmg as am
 from adaptmg.plot.style import CYCLE, styled
@@ -85,43 +86,45 @@ def beside(rows: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
     """The default method's cycles, rate and work, and the monotone one's beside them."""
     default, monotone = (rows[rows["method"] == name].set_index(keys) for name in METHODS)
     frame = default[["nodes", "levels", "size_ratio", "cycles", "rate", "work", "outcome"]].join(
-        monotone[["cycles", "rate", "work", "outcome"]].add_prefix("monotone: "))
-    return frame.rename(columns={"size_ratio": "size ratio", "work": "WU", "outcome": "status",
-                                 "monotone: work": "monotone: WU", "monotone: outcome": "monotone: status"}
-                        ).reset_index()
+        monotone[["cycles", "rate", "work", "outcome"]].add_suffix(", monotone"))
+    return frame.rename(columns={"size_ratio": "size ratio", "outcome": "status",
+                                 "outcome, monotone": "status, monotone"}).reset_index().rename(
+                                     columns={"case": "problem"})
 
 
-FORMATS = {"size ratio": ".2f", "rate": ".2f", "WU": ".0f", "monotone: rate": ".2f", "monotone: WU": ".0f"}
+UNITS = {"size ratio": "coarse/fine", "work": "WU", "work, monotone": "WU"}
+FORMATS = {"size ratio": ".2f"} | {name + mode: spec for name, spec in (("rate", ".2f"), ("work", ".0f"))
+                                   for mode in ("", ", monotone")}
 
 
 def transfer_table(rows: pd.DataFrame) -> common.Table:
     """Each transfer on the same levels."""
     frame = beside(rows, ["case", "engine", "transfer"])
-    base = frame[frame["transfer"] == "Interpolation"].set_index(["case", "engine"])["WU"]
-    words = []
-    for name, group in frame.groupby("transfer", sort=False):
-        quotient = group.set_index(["case", "engine"])["WU"] / base
-        if name != "Interpolation":
-            words.append(f"{name} {quotient.min():.2f} to {quotient.max():.2f}")
+    key = ["problem", "engine"]
+    base = frame[frame["transfer"] == "Interpolation"].set_index(key)["work"]
+    words = [f"{name} {span(group.set_index(key)['work'] / base, '.2f')}"
+             for name, group in frame.groupby("transfer", sort=False) if name != "Interpolation"]
     note = ("Levels of a loop with the residual indicator, nested start, contact rows. Work of the default method over "
             f"that with interpolation: {'; '.join(words)}.")
     return common.Table("transfer_adaptive", frame, f"Transfers on the levels that adaptivity leaves (rtol {RTOL:g})",
-                        note, {}, FORMATS)
+                        note, UNITS, FORMATS)
 
 
 def ratio_table(rows: pd.DataFrame) -> common.Table:
     """Levels left out, and what becomes of the rate."""
     frame = beside(rows, ["case", "stride"])
     words = []
-    for case, group in frame.groupby("case", sort=False):
+    for case, group in frame.groupby("problem", sort=False):
         first, last = group.iloc[0], group.iloc[-1]
         words.append(f"{case} {first['rate']:.2f} at {first['size ratio']:.1f}, {last['rate']:.2f} at "
-                     f"{last['size ratio']:.0f}")
-    note = ("Every stride-th level of a bisected loop, from the finest; size ratio: 99 % quantile, largest between "
-            f"neighbours. The default method: {'; '.join(words)}. TOOK OVER: the cycles were too slow, and the active "
-            "set method finished; the rate is that of the cycles.")
+                     f"{last['size ratio']:.1f}")
+    took = (frame[["status", "status, monotone"]] == "TOOK OVER").any(axis=None)
+    note = ("Every level, every second and so on of a bisected loop, counted from the finest (stride). Size ratio: the "
+            "99 % quantile over elements, largest of all neighbours. Rates of the default method: "
+            f"{'; '.join(words)}." + " TOOK OVER: the cycles were too slow, and the active set method finished; the "
+            "rate is that of the cycles." * bool(took))
     return common.Table("transfer_size_ratio", frame, f"Levels left out: size ratio against rate (rtol {RTOL:g})",
-                        note, {}, FORMATS)
+                        note, UNITS, FORMATS)
 
 
 @styled

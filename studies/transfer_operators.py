@@ -1,13 +1,15 @@
 """Transfers between meshes that are not nested: what they cost, what they keep, how the cycles converge with them.
 
-1. Each transfer on independent Netgen meshes in 2D and 3D (nested uniform grids as the base line): seconds to build,
-   entries, complexity of the Galerkin matrices, affine fields reproduced, whether the monotone correction is proven.
+1. Each transfer on independent Netgen meshes in 2D and 3D (nested uniform grids as the base line): processor time to
+   build, entries, complexity of the Galerkin matrices, affine fields reproduced, whether the monotone correction is
+   proven: contact rows >= 0 with sums 1. Contact rows, which interpolate along the coarse contact boundary whatever
+   the transfer does elsewhere, give this to every transfer; on a straight boundary interpolation has it anyway.
 2. Cycles and work units with each of them, from a zero and from a nested start: the default method, and the monotone
    one with V(2,0) and W(2,0) beside it.
 3. Two grids with a growing ratio of their mesh sizes, everywhere or at contact only.
-4. The same on the levels that adaptive loops leave: transfers, and size ratios by leaving levels out.
+4. With --full the same on the levels that adaptive loops leave: transfers, and size ratios by leaving levels out.
 
-    python studies/transfer_operators.py [--quick] [--out DIR]
+    python studies/transfer_operators.py [--quick | --full] [--out DIR]
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ import common
 import numpy as np
 import pandas as pd
 from matplotlib import pyplot as plt
-from paper_runs import span
+from paper_runs import listed, span
 from transfer_adaptive import adaptive_items
 
 import adaptmg as am
@@ -36,7 +38,7 @@ from adaptmg.transfer import mesh_ratio
 
 RTOL = 1e-8
 MAX_CYCLES = 300
-REPETITIONS = 3
+REPETITIONS = 5
 
 TRANSFERS: Mapping[str, Any] = {
     "Interpolation": am.Interpolation(), "PseudoL2": am.PseudoL2(), "L2": am.L2(),
@@ -89,16 +91,16 @@ def posed(dim: int, sizes: tuple[float, ...], contact_ratio: float) -> tuple[am.
 
 
 def build_seconds(meshes: Sequence[MeshArrays], transfers: Sequence[Any]) -> list[float]:
-    """Median seconds to build all prolongations with each transfer, in turns."""
+    """Median processor time to build all prolongations with each transfer, in turns, s."""
     for transfer in transfers:
         transfer.build(*meshes[:2])
     seconds: list[list[float]] = [[] for _ in transfers]
     for _ in range(REPETITIONS):
         for k, transfer in enumerate(transfers):
-            begin = time.perf_counter()
+            begin = time.process_time()
             for coarse, fine in pairwise(meshes):
                 transfer.build(coarse, fine)
-            seconds[k].append(time.perf_counter() - begin)
+            seconds[k].append(time.process_time() - begin)
     return [median(values) for values in seconds]
 
 
@@ -203,101 +205,131 @@ def run(context: common.Context) -> common.Section:
             f"most {MAX_CYCLES} cycles.")
     return common.Section("Transfers between non-nested meshes", text, [
         property_table(kept), cycle_table(cycles), ratio_table(ratios), work_figure(cycles), ratio_figure(ratios),
-        *further])
+        *further], summary=summary(kept, cycles, ratios))
+
+
+def summary(kept: pd.DataFrame, cycles: pd.DataFrame, ratios: pd.DataFrame) -> str:
+    """What was asked and what came out."""
+    kept = kept[kept["contact_rows"] & kept["case"].str.contains("graded")]
+    rows = cycles[cycles["contact_rows"] & cycles["case"].str.contains("graded")]
+    default, base = rows[rows["shape"] == "default"], "Interpolation"
+    count = {name: group.loc[group["full_outcome"] == "CONVERGED", "full_cycles"]
+             for name, group in default.groupby("transfer")}
+    said = ["Which transfer between meshes that are not nested? "]
+    others = [name for name in TRANSFERS if name != base and len(count.get(name, ()))]
+    more = span(pd.concat([kept.loc[kept["transfer"] != base, "build_ratio"]]), ".0f")
+    if len(count.get(base, ())) and others:
+        said.append(f"With interpolation the default method takes {span(count[base], '.0f')} cycles from the nested "
+                    f"start to {RTOL:g}, with the others {span(pd.concat([count[name] for name in others]), '.0f')}; ")
+    said.append(f"they take {more} times as long to build, and make the coarse matrices denser (complexity "
+                f"{span(kept.loc[kept['transfer'] != base, 'complexity'], '.1f')}, of interpolation "
+                f"{span(kept.loc[kept['transfer'] == base, 'complexity'], '.1f')}), so that work grows by "
+                f"a factor {span(over_interpolation(default)['ratio'], '.1f')}: interpolation is the default. ")
+    alone = ratios[ratios["where"] == "everywhere"]
+    first, last = alone.iloc[0], alone.iloc[-1]
+    said.append("What counts is how far the sizes of neighbours lie apart: with two grids the rate of the default "
+                f"method goes from {first['rate']:.2f} at a ratio of {first['ratio']} to {last['rate']:.2f} at "
+                f"{last['ratio']}, of the monotone one from {first['monotone_rate']:.2f} to "
+                f"{last['monotone_rate']:.2f}.")
+    return "".join(said)
+
+
+def over_interpolation(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows of other transfers that converged, with ``ratio``: work over that of interpolation with contact rows."""
+    key = ["case", "shape"]
+    base = rows[(rows["transfer"] == "Interpolation") & rows["contact_rows"]
+                & (rows["full_outcome"] == "CONVERGED")].set_index(key)["full_work"].rename("base")
+    found = rows[(rows["full_outcome"] == "CONVERGED")
+                 & ~((rows["transfer"] == "Interpolation") & rows["contact_rows"])].join(base, on=key)
+    return found.assign(ratio=found["full_work"] / found["base"]).dropna(subset="ratio")
 
 
 def property_table(kept: pd.DataFrame) -> common.Table:
     """Cost and properties of the prolongations."""
     frame = pd.DataFrame({
-        "case": kept["case"], "nodes": kept["nodes"], "transfer": kept["transfer"],
+        "meshes": kept["case"], "nodes": kept["nodes"], "transfer": kept["transfer"],
         "contact rows": kept["contact_rows"], "build": 1e3 * kept["build_s"],
-        "x interpolation": kept["build_ratio"], "entries a row": kept["row_entries"],
+        "over interpolation": kept["build_ratio"], "entries a row": kept["row_entries"],
         "complexity": kept["complexity"], "least weight": kept["min_weight"], "affine error": kept["affine_error"],
-        "proven": kept["proven"], "h ratio": kept["mesh_ratio"]})
+        "proven": kept["proven"], "largest size ratio": kept["mesh_ratio"]})
     with_rows = kept[kept["contact_rows"] & kept["case"].str.contains("graded")]
-    by = with_rows.groupby("transfer")
-    worst, least = by["affine_error"].max(), by["min_weight"].min()
-    slower = {name: span(group["build_ratio"], ".0f") for name, group in by}
-    signed = ["PseudoL2", "L2", "QuasiInterpolation"]
-    discretised = with_rows["discretised_complexity"]
+    worst = with_rows.groupby("transfer")["affine_error"].max()
+    wrong = [f"{name} to {error:.0e}" for name, error in worst.items() if error > 1e-10]
     note = (
-        f"build: all prolongations of the hierarchy, median of {REPETITIONS} in turns with interpolation; PseudoL2 "
-        f"takes {slower['PseudoL2']} times as long, L2 {slower['L2']}. complexity: nonzeros of the Galerkin matrices "
-        f"of all levels over the finest (discretised on every level: {span(discretised, '.2f')}). affine error: in "
-        f"fields from 0 to 1, all levels. Interpolation reproduces them to {worst['Interpolation']:.0e}; the lumped "
-        f"projection evaluates them at centres of gravity and is off by up to {worst['LumpedL2']:.2f}; L2 drops "
-        "entries below 1e-3, which on some rows leaves too few to restore their moments. Weights of "
-        f"{', '.join(signed)} fall to {least[signed].min():.2f}. proven: contact rows >= 0 with sums 1, as the "
-        "monotone correction needs; contact rows give this to every transfer, and on a straight boundary "
-        "interpolation has it anyway.")
-    return common.Table("transfer_properties", frame, "What the transfers cost and keep", note, {"build": "ms"},
-                        {"build": ".1f", "x interpolation": ".1f", "entries a row": ".2f", "complexity": ".2f",
-                         "least weight": ".3f", "affine error": ".1e", "h ratio": ".2f"})
+        f"Build: processor time for all prolongations of the hierarchy, median of {REPETITIONS} in turns with "
+        "interpolation. Complexity: nonzeros of the Galerkin matrices of all levels over the finest (discretised on "
+        f"every level: {span(with_rows['discretised_complexity'], '.2f')}). Affine error: largest in fields from 0 to 1"
+        + (f"; not to rounding: {listed(wrong)}" if wrong else "") + ". Proven: what the monotone correction needs, "
+        "contact rows >= 0 with sums 1. Largest size ratio: of neighbouring levels, measured element by element.")
+    return common.Table("transfer_properties", frame, "What the transfers cost and keep", note,
+                        {"build": "ms", "over interpolation": "ratio", "largest size ratio": "coarse/fine"},
+                        {"build": ".1f", "over interpolation": ".1f", "entries a row": ".2f", "complexity": ".2f",
+                         "least weight": ".3f", "affine error": ".1e", "largest size ratio": ".2f"})
 
 
 def cycle_table(cycles: pd.DataFrame) -> common.Table:
     """Cycles, rates and work."""
     frame = pd.DataFrame({
-        "case": cycles["case"], "nodes": cycles["nodes"], "transfer": cycles["transfer"],
+        "meshes": cycles["case"], "nodes": cycles["nodes"], "transfer": cycles["transfer"],
         "contact rows": cycles["contact_rows"], "method": cycles["shape"].map(METHODS),
-        "cycles": cycles["zero_cycles"], "rate": cycles["zero_rate"], "WU": cycles["zero_work"],
-        "status": cycles["zero_outcome"], "full: cycles": cycles["full_cycles"], "full: rate": cycles["full_rate"],
-        "full: WU": cycles["full_work"], "full: residual": cycles["full_residual"],
-        "full: status": cycles["full_outcome"], "full: time": cycles["full_s"]})
+        "cycles from zero": cycles["zero_cycles"], "rate": cycles["zero_rate"], "work from zero": cycles["zero_work"],
+        "status": cycles["zero_outcome"], "cycles, nested start": cycles["full_cycles"],
+        "rate, nested start": cycles["full_rate"], "work, nested start": cycles["full_work"],
+        "natural residual": cycles["full_residual"], "status, nested start": cycles["full_outcome"]})
     block = cycles[cycles["case"].str.startswith("3D") & (cycles["shape"] != "default")
                    & (cycles["full_outcome"] == "CONVERGED")]
     limits = (f" On the block every transfer with which the monotone method converges has a rate of "
               f"{span(block['full_rate'], '.2f')}, V as W, so it is not the transfer that limits it; likely it is that "
-              "in 3D a coarse node slips on only if all slips over its support are parallel." if len(block) else "")
-    note = ("Left from a zero start, right with the nested start (full), its work included. WU: passes over the finest "
-            f"matrix. {work_words(cycles, 'default')} {work_words(cycles, 'monotone')} REFUSED: a weight between "
-            "contact nodes is negative, which the monotone "
-            f"correction does not accept. rate: geometric mean of the last cycles.{limits}")
+              "in 3D a coarse node slips on only if all slips over its support are parallel."
+              if block["transfer"].nunique() > 1 and set(block["shape"]) == {"V", "W"} else "")
+    note = (f"The work of the nested start is included. {work_words(cycles, 'default')} "
+            f"{work_words(cycles, 'monotone')}"
+            + " REFUSED: a weight between contact nodes is negative, which the monotone correction does not accept."
+            * bool((cycles["full_outcome"] == "REFUSED").any()) + f" Rate: geometric mean of the last cycles.{limits}")
+    works = ["work from zero", "work, nested start"]
     return common.Table("transfer_cycles", frame, f"Multigrid with each transfer (rtol {RTOL:g})", note,
-                        {"full: time": "s"},
-                        {"rate": ".2f", "WU": ".0f", "full: rate": ".2f", "full: WU": ".0f", "full: residual": ".1e",
-                         "full: time": ".2f"})
+                        dict.fromkeys(works, "WU"),
+                        {"cycles from zero": ".0f", "rate": ".2f", "cycles, nested start": ".0f",
+                         "rate, nested start": ".2f", "natural residual": ".1e"} | dict.fromkeys(works, ".0f"))
 
 
 def work_words(cycles: pd.DataFrame, method: str) -> str:
     """Work of the other transfers over that of interpolation, in words: of the default method or the monotone one."""
     mine = (cycles["shape"] == "default") == (method == "default")
     rows = cycles[mine & cycles["case"].str.contains("graded")]
-    key = ["case", "shape"]
-    base = rows[(rows["transfer"] == "Interpolation") & rows["contact_rows"]].set_index(key)["full_work"]
+    over = over_interpolation(rows)
     words, failed = [], []
     for (name, contact_rows), group in rows.groupby(["transfer", "contact_rows"], sort=False):
         label = name if contact_rows else f"{name} without contact rows"
         unfinished = group["full_outcome"].isin(["LIMIT", "STALLED", "DIVERGED"])
         if unfinished.any():
-            failed.append(f" {label} does not converge in {unfinished.sum()} of {len(group)} runs.")
-        ratio = (group[group["full_outcome"] == "CONVERGED"].set_index(key)["full_work"] / base).dropna()
-        if len(ratio) and label != "Interpolation":
+            share = f" in {unfinished.sum()} of {len(group)} runs" if len(group) > 1 else ""
+            failed.append(f" {label} does not converge{share}.")
+        ratio = over.loc[(over["transfer"] == name) & (over["contact_rows"] == contact_rows), "ratio"]
+        if len(ratio):
             words.append(f"{label} {span(ratio, '.2f')}")
-    return (f"Work of the {method} method with the nested start over that of interpolation with contact rows, over "
-            "cases: " + "; ".join(words) + "." + "".join(failed))
+    if not words:
+        return "".join(failed).strip()
+    return (f"Work of the {method} method with the nested start over that of interpolation with contact rows, on the "
+            f"graded meshes: {'; '.join(words)}.{''.join(failed)}")
 
 
 def ratio_table(ratios: pd.DataFrame) -> common.Table:
     """Two grids, by the ratio of their sizes."""
     frame = ratios[["where", "ratio", "coarse_nodes", "nodes", "median_ratio", "largest_ratio", "cycles", "rate",
                     "work_units", "residual", "outcome", "monotone_cycles", "monotone_rate"]].rename(columns={
-                        "coarse_nodes": "coarse nodes", "median_ratio": "median ratio", "work_units": "WU",
-                        "largest_ratio": "largest ratio", "outcome": "status", "monotone_cycles": "monotone: cycles",
-                        "monotone_rate": "monotone: rate"})
-    words = []
-    for where, group in ratios.groupby("where", sort=False):
-        first, last = group.iloc[0], group.iloc[-1]
-        words.append(f"{where} from {first['rate']:.2f} ({first['cycles']} cycles) at {first['ratio']} to "
-                     f"{last['rate']:.2f} ({last['cycles']}) at {last['ratio']}, of the monotone method from "
-                     f"{first['monotone_rate']:.2f} to {last['monotone_rate']:.2f}")
-    note = ("Interpolation with contact rows, from a zero start, two grids; the monotone method with V(2,0). ratio: "
-            "sizes asked for, coarse "
-            "over fine, everywhere, or at contact with 2 in the bulk; median and largest are measured element by "
-            f"element. The rate goes {'; '.join(words)}: what the smoother does not reach between the two sizes stays.")
+                        "where": "coarser", "ratio": "size ratio", "coarse_nodes": "coarse nodes",
+                        "median_ratio": "median ratio", "largest_ratio": "largest ratio", "work_units": "work",
+                        "residual": "natural residual", "outcome": "status", "monotone_cycles": "cycles, monotone",
+                        "monotone_rate": "rate, monotone"})
+    note = ("Two grids, interpolation with contact rows, from a zero start; the default method, and the monotone one "
+            "with V(2,0). Size ratio: of the sizes asked for, everywhere, or at contact with 2 elsewhere; median and "
+            "largest are measured element by element. The default method spends its first cycles on finding the "
+            "contact status; its rate is that of the last ones.")
     return common.Table("transfer_mesh_ratio", frame, f"GRECO bar: ratio of mesh sizes (rtol {RTOL:g})", note,
-                        formats={"median ratio": ".2f", "largest ratio": ".2f", "rate": ".2f", "WU": ".0f",
-                                 "residual": ".1e", "monotone: rate": ".2f"})
+                        {"work": "WU"} | dict.fromkeys(["size ratio", "median ratio", "largest ratio"], "coarse/fine"),
+                        {"median ratio": ".2f", "largest ratio": ".2f", "rate": ".2f", "work": ".0f",
+                         "natural residual": ".1e", "rate, monotone": ".2f"})
 
 
 @styled

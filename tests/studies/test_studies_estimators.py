@@ -50,9 +50,9 @@ def test_a_warm_start_where_the_level_is_gone():
 
 def test_what_is_missed_is_named():
     row = {"case": "upset block", "spread": 1.3, "least ZZ/error": 0.9, "largest ZZ/error": 1.2, "needed": 2.0,
-           "rate": 0.6}
-    assert tables._missed(row) == "spread, ZZ, cycles, rate"
-    assert tables._missed(row | {"case": "dovetail", "spread": 1.1, "largest ZZ/error": 1.0}) == ""
+           "left": 0.2, "rate": 0.6}
+    assert tables._missed(row) == "spread, ZZ, cycles, left, rate"
+    assert tables._missed(row | {"case": "dovetail", "spread": 1.1, "largest ZZ/error": 1.0, "left": 0.05}) == ""
 
 
 def test_phases_add_up_to_the_loop():

@@ -1,10 +1,12 @@
-"""Sections at once: timed runs wait for all others and go one after the other, errors end all, long texts come back."""
+"""Sections at once: timed runs wait for all others and go one by one, a failure ends no other, long texts come back."""
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from dataclasses import dataclass, field
+from types import ModuleType
 
 import pytest
 from study_scripts import load
@@ -76,6 +78,28 @@ def test_long_texts_come_back_from_their_files(tmp_path):
     context = common.Context(True, tmp_path)
     for _ in range(2):
         assert context.study(run, {"n": [3, 100_000]})["text"].str.len().tolist() == [3, 100_000]
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_study_that_fails_says_so_and_the_others_go_on(tmp_path, monkeypatch, capsys, workers):
+    broken, sound = ModuleType("broken_study"), ModuleType("sound_study")
+
+    def fails(context):
+        raise ValueError("no <such> mesh")
+
+    broken.run, sound.run = fails, lambda context: common.Section("Sound", "It is.")
+    monkeypatch.setitem(sys.modules, "broken_study", broken)
+    monkeypatch.setitem(sys.modules, "sound_study", sound)
+    made = {}
+
+    def done(name, section, pictures, seconds):
+        made[name] = section.summary or section.text
+
+    names, context = ("broken_study", "sound_study"), common.Context(True, tmp_path)
+    ends = together.at_once(context, names, done, workers) if workers else together.in_turn(context, names, done)
+    assert ends == ["broken_study"] and made["sound_study"] == "It is."
+    assert made["broken_study"] == "This study failed: ValueError: no <such> mesh"
+    assert "Traceback" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])

@@ -1,0 +1,72 @@
+"""The campaign of adaptive loops: it finds nothing wrong where nothing is, and what is wrong where something is."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+from study_scripts import load
+
+import adaptmg as am
+
+common = load("common")
+problems = load("adaptive_problems")
+checks = load("adaptive_checks")
+campaign = load("adaptive_campaign")
+
+
+def test_every_kind_of_problem_can_be_drawn():
+    for kind in set(problems.KINDS) - {"block"}:
+        problem = problems._MAKERS[kind](np.random.default_rng(3))
+        assert isinstance(problem, am.ContactProblem)
+        quantity = problems.random_quantity(problem, np.random.default_rng(4))
+        assert hasattr(quantity, "functionals")
+
+
+def test_loops_are_measured_stored_and_counted(tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign, "FIRST_SEED", 2088)
+    monkeypatch.setattr(campaign, "QUICK_CASES", 1)
+    section = campaign.run(common.Context(True, tmp_path))
+    summary, rows = (item.frame for item in section.items)
+    assert summary["loops"].sum() == 1 and summary["with faults"].sum() == 0 and summary["refused"].sum() == 0
+    assert (rows["rate"] > 0.4).all() and rows["why it ended"].str.contains("max_nodes").all()
+    assert (summary["left by the solver"].dropna() < 0.2).all()
+
+
+def test_what_cannot_be_posed_is_counted_as_refused():
+    refused = {"kind": "block", "indicator": "Goal", "faults": "[]", "steps": "[]", "refused": "mesh too coarse"}
+    row = {"indicator": "Goal", "dim": 2, "refused": "", "faults": "[]", "n_steps": 3, "rate": 0.5, "share": 0.1,
+           "goal_effectivity": 0.9}
+    table = campaign.outcomes(pd.DataFrame([refused, row]))
+    assert table["loops"][0] == 2 and table["refused"][0] == 1 and table["meshes"][0] == 3
+
+
+def test_spoilt_meshes_are_found():
+    domain = am.Rectangle(width=1.0, height=1.0)
+    mesh = am.mesh.structured(domain, 4)
+    assert checks.mesh_faults(mesh, mesh, domain) == [] and abs(checks.smallest_angle(mesh) - 45) < 1e-9
+    moved = mesh.points.copy()
+    moved[0] = [0.1, 0.1]
+    spoilt = {"the size": dataclasses.replace(mesh, points=moved, source=None),
+              "outside": dataclasses.replace(mesh, elements=mesh.elements[1:], element_body=None, source=None),
+              "names": dataclasses.replace(mesh, boundaries=("a", *mesh.boundaries[1:]), source=None)}
+    for words, other in spoilt.items():
+        assert any(words in fault for fault in checks.mesh_faults(other, mesh, domain))
+
+
+def test_nodes_beside_an_arc_are_found():
+    domain = problems._MAKERS["round"](np.random.default_rng(1)).domain
+    mesh = am.mesh.graded(domain, 0.01)
+    assert checks.mesh_faults(mesh, mesh, domain) == []
+    moved = mesh.points.copy()
+    moved[mesh.boundary_nodes("round")[2]] *= 1 + 1e-3
+    beside = dataclasses.replace(mesh, points=moved, source=None)
+    assert any("beside it" in fault for fault in checks.mesh_faults(beside, mesh, domain))
+
+
+def test_values_are_read_from_results():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), (8,))
+    result = am.solve(grids, am.ActiveSet(rtol=1e-12))
+    for quantity in (am.Displacement((0.011, 0.013), "x"), am.MeanDisplacement("top", "y"), am.Opening("bottom"),
+                     am.ContactForce("bottom", "normal"), am.ContactForce("bottom", "y")):
+        wanted = am.Goal(quantity).indicate(grids, result).value
+        np.testing.assert_allclose(checks.value_of(quantity, result), wanted, rtol=1e-8)
