@@ -110,7 +110,12 @@ resize(1700);
 window.scrollTo(0, 3000);
 var contents = document.querySelector(".contents").getBoundingClientRect();
 found.contents = [contents.top, contents.right, document.querySelector("h1").getBoundingClientRect().left];
-window.scrollTo(0, 0);
+// the browser sends the event with its next picture, which no script here waits for
+found.marked = [null, "section-2", "section-3", null].map(function (key) {
+  if (key) { document.getElementById(key).scrollIntoView(); } else { window.scrollTo(0, 0); }
+  window.dispatchEvent(new Event("scroll"));
+  return all(".contents a[aria-current]").map(link => link.getAttribute("href"));
+});
 found.stops = all(".scroll[tabindex]").length;
 
 resize(600);
@@ -180,9 +185,8 @@ def test_the_contents_stay_in_sight_beside_a_wide_page(found):
     assert top == 0 and right <= title
 
 
-def test_the_contents_mark_the_section_in_sight(page, tmp_path):
-    marked = re.findall(r'<a href="#([^"]*)" aria-current="true"', dom(tmp_path, page, "#section-3"))
-    assert marked == ["section-3"]
+def test_the_contents_mark_the_section_in_sight(found):
+    assert found["marked"] == [[], ["#section-2"], ["#section-3"], []]
 
 
 def test_only_boxes_that_scroll_are_stops_of_the_keyboard(found):

@@ -60,14 +60,19 @@ SCRIPT = """\
   window.addEventListener("resize", reach);
   document.addEventListener("toggle", reach, true);
   // the section that the upper part of the window shows
-  var seen = new IntersectionObserver(function (entries) {
-    entries.forEach(function (entry) {
-      var link = document.querySelector('.contents a[href="#' + entry.target.id + '"]');
-      if (entry.isIntersecting) { link.setAttribute("aria-current", "true"); }
+  var sections = Array.from(document.querySelectorAll("section[id]"));
+  function mark() {
+    var line = 0.2 * window.innerHeight;
+    sections.forEach(function (section) {
+      var at = section.getBoundingClientRect();
+      var link = document.querySelector('.contents a[href="#' + section.id + '"]');
+      if (at.top <= line && line < at.bottom) { link.setAttribute("aria-current", "true"); }
       else { link.removeAttribute("aria-current"); }
     });
-  }, {rootMargin: "-20% 0px -79% 0px"});
-  document.querySelectorAll("section[id]").forEach(function (section) { seen.observe(section); });
+  }
+  mark();
+  ["scroll", "resize"].forEach(function (name) { window.addEventListener(name, mark); });
+  document.addEventListener("toggle", mark, true);
   var closed = [];
   window.addEventListener("beforeprint", function () {
     closed = Array.from(document.querySelectorAll("details:not([open])"));
