@@ -17,17 +17,17 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 
 
-def _run(folder: Path, page: Path, width: int, height: int, *flags: str, fragment: str = "") -> bytes:
+def _run(folder: Path, page: Path, width: int, height: int, *flags: str) -> bytes:
     command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage",
                f"--user-data-dir={folder / 'browser'}", f"--window-size={width},{height}", *flags,
-               page.as_uri() + fragment]
+               page.as_uri()]
     return subprocess.run(command, capture_output=True, check=True, timeout=120).stdout
 
 
-def dom(folder: Path, page: Path, fragment: str = "") -> str:
-    """A page as it stands after its scripts have run, opened at a place such as ``#key``."""
+def dom(folder: Path, page: Path) -> str:
+    """A page as it stands after its scripts have run."""
     # the scripts' clock runs on to where what they wait for has come
-    return _run(folder, page, 1600, 800, "--virtual-time-budget=2000", "--dump-dom", fragment=fragment).decode()
+    return _run(folder, page, 1600, 800, "--virtual-time-budget=2000", "--dump-dom").decode()
 
 
 def measure(folder: Path, text: str, script: str) -> Any:
