@@ -13,7 +13,7 @@ __all__ = ["method_of"]
 #: options, beside rtol and most, that a method takes
 _MULTIGRID = ("correction", "cycle", "pre", "post", "omega", "order")
 _TAKES = {SolverName.FULL: _MULTIGRID, SolverName.MULTIGRID: _MULTIGRID, SolverName.SINGLE: ("omega", "condensed"),
-          SolverName.ACTIVE: ("linear",)}
+          SolverName.ACTIVE: ("linear", "strength", "lag")}
 _PAPER = ("gap", "slip", "sliding_limit")
 
 
@@ -21,8 +21,8 @@ def method_of(name: SolverName, *, correction: CorrectionName | None = None, cyc
               pre: int | None = None, post: int | None = None, omega: float | None = None,
               order: Sweeping | None = None, gap: str | None = None, slip: str | None = None,
               sliding_limit: str | None = None, condensed: bool | None = None, linear: LinearName | None = None,
-              rtol: float | None = None, most: int | None = None, flag: str = "--",
-              flag_of_name: str = "--solver") -> Solver:
+              strength: float | None = None, lag: int | None = None, rtol: float | None = None, most: int | None = None,
+              flag: str = "--", flag_of_name: str = "--solver") -> Solver:
     """The method with the options that are given; ValueError for one it has no use for.
 
     Parameters
@@ -33,7 +33,7 @@ def method_of(name: SolverName, *, correction: CorrectionName | None = None, cyc
         What options begin with in messages, and the option that names the method.
     """
     given = {"correction": correction, "cycle": cycle, "pre": pre, "post": post, "omega": omega, "order": order,
-             "condensed": condensed, "linear": linear}
+             "condensed": condensed, "linear": linear, "strength": strength, "lag": lag}
     useless = [option for option, value in given.items() if value is not None and option not in _TAKES[name]]
     if useless:
         raise ValueError(f"{flag}{useless[0]} has no meaning for {flag_of_name} {name}; "
@@ -45,7 +45,10 @@ def method_of(name: SolverName, *, correction: CorrectionName | None = None, cyc
     if name is SolverName.SINGLE:
         return am.SingleGrid(**_only(omega=omega, condensed=condensed, rtol=rtol, max_sweeps=most))
     if name is SolverName.ACTIVE:
-        method = am.AMG() if linear is LinearName.AMG else am.Direct()
+        options = _only(strength=strength, lag=lag)
+        if options and linear is not LinearName.AMG:
+            raise ValueError(f"{flag}{next(iter(options))} belongs to {flag}linear amg")
+        method = am.AMG(**options) if linear is LinearName.AMG else am.Direct()
         return am.ActiveSet(linear=method, **_only(rtol=rtol, max_steps=most))
     made = {None: None, CorrectionName.TRUNCATED: am.Truncated(), CorrectionName.MONOTONE: am.Monotone(),
             CorrectionName.PAPER: am.PaperCorrection(**choices)}

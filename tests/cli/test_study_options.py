@@ -26,6 +26,7 @@ from adaptmg.cli.described.positions import positions
 from adaptmg.cli.described.study_file import read
 from adaptmg.cli.described.work import checked
 from adaptmg.cli.single_run.case_run import case_run
+from adaptmg.cli.single_run.grids import grids
 from adaptmg.cli.single_run.measures import MEASURES
 from adaptmg.study.progress import Watch
 
@@ -194,7 +195,8 @@ def test_whole_numbers_are_numbers_where_an_argument_is_one(tmp_path, monkeypatc
 
 @pytest.mark.parametrize("solver", [
     {"correction": "paper", "gap": "largest", "slip": "minmod", "sliding_limit": "summed", "order": "symmetric"},
-    {"method": "single-grid", "condensed": True, "omega": 1.3}, {"method": "multigrid", "cycle": "complete", "pre": 1}])
+    {"method": "single-grid", "condensed": True, "omega": 1.3}, {"method": "multigrid", "cycle": "complete", "pre": 1},
+    {"method": "active-set", "linear": "amg", "strength": 0.1, "lag": -1}])
 def test_settings_reach_the_method(solver):
     from adaptmg.cli.single_run import parts
 
@@ -202,12 +204,40 @@ def test_settings_reach_the_method(solver):
     wanted = {"paper": am.FullMultigrid(correction=am.PaperCorrection(gap="largest", slip="minmod", limit="summed"),
                                         smoother=am.ProjectedGaussSeidel(order="symmetric")),
               "single-grid": am.SingleGrid(omega=1.3, condensed=True),
-              "multigrid": am.Multigrid(cycle=am.Cycle(shape="complete", pre=1))}
+              "multigrid": am.Multigrid(cycle=am.Cycle(shape="complete", pre=1)),
+              "active-set": am.ActiveSet(linear=am.AMG(strength=0.1, lag=-1))}
     assert made == wanted[solver.get("method", "paper")]
+
+
+def test_sizes_of_bodies_can_be_varied(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = GOOD.replace('"greco_bar"', '"two_block_patch"').replace("divisions = [2, 4]", "sizes = [0.05, 0.03]")
+    said = read(written(text.replace('case.friction = [0.2, 1.0]', 'hierarchy.size_of.lower = [0.5, 1, 2]')))
+    assert said.design.names == ("hierarchy.size_of.lower",) and len(checked(said, None)) == 3
+    case = am.cases.two_block_patch()
+    for point in said.design.points():
+        factor = point["hierarchy.size_of.lower"]
+        found = grids(case, {**said.fixed, **point})
+        wanted = am.Hierarchy.graded(case, [{"upper": size, "lower": factor * size} for size in (0.05, 0.03)])
+        assert [level.mesh.n_nodes for level in found.levels] == [level.mesh.n_nodes for level in wanted.levels]
+    fixed = read(written(text.replace("[measure]", "size_of = {lower = 2}\n[measure]"))).fixed
+    assert fixed["hierarchy.size_of.lower"] == 2.0
+
+
+@pytest.mark.parametrize("first", [{"hierarchy.divisions": (4,)}, {"hierarchy.sizes": (8e-3,),
+                                                                    "hierarchy.contact_ratio": 2.0}])
+def test_bisections_at_contact(first):
+    case = am.cases.greco_bar()
+    begin = grids(case, first)
+    found = grids(case, {**first, "hierarchy.bisections": 2})
+    wanted = am.Hierarchy.bisected(case, begin.levels[0].mesh, 2)
+    assert len(found.levels) == 3 and found.levels[2].mesh.n_nodes == wanted.levels[2].mesh.n_nodes
+    assert (found.levels[0].mesh.points == begin.levels[0].mesh.points).all()
 
 
 @pytest.mark.parametrize("adapt", [
     {"indicator": "goal", "goal": "displacement", "goal_point": (0.0, 0.0), "goal_component": "x"},
+    {"indicator": "goal", "goal": "displacement", "goal_point": ((0.0, 0.0), (0.01, 0.0)), "goal_component": "x"},
     {"indicator": "goal", "goal": "mean-displacement", "goal_boundary": "top", "goal_component": "y",
      "engine": "bisect"},
     {"indicator": "goal", "goal": "contact-force"}, {"indicator": "goal", "goal": "opening", "engine": "bisect"},
@@ -218,7 +248,8 @@ def test_settings_reach_the_adaptive_loop(adapt):
     given = {"case.case": "greco_bar", "adapt.max_nodes": 90, "adapt.start": 10e-3,
              **{f"adapt.{key}": value for key, value in adapt.items()}}
     made = parts.adaptation(parts.problem(given), given)
-    goals = {"displacement": am.Displacement((0.0, 0.0), "x"), "mean-displacement": am.MeanDisplacement("top", "y"),
+    goals = {"displacement": am.Displacement(adapt.get("goal_point", (0.0, 0.0)), "x"),
+             "mean-displacement": am.MeanDisplacement("top", "y"),
              "contact-force": am.ContactForce(), "opening": am.Opening()}
     assert made["indicator"] == (am.Goal(goals[adapt["goal"]]) if "goal" in adapt else am.Recovery())
     assert made["mark"] == (am.Maximum(0.3) if "mark" in adapt else am.Doerfler(0.5))
@@ -271,7 +302,7 @@ def test_all_keys_and_measures_are_explained(command):
     for section, known in keys.SECTIONS.items():
         assert f"[{section}]" in text
         for name, key in known.items():
-            assert f"\n  {name} " in text and key.meaning and key.values
+            assert f"\n  {name}{'.NAME' if key.named else ''} " in text and key.meaning and key.values
     assert set(MEANINGS) == set(MEASURES) and all(f"\n  {name} " in text for name in MEANINGS)
     assert set(keys.WORDS) == set(keys.SECTIONS)
     facts = json.loads(command("study", "--keys", "--json")[1])

@@ -68,7 +68,7 @@ def _listed(known: Mapping[str, Key]) -> list[str]:
     lines: list[str] = []
     for name, key in known.items():
         default = f" Default: {key.default}." if key.default else ""
-        lines += _entry(name, f"{key.meaning.rstrip('.')} ({key.values}).{default}")
+        lines += _entry(f"{name}.NAME" if key.named else name, f"{key.meaning.rstrip('.')} ({key.values}).{default}")
     return lines
 
 

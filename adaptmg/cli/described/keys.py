@@ -40,12 +40,15 @@ class Key:
     meaning : str
     default : str
         What holds where it is left out; empty where it must be given, or where nothing then happens.
+    named : bool
+        Whether it is a table of such values, ``KEY = {NAME = value}``; each is a setting ``"section.KEY.NAME"``.
     """
 
     check: Check
     values: str
     meaning: str
     default: str = ""
+    named: bool = False
 
 
 def _one_of(names: Iterable[str]) -> Check:
@@ -87,6 +90,10 @@ def _whole(name: str, value: Any) -> int:
     return checks.integer(name, value, minimum=1, maximum=10**9)
 
 
+def _factor(name: str, value: Any) -> float:
+    return checks.quantity(name, value, positive=True)
+
+
 def _count(name: str, value: Any) -> int:
     return checks.integer(name, value, maximum=10**9)
 
@@ -119,6 +126,17 @@ def _share(name: str, value: Any) -> float:
     return share
 
 
+def _strength(name: str, value: Any) -> float:
+    strength = checks.nonnegative(name, value)
+    if not strength < 1:
+        raise ValueError(f"{name} must be >= 0 and < 1, got {checks.shown(value)}")
+    return strength
+
+
+def _lag(name: str, value: Any) -> int:
+    return checks.integer(name, value, minimum=-1, maximum=10**9)
+
+
 def _ratio(name: str, value: Any) -> float:
     ratio = checks.quantity(name, value)
     if not ratio >= 1:
@@ -141,6 +159,14 @@ def plain(name: str, value: Any) -> Any:
 
 
 _point = _list_of(checks.quantity, "coordinates in m")
+_points = _list_of(_point, "points")
+
+
+def _point_or_points(name: str, value: Any) -> Any:
+    several = isinstance(value, list | tuple) and value and isinstance(value[0], list | tuple)
+    return (_points if several else _point)(name, value)
+
+
 _names = _list_of(checks.boundary_name, "names")
 
 
@@ -162,6 +188,10 @@ SECTIONS: dict[str, dict[str, Key]] = {
         "sizes": Key(_ordered(_length, "sizes in m", -1), "list, m",
                      "independent, non-nested meshes of any shape instead: element sizes, coarse to fine"),
         "contact_ratio": Key(_ratio, ">= 1", "with sizes: size away from contact over size at contact", "1"),
+        "size_of": Key(_factor, "factor", "with sizes, several bodies, such as size_of = {block = 2}: sizes of this "
+                       "body over those", "1", named=True),
+        "bisections": Key(_whole, "whole number", "grids made from one of divisions or sizes by bisection at contact, "
+                          "again and again; nested"),
         "transfer": _named(TransferName, "with sizes: transfer between the meshes", "interpolation"),
     },
     "solver": {
@@ -179,6 +209,9 @@ SECTIONS: dict[str, dict[str, Key]] = {
         "condensed": Key(_flag, "true | false", "single-grid: sweep on the contact line alone, the rest eliminated",
                          "false"),
         "linear": _named(LinearName, "active-set: linear solver", "direct"),
+        "strength": Key(_strength, "0 to 1", "linear amg: drop tolerance of the strength of connection", "0"),
+        "lag": Key(_lag, "whole number, or -1", "linear amg: the hierarchy is kept while at most so many dofs have "
+                   "come or gone; -1: never", "8"),
         "rtol": Key(checks.tolerance, "0 to 1", "tolerance: estimated relative algebraic error in the energy "
                     "norm", "1e-8; active-set 1e-10"),
         "max_cycles": Key(_whole, "whole number", "cycles, sweeps or Newton steps at most",
@@ -196,7 +229,8 @@ SECTIONS: dict[str, dict[str, Key]] = {
         "goal": _named(GoalName, "indicator goal: the quantity", ""),
         "goal_boundary": Key(checks.boundary_name, "name", "where, for mean-displacement, contact-force and opening",
                              "contact"),
-        "goal_point": Key(_point, "[x, y], m", "where, for displacement and opening", "opening: its mean"),
+        "goal_point": Key(_point_or_points, "[x, y], m", "where, for displacement, which also takes a list of points, "
+                          "and opening", "opening: its mean"),
         "goal_component": _named(("x", "y", "z", "normal", "tangential"), "of displacement, mean-displacement, "
                                  "contact-force", "contact-force: normal"),
         "tolerance": Key(checks.tolerance, "0 to 1", "stop when the estimate is so small, relative"),
@@ -210,7 +244,8 @@ SECTIONS: dict[str, dict[str, Key]] = {
         "columns": Key(_names, "list", "measures in the table", '["cycles", "work_units", "residual", '
                        '"nodes"]'),
         "forces_on": Key(_names, "list", "boundaries: resultant force on each, N or N/m, columns 'force_x(NAME)'"),
-        "points": Key(_point, "A = [0.0, 0.0], m", "named points: displacement there, m, columns 'A.x' and so on"),
+        "points": Key(_point, "[x, y], m", "named points, such as points = {A = [0.0, 0.0]}: displacement "
+                      "there, m, columns 'A.x' and so on", named=True),
         "keep": Key(_flag, "true | false", "keep the result of the last step in the folder "
                     "STORE.files (am.Result.load)", "false"),
     },

@@ -143,13 +143,23 @@ class _Reader:
         return found
 
     def _given(self, section: str) -> dict[str, Any]:
-        """The keys of a section; those of open ones may have dots."""
+        """The keys of a section; those of open ones may have dots, and values by name are a key each."""
         table = self._content.get(section, {})
         if section in OPEN:
             return self._flat(section, (section,), table)
-        if section != "measure":
-            self._places |= {f"{section}.{key}": (section, key) for key in table}
-        return table
+        found: dict[str, Any] = {}
+        for key, value in table.items():
+            inner = {key: value}
+            known = SECTIONS[section].get(key)
+            if known is not None and known.named:
+                if not isinstance(value, dict):
+                    raise self._file.wrong(f"{section}.{key} must be values by name, {key} = {{NAME = {known.values}}}"
+                                           f", got {checks.shown(value)}", section, key)
+                inner = {f"{key}.{name}": item for name, item in value.items()}
+                self._places |= {f"{section}.{key}.{name}": (section, key, name) for name in value}
+            self._places[f"{section}.{key}"] = (section, key)
+            found |= inner
+        return found
 
     def _case_keys(self, varied: Mapping[str, Any]) -> dict[str, Key]:
         """The keys that all cases take which are named."""
@@ -176,29 +186,20 @@ class _Reader:
     def _checked(self, keys: Mapping[str, Mapping[str, Key]], section: str, key: str, value: Any,
                  place: Iterable[str]) -> Any:
         known = keys[section]
-        if key not in known and section not in OPEN:
+        found = _of_name(known, key)
+        if found is None and section not in OPEN:
             raise self._file.wrong(f"[{section}] has no key {key!r}{_near(key, known)}; it has "
                                    f"{', '.join(known)}", *place)
-        check: Check = known[key].check if key in known else OPEN[section]
+        check: Check = OPEN[section] if found is None else found.check
         try:
             return check(f"{section}.{key}", value)
         except (TypeError, ValueError) as error:
             raise self._file.wrong(str(error), *place) from None
 
     def _measures(self, keys: Mapping[str, Mapping[str, Key]]) -> dict[str, Any]:
-        """The settings of [measure]; points are settings each."""
-        found: dict[str, Any] = {}
-        for key, value in self._given("measure").items():
-            self._places[f"measure.{key}"] = ("measure", key)
-            if key == "points":
-                if not isinstance(value, dict):
-                    raise self._file.wrong("measure.points must be named points, points = {A = [0.0, 0.0]}, got "
-                                           f"{checks.shown(value)}", "measure", "points")
-                for name, point in value.items():
-                    place = self._places[f"measure.points.{name}"] = ("measure", "points", name)
-                    found[f"measure.points.{name}"] = self._checked(keys, "measure", key, point, place)
-                continue
-            found[f"measure.{key}"] = self._checked(keys, "measure", key, value, ("measure", key))
+        """The settings of [measure]."""
+        found = {f"measure.{key}": self._checked(keys, "measure", key, value, self._places[f"measure.{key}"])
+                 for key, value in self._given("measure").items()}
         for column in found.get("measure.columns", ()):
             if column not in MEANINGS:
                 raise self._file.wrong(f"nothing measures {column!r}{checks.suggestion(column, MEANINGS)}; there are "
@@ -209,7 +210,7 @@ class _Reader:
         values: dict[str, list[Any]] = {}
         for name, given in varied.items():
             section, _, key = name.partition(".")
-            if section not in SETTINGS or not key or (key not in keys[section] and section not in OPEN):
+            if section not in SETTINGS or not key or (_of_name(keys[section], key) is None and section not in OPEN):
                 known = [f"{s}.{k}" for s in SETTINGS for k in keys[s]]
                 raise self._file.wrong(f"{name!r} cannot be varied{checks.suggestion(name, known)}: name a setting as "
                                        "\"section.key\"", *self._varied.get(name, ("vary",)))
@@ -233,6 +234,14 @@ class _Reader:
         if cost is not None and cost not in known:
             raise self._file.wrong(f"run.cost: there is no setting or measure {cost!r}{checks.suggestion(cost, known)}",
                                    "run", "cost")
+
+
+def _of_name(known: Mapping[str, Key], name: str) -> Key | None:
+    """The key of this name, which may be one of values by name: ``points`` for ``points.A``."""
+    head, _, rest = name.partition(".")
+    if name in known:
+        return None if known[name].named else known[name]
+    return known[head] if rest and head in known and known[head].named else None
 
 
 def _near(key: str, known: Iterable[str]) -> str:

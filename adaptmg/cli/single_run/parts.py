@@ -1,11 +1,9 @@
-"""From the settings of a run to problem, load path, grids, method and adaptive loop."""
+"""From the settings of a run to problem, load path, method and adaptive loop."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
-
-import numpy as np
 
 import adaptmg as am
 from adaptmg.cases import get
@@ -18,23 +16,17 @@ from adaptmg.cli.choices import (
     Shape,
     SolverName,
     Sweeping,
-    TransferName,
 )
 from adaptmg.cli.laws import posed
 from adaptmg.cli.methods import method_of
+from adaptmg.cli.single_run.grids import check_grids, check_size
+from adaptmg.cli.single_run.settings import Settings, section
 from adaptmg.problem import checks
 from adaptmg.problem.load_path import names_in_path
 from adaptmg.solver.run import Solver
 
-__all__ = ["Settings", "WrongSetting", "adaptation", "check", "grids", "load_path", "problem", "section", "solver"]
+__all__ = ["WrongSetting", "adaptation", "check", "load_path", "problem", "solver"]
 
-Settings = Mapping[str, Any]
-
-_DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
-#: nodes of uniform grids that are refused before anything runs
-_MOST_NODES = {2: 5e6, 3: 2e6}
-#: the same of graded ones, whose domains fill a part of their boxes; elements along contact
-_MOST_ROUGHLY, _MOST_ALONG = 10.0, 1e5
 _LIMITS = ("tolerance", "max_nodes", "max_seconds")
 _NAMED = {"correction": CorrectionName, "cycle": Shape, "order": Sweeping, "linear": LinearName}
 
@@ -54,11 +46,6 @@ class WrongSetting(ValueError):
         self.section = section
 
 
-def section(settings: Settings, name: str) -> dict[str, Any]:
-    """The settings of a section, by key."""
-    return {key[len(name) + 1:]: value for key, value in settings.items() if key.startswith(f"{name}.")}
-
-
 def check(settings: Settings) -> None:
     """Make what can be made without meshing.
 
@@ -73,7 +60,7 @@ def check(settings: Settings) -> None:
         return lambda settings: part(made, settings)
 
     parts: dict[str, Callable[[Settings], Any]] = {
-        "case": problem, "load_path": of_problem(_check_path), "hierarchy": of_problem(_check_grids), "solver": solver,
+        "case": problem, "load_path": of_problem(_check_path), "hierarchy": of_problem(check_grids), "solver": solver,
         "adapt": of_problem(_check_adaptation), "measure": of_problem(_check_measures)}
     for name, part in parts.items():
         try:
@@ -104,63 +91,6 @@ def _check_path(task: am.ContactProblem, settings: Settings) -> None:
         if name not in known:
             raise ValueError(f"load_path.{name}: the problem has no load there{checks.suggestion(name, known)}; it has "
                              f"loads on {', '.join(known)}")
-
-
-def _check_grids(task: am.ContactProblem, settings: Settings) -> None:
-    given = section(settings, "hierarchy")
-    if section(settings, "adapt"):
-        if given:
-            raise ValueError("give [hierarchy] or [adapt], not both: adaptation makes its own meshes")
-        return
-    if "sizes" in given:
-        if "divisions" in given:
-            raise ValueError("give hierarchy.divisions or hierarchy.sizes, not both")
-        _check_size(task, "hierarchy.sizes", max(given["sizes"]))
-        _check_finest(task, min(given["sizes"]), given.get("contact_ratio", 1.0))
-        return
-    if useless := sorted(set(given) - {"divisions"}):
-        raise ValueError(f"hierarchy.{useless[0]} belongs to hierarchy.sizes (independent, non-nested meshes)")
-    parts = getattr(task.domain, "parts", {"": task.domain}).values()
-    if not all(isinstance(part, am.Rectangle | am.Box) for part in parts):
-        raise ValueError("hierarchy.divisions are for rectangles and boxes, which this case is not: give "
-                         "hierarchy.sizes = [10e-3, 5e-3] (element sizes in m, coarse to fine)")
-    finest = max(given.get("divisions", (1,)))
-    nodes = len(parts) * (finest + 1.0)**task.dim
-    if nodes > _MOST_NODES[task.dim]:
-        raise ValueError(f"hierarchy.divisions: {finest} cells a side make {nodes:.2g} nodes, at most "
-                         f"{_MOST_NODES[task.dim]:.2g} are run in a study: take fewer")
-
-
-def _check_size(task: am.ContactProblem, name: str, size: float) -> None:
-    """Most sizes that are too large are in millimetres."""
-    longest = max(float((part.upper - part.lower).max())
-                  for part in getattr(task.domain, "parts", {"": task.domain}).values())
-    if size > longest:
-        raise ValueError(f"{name} = {size:g} m is more than the body is long ({longest:g} m): sizes are in m, such as "
-                         f"{longest / 4:g}")
-
-
-def _check_finest(task: am.ContactProblem, size: float, ratio: float) -> None:
-    """Sizes of which Netgen would make elements for hours."""
-    parts = getattr(task.domain, "parts", {"": task.domain}).values()
-    nodes = sum(float(np.prod((part.upper - part.lower) / size)) for part in parts)
-    along = max(float((part.upper - part.lower).max()) for part in parts) / size * ratio
-    if nodes > _MOST_ROUGHLY * _MOST_NODES[task.dim] or along > _MOST_ALONG:
-        at_contact = f" ({size / ratio:g} m at contact)" if ratio > 1 else ""
-        raise ValueError(f"hierarchy.sizes, down to {size:g} m{at_contact}, make "
-                         f"some {max(nodes, along):.0e} nodes: at most {_MOST_NODES[task.dim]:.0e} are run in a study")
-
-
-def grids(task: am.ContactProblem, settings: Settings) -> am.Hierarchy:
-    """Uniform grids, or independent ones where sizes are given."""
-    _check_grids(task, settings)
-    given = section(settings, "hierarchy")
-    if "sizes" not in given:
-        return am.Hierarchy.uniform(task, divisions=given.get("divisions", _DIVISIONS[task.dim]))
-    kinds = {TransferName.INTERPOLATION: am.Interpolation, TransferName.L2: am.L2, TransferName.LUMPED: am.LumpedL2,
-             TransferName.PSEUDO: am.PseudoL2, TransferName.QUASI: am.QuasiInterpolation}
-    return am.Hierarchy.graded(task, sizes=given["sizes"], contact_ratio=given.get("contact_ratio", 1.0),
-                               transfer=kinds[given.get("transfer", TransferName.INTERPOLATION)]())
 
 
 def solver(settings: Settings) -> Solver:
@@ -216,7 +146,7 @@ def _goal(given: Mapping[str, Any]) -> Any:
 
 def _check_adaptation(task: am.ContactProblem, settings: Settings) -> None:
     if section(settings, "adapt"):
-        _check_size(task, "adapt.start", adaptation(task, settings)["start"])
+        check_size(task, "adapt.start", adaptation(task, settings)["start"])
 
 
 def _check_measures(task: am.ContactProblem, settings: Settings) -> None:
