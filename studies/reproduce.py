@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import front
 import together
 from common import Context, Figure, Section, Table, show
+from watching import Watching
 
 if TYPE_CHECKING:
     from adaptmg.export import Report
@@ -101,12 +102,15 @@ def report(context: Context, names: Sequence[str], workers: int, pictures: bool 
     def done(name: str, section: Section, made: dict[str, Picture], seconds: float) -> None:
         sections[name] = section
         drawn.update(made)
-        show(section, context.out, pictures)
-        print(f"[{len(sections)}/{len(names)}] {name}: done after {seconds:.0f} s", file=sys.stderr, flush=True)
+        with watching.printing():
+            show(section, context.out, pictures)
+        watching.study_ended(name, seconds)
 
+    watching = Watching(len(names))
     if workers > 1:
         print(f"{len(names)} studies on {workers} workers ...", file=sys.stderr, flush=True)
-        failed = together.at_once(context, names, done, workers)
+        with watching:
+            failed = together.at_once(context, names, done, workers, watching.run_ended)
     else:
         failed = together.in_turn(context, names, done)
     page = page_of({name: sections[name] for name in names}, context, drawn)

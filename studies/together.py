@@ -34,10 +34,12 @@ class Turns:
         How many sections there are.
     client : distributed.Client
         Of the cluster that computes their runs.
+    progress : callable or bool
+        Told of each run, see :meth:`adaptmg.study.Study.run`.
     """
 
-    def __init__(self, threads: int, client: Any) -> None:
-        self._client, self._turn = client, threading.Lock()
+    def __init__(self, threads: int, client: Any, progress: Callable[[Any], None] | bool = False) -> None:
+        self._client, self._turn, self._progress = client, threading.Lock(), progress
         self._busy, self._quiet = threads, threading.Condition()
 
     def run(self, study: am.Study, timed: bool) -> pd.DataFrame:
@@ -45,9 +47,9 @@ class Turns:
         self._turn.release()
         try:
             if not timed:
-                return study.run(progress=False, scheduler=self._client, throw=True)
+                return study.run(self._progress, scheduler=self._client, throw=True)
             self._wait_for_quiet()
-            return study.run(progress=False, throw=True)
+            return study.run(self._progress, throw=True)
         finally:
             self._turn.acquire()
 
@@ -126,15 +128,16 @@ def to_draw(name: str, section: Section) -> dict[str, tuple[Any, str, str]]:
     return {item.name: (item.figure, item.caption, f"{name}-{k}") for k, item in enumerate(figures)}
 
 
-def at_once(context: Context, names: Sequence[str], done: Done, workers: int) -> list[str]:
-    """All sections on one cluster of this machine, as :func:`in_turn`."""
+def at_once(context: Context, names: Sequence[str], done: Done, workers: int,
+            progress: Callable[[Any], None] | bool = False) -> list[str]:
+    """All sections on one cluster of this machine, as :func:`in_turn`; ``progress`` as for :class:`Turns`."""
     from adaptmg.study.cluster import local_cluster
 
     modules = {name: importlib.import_module(name) for name in names}
     ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
     failed: list[str] = []
     with local_cluster(workers) as client:
-        turns = Turns(len(names), client)
+        turns = Turns(len(names), client, progress)
         own = replace(context, compute=turns.run, alone=turns.alone)
 
         def make(name: str) -> None:

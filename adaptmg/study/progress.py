@@ -91,8 +91,15 @@ def _named(point: Point) -> str:
 
 
 @contextmanager
-def watched(name: str, total: int, before: int, running: Callable[[], int], bar: bool | None) -> Iterator[Watch]:
-    """A watch; with a bar on standard error if ``bar``, or if it is None and standard error a terminal."""
+def watched(name: str, total: int, before: int, running: Callable[[], int],
+            bar: bool | Callable[[Watch], None] | None) -> Iterator[Watch]:
+    """A watch; with a bar on standard error if ``bar``, or if it is None and standard error a terminal.
+
+    ``bar`` may be a function, which is then told of each run instead.
+    """
+    if callable(bar):
+        yield Watch(name, total, before, running, bar)
+        return
     if not (sys.stderr.isatty() if bar is None else bar):
         yield Watch(name, total, before, running)
         return

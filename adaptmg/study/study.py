@@ -18,7 +18,7 @@ from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, i
 from adaptmg.study.fingerprint import Fingerprint, environment, fingerprint
 from adaptmg.study.frame import frame
 from adaptmg.study.machine.commit import commit
-from adaptmg.study.progress import watched
+from adaptmg.study.progress import Watch, watched
 from adaptmg.study.record import Record, Value, canonical, parameter_value
 from adaptmg.study.status import StudyStatus, reasons
 from adaptmg.study.store import Store
@@ -128,16 +128,18 @@ class Study:
         self._store.add_points(self.name, (canonical({**self.fixed, **point}) for point in more.points()))
         return self
 
-    def run(self, progress: bool | None = None, *, workers: int | None = None, scheduler: Any = None,
-            rerun: bool = False, retry_failed: bool = True, throw: bool = False, limit_s: float | None = None,
-            memory_limit: float | None = None, cost: Callable[[Point], float] | str | None = None) -> pd.DataFrame:
+    def run(self, progress: bool | Callable[[Watch], None] | None = None, *, workers: int | None = None,
+            scheduler: Any = None, rerun: bool = False, retry_failed: bool = True, throw: bool = False,
+            limit_s: float | None = None, memory_limit: float | None = None,
+            cost: Callable[[Point], float] | str | None = None) -> pd.DataFrame:
         """Compute what the store does not have, and return the table.
 
         Parameters
         ----------
-        progress : bool, optional
+        progress : bool or callable, optional
             Show a progress bar on standard error; default: only on a terminal. Without one each run is a line of the
-            log (``adaptmg.study``, INFO).
+            log (``adaptmg.study``, INFO). A function is called after each run with an object that knows ``name``,
+            ``total``, ``done`` and ``failed``, and says what is left by ``words()``.
         workers : int, optional
             Processes on this machine that compute runs, one thread each (dask.distributed). Default: this process.
         scheduler : str, distributed.Client or cluster, optional
@@ -171,6 +173,8 @@ class Study:
         RuntimeError
             If a worker has another adaptmg, other packages, or lacks a module.
         """
+        if not (progress is None or isinstance(progress, bool) or callable(progress)):
+            raise TypeError(f"progress must be True, False, None or a function, got {checks.shown(progress)}")
         if workers is not None and scheduler is not None:
             raise ValueError("give workers (processes of this machine) or scheduler (a cluster), not both")
         limits = {"limit_s": None if limit_s is None else checks.positive("limit_s", limit_s),
@@ -257,8 +261,9 @@ class Study:
                              f"{', '.join(record.files)}")
         return self._files.read(record.files[name])
 
-    def _compute(self, execute: Execute, task: Task, todo: list[Point], total: int, bar: bool | None, throw: bool,
-                 found: Fingerprint, versions: dict[str, str], stored: Mapping[str, Record]) -> None:
+    def _compute(self, execute: Execute, task: Task, todo: list[Point], total: int,
+                 bar: bool | Callable[[Watch], None] | None, throw: bool, found: Fingerprint,
+                 versions: dict[str, str], stored: Mapping[str, Record]) -> None:
         """Run, and store what comes as it comes."""
         running = lambda: getattr(execute, "running", 1)  # noqa: E731
         runs = execute(task, todo)

@@ -223,6 +223,7 @@ def _studies():
         return {"m": 1}
 
     yield Hostile("study: a surrogate", lambda: am.Study(run, {"n": ["\udcff"]}).run(progress=False), "'n'")
+    yield Hostile("study: progress", lambda: am.Study(run, {"n": [1]}).run(progress=1), "progress", TypeError)
     yield Hostile("study: a name of control characters", lambda: am.Study(run, {"n": [1]}, name="a\x00b"), "name")
 
 

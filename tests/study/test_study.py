@@ -219,6 +219,14 @@ def test_a_file_that_is_no_store_is_refused(tmp_path):
         Store(other)
 
 
+def test_a_function_is_told_of_each_run(capsys):
+    told = []
+    study = Study(lambda n: {"m": 1 / n}, {"n": [1, 0, 2]}, name="told")
+    study.run(lambda watch: told.append((watch.name, watch.done, watch.total, watch.failed)))
+    assert told == [("told", 1, 3, 0), ("told", 2, 3, 1), ("told", 3, 3, 1)]
+    assert capsys.readouterr().err == ""
+
+
 def test_a_progress_bar_goes_to_standard_error(capsys):
     Study(case, {"sweeps": [1, 2]}).run(progress=True)
     out, err = capsys.readouterr()
