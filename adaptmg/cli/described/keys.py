@@ -190,8 +190,8 @@ SECTIONS: dict[str, dict[str, Key]] = {
         "contact_ratio": Key(_ratio, ">= 1", "with sizes: size away from contact over size at contact", "1"),
         "size_of": Key(_factor, "factor", "with sizes, several bodies, such as size_of = {block = 2}: sizes of this "
                        "body over those", "1", named=True),
-        "bisections": Key(_whole, "whole number", "grids made from one of divisions or sizes by bisection at contact, "
-                          "again and again; nested"),
+        "bisections": Key(_whole, "whole number", "how often elements at contact are bisected: nested grids on a "
+                          "single one of divisions or sizes"),
         "transfer": _named(TransferName, "with sizes: transfer between the meshes", "interpolation"),
     },
     "solver": {
