@@ -160,7 +160,7 @@ def bodies(solver: str, count: int, fineness: int, finest: int, rtol: float) -> 
     result = am.solve(am.Hierarchy.from_meshes(problem, meshes), method(rtol=rtol), throw=False)
     return {"nodes": meshes[-1].n_nodes, "contact_nodes": len(result.contact), "cycles": result.cycles,
             "work_units": result.work_units, "rate": result.rate, "residual": result.residual,
-            "outcome": result.status.name}
+            "outcome": result.status.name, "fallback": result.solver_name.partition(", then ")[2]}
 
 
 def run(context: Context) -> Section:
@@ -303,12 +303,18 @@ def bodies_table(rows: pd.DataFrame) -> Table:
         "nodes, two": two["nodes"].to_numpy(), "cycles, one": one["cycles"].loc[two.index].to_numpy(),
         "cycles, two": two["cycles"].to_numpy(), "rate, two": two["rate"].to_numpy(),
         "work, one": one["work_units"].loc[two.index].to_numpy(), "work, two": two["work_units"].to_numpy()})
-    frame["two over one"] = frame["work, two"] / frame["work, one"]
-    ends = [f"{s} {span(part['two over one'], '.2f')}" for s, part in frame.groupby("start", sort=False)]
+    # the direct solves of a method that takes over are no work
+    taken = two["fallback"].to_numpy() != ""
+    whole = ~taken & (one["fallback"].loc[two.index].to_numpy() == "")
+    frame["two over one"] = (frame["work, two"] / frame["work, one"]).where(whole)
+    if taken.any():
+        frame["taken over by, two"] = [name or "-" for name in two["fallback"]]
+    ends = [f"{s} {span(part['two over one'], '.2f')}" for s, part in frame[whole].groupby("start", sort=False)]
     return Table("hertz_bodies", frame, f"Multigrid on two bodies (cylinder on block) against one, to {RTOL:g}",
                  "One: the cylinder's meshes alone on a rigid plane, under the load that makes the contact as wide. A "
                  "work unit is a pass over the finest matrix of the problem at hand. Two over one, in work, by start: "
-                 f"{'; '.join(ends)}.",
+                 f"{'; '.join(ends)}." + " Taken over: cycles were too slow for what was left to do; the direct solves "
+                 "after them are not in the work." * bool(taken.any()),
                  {"work, one": "WU", "work, two": "WU"},
                  {"rate, two": ".2f", "work, one": ".1f", "work, two": ".1f", "two over one": ".2f"})
 

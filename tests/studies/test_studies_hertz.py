@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from study_scripts import load
 
@@ -45,6 +46,20 @@ def test_two_bodies_cost_little_more_than_one(tables):
     # 1.40 on the 407 nodes of a quick run, 1.11 to 1.20 on those of a full one
     assert len(nested) and (nested["two over one"] < 1.5).all()
     assert (frame["nodes, two"] / frame["nodes, one"] > 1.9).all()
+
+
+def test_work_that_another_method_ended_is_told_and_not_compared():
+    late = "ActiveSet from cycle 30"
+    rows = pd.DataFrame([
+        {"solver": solver, "count": count, "fineness": fineness, "nodes": 100 * count, "cycles": 10, "rate": 0.3,
+         "work_units": 20.0 * count, "fallback": late * ((solver, count, fineness) == ("zero", 2, 40))}
+        for solver in ("full", "zero") for fineness in (20, 40) for count in (1, 2)])
+    table = hertz.bodies_table(rows)
+    assert table.frame["taken over by, two"].tolist() == ["-", "-", "-", late]
+    assert table.frame["two over one"].isna().tolist() == [False] * 3 + [True]
+    assert "nested 2.00; zero 2.00. Taken over" in table.note
+    plain = hertz.bodies_table(rows.assign(fallback=""))
+    assert "Taken over" not in plain.note and "taken over by, two" not in plain.frame
 
 
 def test_refinement_near_contact_saves_nodes(tables):

@@ -44,7 +44,8 @@ class Result:
     error_estimate : float
         Estimated ||u - u_h||_A / ||u_h||_A against the exact discrete solution; NaN if the solver has none.
     rate : float
-        Asymptotic convergence rate per cycle (geometric mean of the last cycles); NaN if unknown.
+        Asymptotic convergence rate per cycle (geometric mean of the last cycles); NaN if unknown, and where the active
+        set method took over (``solver_name``).
     rtol : float
         What was asked for.
     history : dict of str to (n,) array

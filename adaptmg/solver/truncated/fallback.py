@@ -87,7 +87,8 @@ class Fallback:
             return self._given_up("the active set method", before, error)
         finally:
             self.run.start_work_units = start_work_units
-        return replace(outcome, cycles=before.cycles + outcome.cycles)
+        # Newton steps have no rate of a cycle
+        return replace(outcome, cycles=before.cycles + outcome.cycles, rate=np.nan)
 
     def _monotone(self, before: Outcome, start: np.ndarray | None) -> Outcome:
         """Cycles with the monotone correction from ``start`` (n_nodes, dim), or from zero: slower, but they go on."""
