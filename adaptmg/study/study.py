@@ -13,7 +13,7 @@ import pandas as pd
 
 from adaptmg.problem import checks
 from adaptmg.study import arguments
-from adaptmg.study.designs import Design, Points, as_design, check_length
+from adaptmg.study.designs import Design, as_design
 from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, in_turn, now
 from adaptmg.study.fingerprint import Fingerprint, environment, fingerprint
 from adaptmg.study.frame import frame
@@ -22,6 +22,7 @@ from adaptmg.study.progress import Watch, watched
 from adaptmg.study.record import Record, Value, canonical, parameter_value
 from adaptmg.study.status import StudyStatus, reasons
 from adaptmg.study.store import Store
+from adaptmg.study.stored.design import stored_design
 from adaptmg.study.stored.kept import Folder
 from adaptmg.study.stored.rows import uncollected
 
@@ -92,7 +93,7 @@ class Study:
         self._store = Store(store)
         self._files = Folder(self._store.path)
         if self.design is None:
-            self.design = self._stored_design()
+            self.design = stored_design(self._store, self.name, self.fixed)
             arguments.check_names(run, self.design.names, self.fixed)
 
     def __len__(self) -> int:
@@ -326,23 +327,6 @@ class Study:
             table = frame(self.design.names, rows, details)
         table.attrs = {"study": self.name, "fixed": dict(self.fixed)}
         return table
-
-    def _stored_design(self) -> Design:
-        """The points that the store has for this name and these fixed parameters."""
-        import json
-
-        from adaptmg.study.record import restored
-
-        keys = dict.fromkeys([*self._store.get(self.name), *self._store.points(self.name)])
-        points = [{name: restored(value) for name, value in json.loads(key).items()} for key in keys]
-        fixed = {name: canonical({name: value}) for name, value in self.fixed.items()}
-        mine = [{name: value for name, value in point.items() if name not in fixed} for point in points
-                if all(name in point and canonical({name: point[name]}) == text for name, text in fixed.items())]
-        check_length(len(mine))
-        if not mine:
-            raise ValueError(f"the store has no points of a study {self.name!r} with these fixed parameters: give "
-                             "parameters")
-        return Points(mine)
 
 
 @contextmanager
