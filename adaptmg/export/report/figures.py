@@ -21,8 +21,8 @@ __all__ = ["DENSE", "Picture", "picture_of", "small_png"]
 DENSE = 60_000
 #: bytes of an SVG that is not looked at further
 _HOPELESS = 12 * DENSE
-#: pixels of a PNG across at most: twice what it is shown at on a page of middling width
-_ACROSS = 1400
+#: pixels of a PNG across at most
+_ACROSS = 1200
 
 
 @dataclass(frozen=True)
