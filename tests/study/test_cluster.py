@@ -109,6 +109,37 @@ def test_code_that_holds_the_lock_of_python_is_stopped_too(cluster):
     assert table["error"].tolist() == ["", "TimeLimit: stopped after limit_s=1 s"] and time.monotonic() - begin < 40
 
 
+@pytest.mark.parametrize("when", ["before", "while it runs"])
+def test_processes_that_dask_gave_up_are_started_anew(when, monkeypatch, caplog):
+    """As on a machine that is so busy that they are slow to start."""
+    import dask
+
+    from adaptmg.study.cluster import executor, fitness, local_cluster
+
+    def run(n):
+        return {"m": n, "here": os.getpid()}
+
+    with local_cluster(1) as client:
+        assert dask.config.get("distributed.deploy.lost-worker-timeout") == "1h"
+        monkeypatch.setattr(executor, "_PATIENCE_S", 2.0)
+        monkeypatch.setattr(fitness, "PATIENCE_S", 2.0)
+        study = Study(run, {"n": range(3)})
+        first = study.run(progress=False, scheduler=client)
+        nanny = client.cluster.workers[0]
+
+        def give_up():
+            client.cluster.sync(nanny.close)
+
+        if when == "before":
+            give_up()
+        else:
+            monkeypatch.setattr(executor, "check_workers", lambda *_: give_up())
+        again = study.run(progress=False, scheduler=client, rerun=True)
+        assert client.cluster.workers[0] is not nanny
+    assert again["m"].tolist() == [0, 1, 2] and set(again["here"]).isdisjoint(first["here"])
+    assert "no process that computes runs is left: starting 1" in caplog.text
+
+
 def test_kernels_are_warm_before_a_clock_starts(cluster):
     def run(n):
         from adaptmg.study.cluster import in_worker

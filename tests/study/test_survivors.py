@@ -259,6 +259,8 @@ def test_a_study_does_not_wait_for_ever_for_processes_of_this_machine(local, mon
 
     monkeypatch.setattr(executor, "_PATIENCE_S", 0.02)
     monkeypatch.setattr(executor, "_LOOK_S", 0.01)
+    started = []
+    monkeypatch.setattr("adaptmg.study.cluster.fitness.revive", started.append)
     told = iter(range(20))
 
     def looked(turn):
@@ -268,17 +270,20 @@ def test_a_study_does_not_wait_for_ever_for_processes_of_this_machine(local, mon
 
     runs = object.__new__(executor._Runs)
     runs._back, runs._out, runs._left, runs._alone = executor.queue.SimpleQueue(), {}, [], []
-    runs._client = SimpleNamespace(
-        cluster=object.__new__(executor.LocalCluster) if local else None, scheduler=SimpleNamespace(address="tcp://s"),
-        nthreads=lambda: looked(next(told)))
+    from distributed.core import Status
+
+    processes = object.__new__(executor.LocalCluster)
+    processes.worker_spec, processes.status = {0: None}, Status.closed  # it cannot be closed
+    runs._client = SimpleNamespace(cluster=processes if local else None, scheduler=SimpleNamespace(address="tcp://s"),
+                                   nthreads=lambda: looked(next(told)))
     if local:
         with pytest.raises(OSError, match="does not start them again"):
             runs._come_back()
         assert next(told) == 6  # three times in turn
+        assert started == [processes] * 4  # twice before the worker of turn 2, and twice after
     else:
-        assert runs._come_back() == [("run", None)]
+        assert runs._come_back() == [("run", None)] and not started
     assert "has no workers: 0 runs wait" in caplog.text
-    runs._client.cluster = None  # what was made without its __init__ cannot be closed
 
 
 def test_a_function_that_carries_too_much_is_refused():

@@ -29,7 +29,7 @@ from distributed.deploy import Cluster, LocalCluster
 
 from adaptmg.problem import checks
 from adaptmg.study.cluster import in_worker
-from adaptmg.study.cluster.fitness import check_workers, on_any_worker
+from adaptmg.study.cluster.fitness import check_workers, on_any_worker, start_again
 from adaptmg.study.cluster.identity import identity
 from adaptmg.study.cluster.local import local_cluster
 from adaptmg.study.cluster.sending import sent
@@ -230,11 +230,10 @@ class _Runs:
         """A cluster of the user's may get some; the processes of this machine should have been there again long ago."""
         if not times:
             return
-        if isinstance(self._client.cluster, LocalCluster) and times >= 3:
-            raise OSError("the processes that compute runs ended, and the system does not start them again (is it out "
-                          "of memory, or very busy?); what is done is stored: run the study again, with fewer workers")
         _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
                      len(self._out) + len(self._left) + len(self._alone))
+        if isinstance(self._client.cluster, LocalCluster):
+            start_again(self._client.cluster, times)
 
     def _far_ahead(self) -> int:
         """How many runs a worker is given at once: more where they are so short that the way would count."""

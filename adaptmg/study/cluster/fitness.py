@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import logging
 import pickle
 from collections.abc import Callable
 from typing import Any
 
-from distributed import Client
+from distributed import Client, LocalCluster
 
 from adaptmg.study.cluster.in_worker import Order
+from adaptmg.study.cluster.local import revive
 from adaptmg.study.execute import error_text
 
-__all__ = ["check_workers", "on_any_worker"]
+__all__ = ["check_workers", "on_any_worker", "start_again"]
 
 _log = logging.getLogger(__name__)
 
 #: how long a cluster may take to have a worker
 PATIENCE_S = 60.0
+#: how often it is looked for before processes of this machine are given up
+_TRIES = 3
 
 
 def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
@@ -50,18 +54,30 @@ def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
 
 def _wait_for_one(client: Client, address: str) -> None:
     """Until there is a worker: as long as it takes where jobs were submitted, which may wait in a queue for hours."""
-    while True:
+    for tries in itertools.count(1):
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except TimeoutError:
-            if not getattr(client.cluster, "worker_spec", None):
+            if isinstance(client.cluster, LocalCluster):
+                start_again(client.cluster, tries)
+            elif not getattr(client.cluster, "worker_spec", None):
                 raise OSError(f"the scheduler {address} has no workers after {PATIENCE_S:g} s: start some with 'dask "
                               f"worker {address} --nthreads 1', or, where they come later, wait for the first "
                               "(client.wait_for_workers(1)); a cluster that adapts needs a minimum of them") from None
-            _log.warning("the scheduler %s has no workers yet: %d were asked for", address,
-                         len(client.cluster.worker_spec))
+            else:
+                _log.warning("the scheduler %s has no workers yet: %d were asked for", address,
+                             len(client.cluster.worker_spec))
         else:
             return
+
+
+def start_again(cluster: LocalCluster, tries: int) -> None:
+    """Start processes of this machine anew, of which none is left; OSError after some tries."""
+    if tries == _TRIES:
+        raise OSError("the processes that compute runs ended, and the system does not start them again (is it out of "
+                      "memory, or very busy?); what is done is stored: run the study again, with fewer workers")
+    _log.warning("no process that computes runs is left: starting %d", len(cluster.worker_spec))
+    revive(cluster)
 
 
 def _fitness(order: bytes) -> Callable[[], str]:

@@ -14,10 +14,11 @@ from typing import Any
 
 import dask.config
 from distributed import Client, LocalCluster
+from distributed.core import Status
 
 from adaptmg.problem import checks
 
-__all__ = ["local_cluster"]
+__all__ = ["local_cluster", "revive"]
 
 #: set before a worker imports anything: one thread everywhere
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
@@ -28,6 +29,8 @@ _CONFIG = {
     # a worker that waits because memory is short would wait for ever: runs hand nothing on
     "distributed.worker.memory.target": False, "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False, "distributed.worker.memory.terminate": False,
+    # a process may be slow to start again where the machine is busy: after 15 s dask would give it up for good
+    "distributed.deploy.lost-worker-timeout": "1h",
     "distributed.worker.multiprocessing-method": "spawn",
     # nobody looks at the dashboard: no samples of what is running a hundred times a second
     "distributed.worker.profile.enabled": False, "distributed.admin.system-monitor.interval": "5s",
@@ -67,6 +70,18 @@ def local_cluster(workers: int) -> Iterator[Client]:
             yield client
         finally:
             _end(cluster, client)
+
+
+def revive(cluster: LocalCluster) -> None:
+    """Start processes anew that dask gave up, or could not start; those that are starting are left alone."""
+    async def forget() -> None:
+        for name, nanny in list(cluster.workers.items()):
+            if nanny.status in (Status.closed, Status.failed):
+                del cluster.workers[name]
+
+    cluster.sync(forget)
+    # as many as before: starts what is not there
+    cluster.scale(len(cluster.worker_spec))
 
 
 def _end(cluster: LocalCluster, client: Client | None) -> None:
