@@ -123,6 +123,7 @@ def test_processes_that_dask_gave_up_are_started_anew(when, monkeypatch, caplog)
         assert dask.config.get("distributed.deploy.lost-worker-timeout") == "1h"
         monkeypatch.setattr(executor, "_PATIENCE_S", 2.0)
         monkeypatch.setattr(fitness, "PATIENCE_S", 2.0)
+        monkeypatch.setattr(fitness, "_TRIES", 50)
         study = Study(run, {"n": range(3)})
         first = study.run(progress=False, scheduler=client)
         nanny = client.cluster.workers[0]
