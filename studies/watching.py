@@ -78,8 +78,8 @@ class Watching:
         """How many studies and runs are done, and what goes on, the newest first."""
         seconds = int(time.monotonic() - self._begin)
         going = [f"{watch.name} {watch.done}/{watch.total}" for watch in reversed(self._now.values())]
-        return "; ".join([f"{seconds // 60}:{seconds % 60:02} min, {self._ended} of {self._studies} studies and "
-                          f"{self._runs} runs done", *going])
+        return "; ".join([f"{seconds // 60}:{seconds % 60:02} min, {self._ended} of {self._studies} studies done, "
+                          f"runs: {self._runs}", *going])
 
     def _tell(self) -> None:
         if self._line is not None:

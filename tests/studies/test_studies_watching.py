@@ -31,12 +31,12 @@ def seen(terminal: bool, every: float = 0.0) -> str:
 def test_elsewhere_there_are_lines():
     lines = seen(False).splitlines()
     assert [re.sub(r"\d:\d\d min", "m:ss min", line) for line in lines] == [
-        "m:ss min, 0 of 2 studies and 1 runs done; bars.one_grid 1/3",
-        "m:ss min, 0 of 2 studies and 2 runs done; joints.several_grids 1/3; bars.one_grid 1/3",
-        "m:ss min, 0 of 2 studies and 3 runs done; bars.one_grid 2/3; joints.several_grids 1/3",
-        "m:ss min, 0 of 2 studies and 4 runs done; joints.several_grids 1/3",
+        "m:ss min, 0 of 2 studies done, runs: 1; bars.one_grid 1/3",
+        "m:ss min, 0 of 2 studies done, runs: 2; joints.several_grids 1/3; bars.one_grid 1/3",
+        "m:ss min, 0 of 2 studies done, runs: 3; bars.one_grid 2/3; joints.several_grids 1/3",
+        "m:ss min, 0 of 2 studies done, runs: 4; joints.several_grids 1/3",
         "the table", "[1/2] bars: done after 2 s",
-        "m:ss min, 1 of 2 studies and 4 runs done; joints.several_grids 1/3", "[2/2] joints: done after 3 s"]
+        "m:ss min, 1 of 2 studies done, runs: 4; joints.several_grids 1/3", "[2/2] joints: done after 3 s"]
 
 
 def test_elsewhere_lines_are_not_many():
@@ -45,7 +45,7 @@ def test_elsewhere_lines_are_not_many():
 
 def test_on_a_terminal_a_line_is_cut_and_away_while_tables_are_printed():
     text = seen(True)
-    assert "runs done" in text and text.count("done after") == 2
+    assert "studies done" in text and text.count("done after") == 2
     at = text.index("the table")
     assert text[:at].rpartition("\x1b[?25")[2].startswith("h")  # the cursor is back: nothing is drawn any more
     plain = re.sub(r"\x1b\[[^a-zA-Z]*[a-zA-Z]", "", text)

@@ -252,6 +252,20 @@ def test_runs_are_sent_ahead_only_while_no_worker_has_died_and_they_are_short():
         assert runs._far_ahead() == 1
 
 
+@pytest.mark.parametrize(("since", "told"), [(3.2, None), (4.8, "TimeLimit: stopped after limit_s=3 s")])
+def test_a_death_that_is_told_of_late_is_no_time_limit(since, told):
+    """Code that holds Python's lock is ended two seconds after its limit, without a word."""
+    executor = pytest.importorskip("adaptmg.study.cluster.executor")
+    runs = object.__new__(executor._Runs)
+    runs._limit_s, runs._over, runs._left, runs._alone = 3.0, {}, executor.deque(), executor.deque()
+    now = executor.time.monotonic()
+    run = executor._Run({"n": 6}, 1, now - since, None, False, now - since)
+    runs._out = {"run": run}
+    found = runs._outcome("run", executor.KilledWorker("run", None, 0))
+    assert found is None if told is None else found[1].error == told
+    assert list(runs._left) == ([({"n": 6}, 2)] if told is None else [])
+
+
 @pytest.mark.parametrize("local", [True, False])
 def test_a_study_does_not_wait_for_ever_for_processes_of_this_machine(local, monkeypatch, caplog):
     executor = pytest.importorskip("adaptmg.study.cluster.executor")

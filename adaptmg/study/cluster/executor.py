@@ -263,8 +263,10 @@ class _Runs:
             return run.point, result
         seconds = time.monotonic() - run.sent
         error = result[1] if isinstance(result, tuple) else result
-        if not why and isinstance(error, KilledWorker) and time.monotonic() - run.began >= self._limit_s:
-            # in code that holds Python's lock, so that the worker could not say it
+        ended_hard = self._limit_s + 0.5 * in_worker.HARD_S
+        if not why and isinstance(error, KilledWorker) and time.monotonic() - run.began >= ended_hard:
+            # in code that holds Python's lock, so that the worker could not say it; one that died earlier may be told
+            # of late
             why = f"TimeLimit: stopped after limit_s={self._limit_s:g} s"
         if why:
             return run.point, Finished(error=why, seconds=seconds, tries=run.tries)

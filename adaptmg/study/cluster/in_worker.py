@@ -60,6 +60,8 @@ class Order:
     memory_limit: int | None = None
 
 
+#: how long after its limit a run is ended that lets no other thread look, s
+HARD_S = 2.0
 _MOST_FUNCTIONS = 32
 #: by their bytes and the fingerprint that they were found to have here
 _functions: dict[tuple[bytes, str], Callable[..., Any]] = {}
@@ -158,7 +160,7 @@ def _limited(order: Order, report: Report) -> Iterator[None]:
         if order.limit_s is not None:
             report("")
             # for code that holds Python's lock, so that the other thread cannot look
-            faulthandler.dump_traceback_later(order.limit_s + 2.0, exit=True, file=nowhere)
+            faulthandler.dump_traceback_later(order.limit_s + HARD_S, exit=True, file=nowhere)
         guard.start()
         try:
             yield
