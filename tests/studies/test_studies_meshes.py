@@ -74,6 +74,14 @@ def test_medians_are_of_seconds_in_turns():
     assert table["total_s"].tolist() == [2.0, 0.0]
 
 
+def test_what_takes_long_is_run_once(monkeypatch):
+    order = []
+    clock = iter([0.0, 0.6, 1.0, 1.4, 2.0, 2.4])
+    monkeypatch.setattr(amg, "perf_counter", lambda: next(clock))
+    found = amg.medians({name: lambda name=name: order.append(name) or {"total_s": 1.0} for name in ("long", "short")}, 2)
+    assert order == ["long", "short", "short"] and set(found) == {"long: total_s", "short: total_s"}
+
+
 def test_negative_contact_weights_are_seen():
     problem, meshes = transfers.posed(2, (5e-3, 2.5e-3), 4)
     for rows in (False, True):
