@@ -20,6 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.problem import check_arrays
+from adaptmg.problem.index_arrays import narrowed
 
 __all__ = ["Coupling"]
 
@@ -74,9 +75,10 @@ class Coupling:
         by_dof.eliminate_zeros()
         object.__setattr__(self, "weights", weights)
         object.__setattr__(self, "fixed", fixed)
-        object.__setattr__(self, "upward", sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights)))
-        object.__setattr__(self, "_by_dof", by_dof)
-        object.__setattr__(self, "_series", _series(by_dof))
+        upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights))
+        object.__setattr__(self, "upward", narrowed(upward))
+        object.__setattr__(self, "_by_dof", narrowed(by_dof))
+        object.__setattr__(self, "_series", narrowed(_series(by_dof)))
 
     @property
     def dim(self) -> int:
@@ -106,7 +108,7 @@ class Coupling:
         right = sparse.bsr_array(matrix @ series)
         change = right + sparse.bsr_array(right.T) + sparse.bsr_array(series.T @ right)
         change = 0.5 * (change + sparse.bsr_array(change.T))
-        return sparse.bsr_array(matrix + change, blocksize=(dim, dim)).sorted_indices()
+        return narrowed(sparse.bsr_array(matrix + change, blocksize=(dim, dim)).sorted_indices())
 
     def prolongation(self, nodal: sparse.csr_array, coarse: Coupling) -> sparse.csr_array:
         r"""A nodal prolongation P in relative coordinates on both levels, :math:`(I - W_f)\,P\,(I - W_c)^{-1}`.
@@ -130,7 +132,7 @@ class Coupling:
         result.data[np.abs(result.data) < _ROUNDING] = 0.0
         result.eliminate_zeros()
         result.sort_indices()
-        return result
+        return narrowed(result)
 
 
 def _series(step: sparse.csr_array) -> sparse.csr_array:

@@ -206,11 +206,10 @@ def run(context: common.Context) -> common.Section:
     text = ("The GRECO bar with friction 1 on uniform grids and on a graded Netgen mesh (four times finer at "
             f"contact){block}. Algebraic multigrid: smoothed aggregation of pyamg, its defaults, block Gauss-Seidel; "
             "with rigid-body modes, or with constant vectors, as pyamg takes by default. "
-            f"Seconds are medians of {REPETITIONS} runs in turns (parts need not add up; above {LONG_S:g} s one run), alone on "
-            "one thread, "
-            "without meshing and assembly, which all methods share (the coarse grids' share apart), and without "
-            "transfers. Our block sweeps are quicker than pyamg's, so that seconds favour ours more than work units "
-            "do.")
+            f"Seconds are medians of {REPETITIONS} runs in turns (parts need not add up; above {LONG_S:g} s one run), "
+            "alone on one thread, without meshing and assembly, which all methods share (the coarse grids' share "
+            "apart), and without transfers. Our block sweeps are quicker than pyamg's, so that seconds favour ours "
+            "more than work units do.")
     return common.Section("Algebraic multigrid on the same matrices", text, [
         linear_table(glued_rows), contact_table(contact_rows), seconds_figure(glued_rows, contact_rows)],
         summary=summary(glued_rows, contact_rows))

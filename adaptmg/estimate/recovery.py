@@ -27,6 +27,7 @@ from adaptmg.estimate.recovery_kernels import (
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.runtime.compiled import read_only
 from adaptmg.solver.result import Result
 
 __all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"]
@@ -125,7 +126,7 @@ def _apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
             origin.append(again)
             n += len(again)
         taken |= used
-    return cells, mesh.points[np.concatenate(origin)]
+    return read_only(cells), read_only(mesh.points[np.concatenate(origin)])
 
 
 def _sampled(stress: ElementStress) -> np.ndarray:

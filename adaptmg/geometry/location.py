@@ -9,6 +9,7 @@ import numpy as np
 from adaptmg.geometry.box_tree import BoxTree, padded
 from adaptmg.geometry.location_kernels import affine_maps, locate
 from adaptmg.geometry.morton import morton_order
+from adaptmg.runtime.compiled import read_only
 
 __all__ = ["Location", "SimplexLocator"]
 
@@ -63,7 +64,7 @@ class SimplexLocator:
         self.tree = BoxTree(points, elements[chosen])
         self.element_of = chosen[self.tree.order].astype(np.int32)
         self.maps = np.empty((len(chosen), self.dim * (self.dim + 1)))
-        affine_maps(self.tree.points, self.tree.simplices, self.maps)
+        affine_maps(self.tree.points, read_only(self.tree.simplices), self.maps)
         if not np.isfinite(self.maps.sum()) and (bad := ~np.isfinite(self.maps).all(axis=1)).any():
             raise ValueError(f"mesh: element {self.element_of[np.argmax(bad)]} has no volume; remove degenerate "
                              "elements")

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.problem.checks import shown
+from adaptmg.problem.index_arrays import narrowed
 
 __all__ = ["array", "sparse_matrix", "square_blocks", "vector"]
 
@@ -78,7 +79,8 @@ def sparse_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = 
     """Return a scipy sparse matrix of real, finite numbers, its index arrays read in full.
 
     Compiled code follows index arrays wherever they point, so that each must lie inside the matrix and the row
-    pointers must rise from 0 to the number of entries. Bsr, csr and csc matrices stay what they are; others become csr.
+    pointers must rise from 0 to the number of entries. Bsr, csr and csc matrices stay what they are, with indices of 32
+    bits where these suffice; others become csr.
 
     Parameters
     ----------
@@ -107,7 +109,7 @@ def sparse_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = 
         raise TypeError(f"{name} must hold real numbers, got {value.data.dtype}")
     if not np.isfinite(value.data).all():
         raise ValueError(f"{name} must be finite; {np.count_nonzero(~np.isfinite(value.data))} entries are not")
-    return value
+    return narrowed(value)
 
 
 def square_blocks(name: str, value: Any, size: int) -> sparse.bsr_array:

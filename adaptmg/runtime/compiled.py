@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from numba import njit
 from numba.core.registry import CPUDispatcher
 
-__all__ = ["inner_kernel", "kernel"]
+__all__ = ["inner_kernel", "kernel", "read_only"]
 
 
 def kernel(function: Callable | None = None, **options: Any) -> Any:
@@ -33,6 +34,13 @@ def inner_kernel(function: Callable | None = None, **options: Any) -> Any:
         return compiled
 
     return inner if function is None else inner(function)
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """A view that nobody writes to: kernels are compiled once for those, and once more for arrays that one may."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 class _Inner(CPUDispatcher):

@@ -78,7 +78,8 @@ def test_what_takes_long_is_run_once(monkeypatch):
     order = []
     clock = iter([0.0, 0.6, 1.0, 1.4, 2.0, 2.4])
     monkeypatch.setattr(amg, "perf_counter", lambda: next(clock))
-    found = amg.medians({name: lambda name=name: order.append(name) or {"total_s": 1.0} for name in ("long", "short")}, 2)
+    calls = {name: lambda name=name: order.append(name) or {"total_s": 1.0} for name in ("long", "short")}
+    found = amg.medians(calls, 2)
     assert order == ["long", "short", "short"] and set(found) == {"long: total_s", "short: total_s"}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.runtime.compiled import kernel
+from adaptmg.runtime.compiled import kernel, read_only
 
 __all__ = ["cells_around"]
 
@@ -42,5 +42,5 @@ def cells_around(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.nda
         Those of node i in ``start[i] .. start[i + 1]``, ascending.
     """
     start, items = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int64)
-    _fill(elements, start, items)
+    _fill(read_only(elements), start, items)
     return start, items
