@@ -220,6 +220,26 @@ def test_limits_are_refused_where_nobody_starts_a_worker_again():
             check_workers(client, SimpleNamespace(**limits), {})
 
 
+def test_a_worker_that_leaves_while_it_is_looked_at_is_no_unfit_one(caplog):
+    pytest.importorskip("distributed")
+    from types import SimpleNamespace
+
+    from distributed.comm import CommClosedError
+
+    from adaptmg.study.cluster.fitness import check_workers
+    from adaptmg.study.cluster.in_worker import Order
+
+    found = {"tcp://w": CommClosedError("reset by peer"), "tcp://v": ""}
+    client = SimpleNamespace(scheduler=SimpleNamespace(address="tcp://s"), wait_for_workers=lambda n, timeout: None,
+                             scheduler_info=lambda n_workers: {"workers": {}}, run=lambda *a, **k: found)
+    order = Order(b"", "", "", (), False, None, None)
+    check_workers(client, order, {})
+    assert "the worker tcp://w left while it was looked at" in caplog.text
+    found["tcp://v"] = OSError("no such file")
+    with pytest.raises(RuntimeError, match="tcp://v cannot compute this study: OSError: no such file"):
+        check_workers(client, order, {})
+
+
 def test_no_more_processes_are_started_than_there_are_runs(monkeypatch):
     pytest.importorskip("distributed")
     from contextlib import contextmanager

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from distributed import Client, LocalCluster
+from distributed.comm import CommClosedError
 
 from adaptmg.study.cluster.in_worker import Order
 from adaptmg.study.cluster.local import revive
@@ -48,7 +49,9 @@ def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
                              "memory_limit ended it: start workers without --no-nanny")
     for name, found in client.run(_fitness(pickle.dumps((order, parts))), on_error="return").items():
         told = found if isinstance(found, str) else error_text(found)
-        if told:
+        if isinstance(found, CommClosedError):
+            _log.warning("the worker %s left while it was looked at", name)
+        elif told:
             raise RuntimeError(f"the worker {name} cannot compute this study: {told}")
 
 
