@@ -32,6 +32,8 @@ __all__ = ["Bisect"]
 _TRIES = 12
 _ENOUGH, _AIM = 0.9, 0.95
 _POWER = 0.7
+# elements below this part of the largest coordinate are not bisected: rounding would decide on their shape
+_FINEST = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +43,9 @@ class Bisect:
     Parameters
     ----------
     coarsen : float or False
-        Part of the sum of squares, above 0 and below 1, that the elements hold which may become coarser, those with the
-        smallest squares; .01 to .05 are sensible. False: nothing becomes coarser, and meshes are nested (but for nodes
-        moved onto curves).
+        The elements with the smallest squares may become coarser; together they hold at most this part of the sum of
+        squares of the marked elements. Above 0 and below 1; .02 to .1 are sensible. Nothing is taken back where the
+        mesh would not grow. False: nothing becomes coarser, and meshes are nested (but for nodes moved onto curves).
     passes : int, optional
         How often a marked element is bisected, >= 1. By default until all its edges are halved: 4 triangles, at least
         8 tetrahedra. With 1 meshes grow least, and the loop takes more steps.
@@ -60,7 +62,7 @@ class Bisect:
     def __post_init__(self) -> None:
         if self.coarsen is not False:
             if isinstance(self.coarsen, bool):
-                raise TypeError("coarsen must be a part of the sum of squares (.01 to .05 are sensible) or False, got "
+                raise TypeError("coarsen must be a part of the sum of squares (.02 to .1 are sensible) or False, got "
                                 "True")
             object.__setattr__(self, "coarsen", checks.positive("coarsen", self.coarsen))
             if not self.coarsen < 1:
@@ -100,7 +102,8 @@ class Bisect:
         Returns
         -------
         MeshArrays
-            Sound, with its history. The same object where nothing is marked, or ``max_nodes`` leaves no room.
+            Sound, with its history. The same object where nothing is marked, ``max_nodes`` leaves no room, or the
+            marked elements are so small that coordinates cannot tell finer ones apart.
         """
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
         marked = check_marked(check_mesh(mesh), marked)
@@ -108,14 +111,16 @@ class Bisect:
         if squares.shape != marked.shape:
             raise ValueError(f"estimate is of {len(squares)} elements, but mesh has {len(marked)}")
         limit = np.inf if max_nodes is None else checks.integer("max_nodes", max_nodes, 1)
+        marked = marked & (mesh.volumes > (_FINEST * np.abs(mesh.points).max()) ** mesh.dim)
         if not marked.any():
             return mesh
-        start = mesh
         if self.coarsen is not False:
-            smaller = coarsened(mesh, _least(squares, self.coarsen) & ~marked, 1)
-            start, marked, squares = smaller.mesh, marked[smaller.origin], squares[smaller.origin]
-        fine = self._within(start, squares, marked, limit)
-        return mesh if fine is None else onto_domain(problem.domain, fine, start.n_nodes)
+            smaller = coarsened(mesh, _least(squares, self.coarsen * squares[marked].sum()) & ~marked, 1)
+            fine = self._within(smaller.mesh, squares[smaller.origin], marked[smaller.origin], limit)
+            if fine is not None and fine.n_nodes > mesh.n_nodes:
+                return onto_domain(problem.domain, fine, smaller.mesh.n_nodes)
+        fine = self._within(mesh, squares, marked, limit)
+        return mesh if fine is None else onto_domain(problem.domain, fine, mesh.n_nodes)
 
     def _within(self, mesh: MeshArrays, squares: np.ndarray, marked: np.ndarray, limit: float) -> MeshArrays | None:
         """Refined, with fewer elements marked until the nodes are within the limit; None if not even one is."""
@@ -144,9 +149,9 @@ class Bisect:
         return best
 
 
-def _least(squares: np.ndarray, part: float) -> np.ndarray:
-    """Mask of the elements with the smallest squares that together hold no more than a part of their sum."""
+def _least(squares: np.ndarray, most: float) -> np.ndarray:
+    """Mask of the elements with the smallest squares, whose sum is at most ``most``."""
     order = np.argsort(squares, kind="stable")
     least = np.zeros(len(squares), dtype=bool)
-    least[order] = np.cumsum(squares[order]) <= part * squares.sum()
+    least[order] = np.cumsum(squares[order]) <= most
     return least

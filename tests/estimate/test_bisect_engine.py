@@ -104,6 +104,30 @@ def test_coarsening_follows_a_moving_front():
     assert both[0] > mesh.n_nodes and both[0] <= both[1]
 
 
+def test_coarsening_takes_less_than_the_marks_gain():
+    """Few marks and many elements with little: by a part of all squares the mesh would shrink, and the loop end."""
+    fine = bisect(MESH, np.ones(len(MESH.elements), dtype=bool))[0]
+    squares = np.full(len(fine.elements), 1e-4)
+    squares[:3] = 1.0
+    estimate = am.Estimate(squares=squares, norm=1.0)
+    marked = squares == 1.0
+    for part in (0.005, 0.5):
+        assert verified(am.Bisect(coarsen=part).refine(PROBLEM, fine, estimate, marked)).n_nodes > fine.n_nodes
+
+
+def test_an_element_that_is_always_marked_becomes_no_smaller_than_coordinates_tell():
+    mesh = structured(PROBLEM.domain, 2)
+    for _ in range(60):
+        before, marked = mesh, np.zeros(len(mesh.elements), dtype=bool)
+        marked[0] = True
+        mesh = am.Bisect().refine(PROBLEM, before, am.Estimate(squares=marked * 1.0, norm=1.0), marked)
+        if mesh is before:
+            break
+    assert mesh is before
+    edge = np.sqrt(verified(mesh).volumes.min()) / np.abs(mesh.points).max()
+    assert 1e-10 < edge < 1e-8
+
+
 @pytest.mark.parametrize(("arguments", "error", "message"), [
     ({"coarsen": True}, TypeError, "coarsen must be a part of the sum of squares"),
     ({"coarsen": 1.0}, ValueError, "coarsen must be below 1"),

@@ -224,8 +224,8 @@ SECTIONS: dict[str, dict[str, Key]] = {
         "mark": _named(MarkName, "which elements are marked", "doerfler"),
         "theta": Key(_share, "0 to 1", "doerfler: share of the squared estimate that is marked; "
                      "maximum: share of the largest above which an element is", "0.5"),
-        "coarsen": Key(_share, "0 to 1", "bisect: share of the squared estimate that the elements "
-                       "hold which become coarser", "none do"),
+        "coarsen": Key(_share, "0 to 1", "bisect: elements become coarser that hold this share of what "
+                       "the marked ones hold", "none do"),
         "goal": _named(GoalName, "indicator goal: the quantity", ""),
         "goal_boundary": Key(checks.boundary_name, "name", "where, for mean-displacement, contact-force and opening",
                              "contact"),
