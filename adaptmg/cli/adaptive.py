@@ -25,7 +25,7 @@ def limits(tolerance: float | None, max_nodes: int | None, max_seconds: float | 
     return given or {"max_nodes": _NODES}
 
 
-def stepped(problem: am.ContactProblem, start: float, indicator: IndicatorName, engine: EngineName, theta: float,
+def stepped(problem: am.ContactProblem, start: float | None, indicator: IndicatorName, engine: EngineName, theta: float,
             stops: dict[str, Any], store: Path | None, progress: Callable[[dict[str, Any]], None] | None,
             say: Callable[[str], None]) -> list[am.Step]:
     """Go through the loop and say each step."""

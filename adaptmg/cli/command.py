@@ -134,7 +134,7 @@ def solve(
 def adapt(
     case: Annotated[str, typer.Argument(help="Name of a case, see 'adaptmg cases'.")],
     start: Annotated[float | None, typer.Option(
-        show_default="5e-3", help="Element size of the first mesh, m.")] = None,
+        show_default="an eighth of a body", help="Element size of the first mesh, m.")] = None,
     tolerance: Annotated[float | None, typer.Option(
         help="Stop when the estimate is so small, relative to the energy norm of the displacement.")] = None,
     max_nodes: Annotated[int | None, typer.Option(
@@ -170,7 +170,7 @@ def adapt(
         with watched_loop() as progress:
             # lines would run into the bar: they wait until it has gone
             say = told.append if as_json or progress is not None else _say
-            steps = adaptive.stepped(problem, 5e-3 if start is None else start, indicator, engine, theta,
+            steps = adaptive.stepped(problem, start, indicator, engine, theta,
                                      adaptive.limits(tolerance, max_nodes, max_seconds), store, progress, say)
         files = [] if folder is None else adaptive.write(folder, problem, steps)
         if as_json:

@@ -111,9 +111,37 @@ def test_seconds_end_the_loop():
     assert len(found) == 1 and "max_seconds" in found[0].outcome
 
 
-def test_a_first_mesh_beyond_the_limit_is_solved_all_the_same():
-    found = list(am.adapt(upset(), COARSE, engine=BISECT, max_nodes=5))
-    assert len(found) == 1 and found[0].result.status.ok and "max_nodes" in found[0].outcome
+@pytest.mark.parametrize("engine", [BISECT, am.Remesh()])
+def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
+    """Also of a mesh that is given; a size that asks for far more is refused before Netgen is called."""
+    problem = upset()
+    mesh = structured(problem.domain, 9)
+    with pytest.raises(ValueError, match=r"max_nodes must be at least 100, .* got 99; or take a coarser start"):
+        am.adapt(problem, mesh, engine=engine, max_nodes=99)
+    assert next(am.adapt(problem, mesh, engine=engine, max_nodes=100)).nodes == 100
+    with pytest.raises(ValueError, match="max_nodes must be at least"):
+        am.adapt(problem, COARSE, engine=engine, max_nodes=30)
+    for module in ("mesh.netgen.grading.netgen_mesh", "estimate.bisect_engine.structured"):
+        monkeypatch.setattr(f"adaptmg.{module}", lambda *a, **o: pytest.fail("meshed"))
+    for start in (1e-4, 1e-200):
+        with pytest.raises(ValueError, match=r"start must be at least 0\.00096 m for max_nodes=2000, got"):
+            am.adapt(problem, start, engine=engine, max_nodes=2000)
+        with pytest.raises(ValueError, match=r"start must be at least .* for max_seconds=3, got"):
+            am.adapt(problem, start, engine=engine, max_nodes=10**7, max_seconds=3)
+
+
+@pytest.mark.parametrize("case, size", [
+    ("upset_block", 5e-3), ("flat_punch", 5e-2), ("coulomb_transition", 0.18), ("hertz_cylinder", 5.9e-3),
+    ("bolted_junction", 6.9e-3)])
+@pytest.mark.parametrize("engine", [BISECT, am.Remesh()])
+def test_the_first_size_follows_the_domain(case, size, engine):
+    """Bodies of 40 mm and of 2 m begin with about a hundred nodes each, and with contact nodes where contact is short."""
+    problem = getattr(am.cases, case)()
+    first = next(am.adapt(problem, engine=engine, max_nodes=400)).hierarchy
+    assert 60 <= first.finest.n_nodes / len(problem.domain.bodies) <= 140
+    assert len(first.finest.discrete.contact) >= 4
+    if first.origin.startswith("graded"):
+        assert f"graded {size:g} m" in first.origin
 
 
 def test_the_generator_may_be_broken_off():

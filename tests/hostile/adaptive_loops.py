@@ -47,7 +47,7 @@ def _arguments():
 
     yield Hostile("problem None", lambda: am.adapt(None, max_nodes=9), "problem")
     yield Hostile("problem class", lambda: am.adapt(am.ContactProblem, max_nodes=9), "problem")
-    for label, value in values(nan=NAN, zero=0.0, infinite=np.inf, text="5 mm", flag=True, listed=[5e-3], nothing=None,
+    for label, value in values(nan=NAN, zero=0.0, infinite=np.inf, text="5 mm", flag=True, listed=[5e-3],
                                complex=1j, tiny=1e-9, array=np.ones(2), matrix=np.eye(3), mesh_class=MeshArrays,
                                hierarchy_class=am.Hierarchy, result=lambda: 3):
         yield Hostile(f"start {label}", lambda v=value: _loop(v), "start", (TypeError, ValueError, FileNotFoundError))

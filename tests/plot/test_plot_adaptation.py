@@ -56,7 +56,7 @@ def test_the_map_covers_the_decades_of_the_indicator(steps):
 
 
 def test_one_step_and_three_dimensions():
-    loop = am.adapt(am.cases.greco_block(), 20e-3, engine=am.Bisect(), max_nodes=10)
+    loop = am.adapt(am.cases.greco_block(), 20e-3, engine=am.Bisect(), max_nodes=30)
     figure = am.plot.adaptation([next(loop)])
     figure.savefig(io.BytesIO())
     assert sum(ax.name == "3d" for ax in figure.axes) == 2

@@ -218,7 +218,7 @@ SECTIONS: dict[str, dict[str, Key]] = {
                           "100; single-grid 200000, active-set 60"),
     },
     "adapt": {
-        "start": Key(_length, "m", "element size of the first mesh", "5e-3"),
+        "start": Key(_length, "m", "element size of the first mesh", "an eighth of a body"),
         "indicator": _named((*IndicatorName, "goal"), "what estimates the error; goal: of one quantity", "residual"),
         "engine": _named(EngineName, "meshes made anew by sizes, or marked elements bisected", "remesh"),
         "mark": _named(MarkName, "which elements are marked", "doerfler"),

@@ -119,7 +119,7 @@ def adaptation(task: am.ContactProblem, settings: Settings) -> dict[str, Any]:
     # errors of single quantities scatter less on Netgen's own meshes
     engine = am.Bisect(coarsen=given.get("coarsen", False)) if bisect else am.Remesh(refinements=0) if goal else \
         am.Remesh()
-    return {"start": given.get("start", 5e-3), "indicator": indicator, "mark": kind(given.get("theta", 0.5)),
+    return {"start": given.get("start"), "indicator": indicator, "mark": kind(given.get("theta", 0.5)),
             "engine": engine, "solver": solver(settings) if section(settings, "solver") else None,
             "load_path": load_path(settings), **stops}
 

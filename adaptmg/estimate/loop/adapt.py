@@ -10,16 +10,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from adaptmg.estimate.loop.expected import Limits
 from adaptmg.estimate.loop.fingerprint import loop_fingerprint
-from adaptmg.estimate.loop.given import sound_mesh
+from adaptmg.estimate.loop.first import first_hierarchy
 from adaptmg.estimate.loop.step import Step
 from adaptmg.estimate.loop.store import LoopStore
 from adaptmg.estimate.loop.walk import AdaptiveWalk, Parts
-from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import ContactProblem, LoadPath, checks
 
 if TYPE_CHECKING:
@@ -29,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["adapt"]
 
 
-def adapt(problem: ContactProblem, start: Any = 5e-3, indicator: Any = None, mark: Any = None, engine: Any = None, *,
+def adapt(problem: ContactProblem, start: Any = None, indicator: Any = None, mark: Any = None, engine: Any = None, *,
           tolerance: float | None = None, max_nodes: int | None = None, max_seconds: float | None = None,
           store: str | os.PathLike[str] | None = None, transfer: Transfer | None = None, solver: Solver | None = None,
           load_path: LoadPath | None = None, adapt_on: str = "last",
@@ -39,8 +37,10 @@ def adapt(problem: ContactProblem, start: Any = 5e-3, indicator: Any = None, mar
     Parameters
     ----------
     problem : ContactProblem
-    start : float, MeshArrays, ngsolve.Mesh, path of a mesh file or Hierarchy
-        The first mesh, or its element size in m. Of a hierarchy, which stays as it is, the finest.
+    start : float, MeshArrays, ngsolve.Mesh, path of a mesh file or Hierarchy, optional
+        The first mesh, or its element size in m, with at least three elements along each contact boundary in the plane.
+        Of a hierarchy, which is not changed, the finest mesh. Default: an eighth of the square root of the mean area of
+        the bodies (3D: of the cube root of the mean volume).
     indicator : Residual, Recovery, Goal or one's own, optional
         Anything with ``indicate(hierarchy, result) -> Estimate``. Default ``Residual()``.
     mark : Doerfler, Maximum or one's own, optional
@@ -54,9 +54,9 @@ def adapt(problem: ContactProblem, start: Any = 5e-3, indicator: Any = None, mar
     tolerance : float, optional
         Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity).
     max_nodes : int, optional
-        No mesh has more.
+        No mesh has more; a first mesh that has more is refused, a size that asks for far more before it is meshed.
     max_seconds : float, optional
-        No step is begun after so many, meshes included.
+        No step is begun after so many, meshes included. A size of the first mesh is refused that needs many more.
     store : path, optional
         A folder where every step is kept at once. A loop that was interrupted, or killed, goes on after its last
         complete step, and ends with the same numbers; steps that are there are yielded again. A folder with steps of
@@ -82,7 +82,7 @@ def adapt(problem: ContactProblem, start: Any = 5e-3, indicator: Any = None, mar
     Raises
     ------
     TypeError, ValueError
-        Bad arguments, at once; no limit at all; a store of something else.
+        Bad arguments, immediately; no limit at all; a first mesh beyond the limits; a store of something else.
     NotConverged
         If a step cannot be solved.
 
@@ -96,7 +96,7 @@ def adapt(problem: ContactProblem, start: Any = 5e-3, indicator: Any = None, mar
     parts = Parts(*_parts(problem, indicator, mark, engine), solver, load_path, adapt_on)
     _check(parts)
     checks.optional_callable("progress", progress, "what is being done")
-    first = _first(problem, start, transfer, parts.engine)
+    first = first_hierarchy(problem, start, transfer, parts.engine, limits)
     kept = None
     if store is not None:
         options = {"indicator": parts.indicator, "mark": parts.mark, "engine": parts.engine, "solver": parts.solver,
@@ -135,39 +135,3 @@ def _check(parts: Parts) -> None:
     if parts.load_path is not None:
         checks.instance("load_path", parts.load_path, LoadPath, "a LoadPath")
     checks.choice("adapt_on", parts.adapt_on, ("last", "worst"))
-
-
-def _first(problem: ContactProblem, start: Any, transfer: Transfer | None, engine: Any) -> Hierarchy:
-    """The hierarchy that the loop begins with."""
-    if isinstance(start, Hierarchy):
-        if start.problem is not problem:
-            raise ValueError(f"start is a hierarchy for another problem ({start.problem and start.problem.name}): make "
-                             "it for the one that is given, or give a mesh")
-        if transfer is not None:
-            raise ValueError("transfer: the hierarchy that is given as start has its own; make it with that transfer")
-        without = [k for k, level in enumerate(start.levels) if level.mesh is None]
-        if without:
-            raise ValueError(f"start: levels {without} of the hierarchy have no mesh; make it from meshes")
-        return start
-    mesh = start
-    if isinstance(start, (int, float)) or (hasattr(start, "__float__") and not isinstance(start, type)):
-        size, make = checks.positive("start", start), getattr(engine, "first", None)
-        with _named("start"):
-            mesh = make(problem, size) if callable(make) else None
-            if mesh is None:
-                return Hierarchy.graded(problem, (size,), transfer=transfer)
-        sound_mesh(engine, "first", problem, mesh)
-    with _named("start"):
-        return Hierarchy.from_meshes(problem, (mesh,), transfer)
-
-
-@contextmanager
-def _named(name: str) -> Iterator[None]:
-    """Name the argument in messages on the mesh that is made of it; others speak of the problem or the transfer."""
-    try:
-        yield
-    except (TypeError, ValueError, FileNotFoundError) as error:
-        kind = next(kind for kind in (TypeError, ValueError, FileNotFoundError) if isinstance(error, kind))
-        if not str(error).startswith(("mesh", "size", "divisions")):
-            raise
-        raise kind(f"{name}: {error}") from error

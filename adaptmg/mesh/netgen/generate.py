@@ -28,14 +28,15 @@ from adaptmg.mesh.netgen.outline import onto_outline, plane_measures, spline_geo
 from adaptmg.mesh.netgen.thin import refuse_thin
 from adaptmg.problem.domains import Box, Domain, Outline
 
-__all__ = ["SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh", "refine_uniformly",
+__all__ = ["NODES_PER_CELL", "SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh", "refine_uniformly",
            "refuse_too_many"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 
 # seconds: several times what meshes of that many nodes take
 _LIMIT_S = {2: 20_000.0, 3: 70_000.0}
-_NODES_PER_CELL = {2: 1.15, 3: 1.4}
+#: nodes over volume / h^dim
+NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 
 def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
@@ -96,7 +97,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
 
 def expected_nodes(mesh: MeshArrays, wanted: np.ndarray) -> float:
     """About how many nodes a mesh with the sizes ``wanted`` (n_elements,) on the elements of ``mesh`` has."""
-    return _NODES_PER_CELL[mesh.dim] * float(np.sum(mesh.volumes / wanted**mesh.dim))
+    return NODES_PER_CELL[mesh.dim] * float(np.sum(mesh.volumes / wanted**mesh.dim))
 
 
 def refuse_too_many(nodes: float, domain: Domain) -> None:
@@ -129,7 +130,7 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
         cells = volume * np.float64(1 / max_size) ** domain.dim
         for name, h in side_sizes.items():
             cells += areas[name] / ((domain.dim - 1) * grading) * np.float64(1 / h) ** (domain.dim - 1)
-    return float(_NODES_PER_CELL[domain.dim] * cells)
+    return float(NODES_PER_CELL[domain.dim] * cells)
 
 
 def one_mesh(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],

@@ -34,7 +34,7 @@ from adaptmg.mesh.topology import facet_keys, facet_table
 from adaptmg.problem import checks
 from adaptmg.problem.domains import Assembly, Box, Domain, Outline, Polygon, Rectangle, SolidDomain, StepFile
 
-__all__ = ["graded", "sized"]
+__all__ = ["check_domain", "graded", "sized"]
 
 SizeFunction = float | Callable[[np.ndarray], np.ndarray]
 
@@ -81,7 +81,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         On an unknown domain or boundary, sizes <= 0, a ratio < 1, an outline that crosses itself, sizes that ask for
         more than 5 million nodes (3D: 2 million), or where Netgen fails.
     """
-    _check_domain(domain)
+    check_domain(domain)
     names = (contact_boundaries,) if isinstance(contact_boundaries, str) else tuple(contact_boundaries)
     if isinstance(domain, StepFile):
         return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), _grading(grading))
@@ -179,7 +179,7 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
         On an unknown domain, sizes <= 0 or not finite, sizes that ask for more than 5 million nodes (3D: 2
         million), or where Netgen fails.
     """
-    _check_domain(domain)
+    check_domain(domain)
     if isinstance(domain, StepFile):
         return step_mesh(domain, max_size, None, _grading(grading), size_function)
     if isinstance(domain, Assembly):
@@ -244,7 +244,8 @@ def _equilateral_size(measure: np.ndarray, dim: int) -> np.ndarray:
     return np.sqrt(measure * 4 / math.sqrt(3)) if dim == 2 else np.cbrt(measure * 6 * math.sqrt(2))
 
 
-def _check_domain(domain: Domain) -> None:
+def check_domain(domain: Domain) -> None:
+    """TypeError or ValueError unless it is a domain that can be meshed."""
     if isinstance(domain, Polygon | Outline):
         require_simple(domain)
     elif not isinstance(domain, Rectangle | Box | SolidDomain | StepFile | Assembly):
