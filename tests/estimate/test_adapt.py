@@ -106,6 +106,37 @@ def test_a_tolerance_ends_the_loop():
     assert "tolerance" in found[-1].outcome
 
 
+@pytest.mark.filterwarnings("ignore:friction 0.6 exceeds")
+@pytest.mark.parametrize("case, quantity", [
+    ("leaning_strut", am.Displacement((0.0, 0.0), "x")), ("hertz_cylinder", am.MeanDisplacement("upper.top", "y"))])
+def test_a_signed_estimate_that_is_far_off_is_not_settled(case, quantity):
+    """On coarse meshes estimates of a tenth and of three times the error occur; those that are settled are better."""
+    found = list(am.adapt(getattr(am.cases, case)(), None, am.Goal(quantity), engine=BISECT, max_nodes=900))
+    exact = float(found[-1].estimate.corrected[0])
+    ratios = np.array([step.estimate.signed / (exact - step.estimate.value) for step in found[:-1]])
+    is_settled = np.array([step.settled for step in found[:-1]])
+    assert ((ratios < 0.4) | (ratios > 2.5)).any()
+    assert ((0.5 < ratios) & (ratios < 2))[is_settled].all()
+    assert not is_settled[0] and is_settled[-2:].all()
+    assert ["?" in repr(step) for step in found[:-1]] == (~is_settled).tolist()
+
+
+def test_a_tolerance_is_not_met_by_an_estimate_that_is_not_settled():
+    class Early:
+        """Says too little of a quantity on the first mesh, with the wrong sign."""
+
+        signs = iter([-1e-9, 1e-2, 1e-3, 1e-4, 1e-5])
+        values = iter([1.0, 1.001, 1.01, 1.011, 1.0111])
+
+        def indicate(self, hierarchy, result):
+            return am.Estimate(squares=np.ones(len(hierarchy.finest.mesh.elements)), norm=1.0, value=next(self.values),
+                               signed=next(self.signs), energy_error=1e-3)
+
+    found = list(am.adapt(upset(), COARSE, Early(), engine=BISECT, tolerance=1e-3))
+    assert [step.settled for step in found] == [False, False, True]
+    assert found[-1].outcome.startswith("tolerance met")
+
+
 def test_seconds_end_the_loop():
     found = list(am.adapt(upset(), COARSE, engine=BISECT, max_seconds=1e-6))
     assert len(found) == 1 and "max_seconds" in found[0].outcome
@@ -135,7 +166,7 @@ def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
     ("bolted_junction", 6.9e-3)])
 @pytest.mark.parametrize("engine", [BISECT, am.Remesh()])
 def test_the_first_size_follows_the_domain(case, size, engine):
-    """Bodies of 40 mm and of 2 m begin with about a hundred nodes each, and with contact nodes where contact is short."""
+    """Bodies of 40 mm and of 2 m begin with about a hundred nodes each, and contact that is short has nodes."""
     problem = getattr(am.cases, case)()
     first = next(am.adapt(problem, engine=engine, max_nodes=400)).hierarchy
     assert 60 <= first.finest.n_nodes / len(problem.domain.bodies) <= 140

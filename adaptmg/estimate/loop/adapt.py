@@ -52,7 +52,7 @@ def adapt(problem: ContactProblem, start: Any = None, indicator: Any = None, mar
         Default ``Remesh()``, for a :class:`adaptmg.Goal` ``Remesh(refinements=0)``, and ``Bisect()`` for a problem
         without a domain.
     tolerance : float, optional
-        Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity).
+        Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity, and :attr:`Step.settled`).
     max_nodes : int, optional
         No mesh has more; a first mesh that has more is refused, a size that asks for far more before it is meshed.
     max_seconds : float, optional

@@ -6,12 +6,32 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import numpy as np
+
 from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.goals.goal_estimate import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.history.load_path import PathResult
 from adaptmg.solver.result import Result
 
-__all__ = ["Ending", "Step"]
+__all__ = ["Ending", "Step", "settled"]
+
+
+def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
+    """:attr:`Step.settled` of an estimate, given that of the mesh before."""
+    if estimate.signed is None:
+        return None
+    if before is None or before.signed is None:
+        return False
+    (values, errors), (old_values, old_errors) = map(_values_and_errors, (estimate, before))
+    change = np.abs(values + errors - old_values - old_errors) if values.shape == old_values.shape else np.inf
+    return bool(((errors * old_errors > 0) & (change <= np.abs(errors))).all())
+
+
+def _values_and_errors(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    if isinstance(estimate, GoalEstimate):
+        return estimate.values, estimate.errors
+    return np.array([estimate.value]), np.array([estimate.signed])
 
 
 @dataclass
@@ -45,6 +65,10 @@ class Step:
         Of all solves so far, in passes over the finest matrix of this step.
     path : PathResult or None
         All load steps, where there is a load path.
+    settled : bool or None
+        Of a goal: whether its signed estimates can be trusted, which the first mesh never says: they have the sign of
+        those of the mesh before, and are no smaller than the change of the corrected values since then. Otherwise a
+        question mark is printed before the estimate, and the loop does not end by ``tolerance``. None for energy norms.
     """
 
     #: heading of the lines that steps print
@@ -60,6 +84,7 @@ class Step:
     work_units: float
     total_work_units: float
     path: PathResult | None = None
+    settled: bool | None = None
     ending: Ending = field(default_factory=Ending)
 
     @property
@@ -78,7 +103,8 @@ class Step:
         return self.ending.words
 
     def __repr__(self) -> str:
+        estimate = f"{'?' if self.settled is False else ''}{self.estimate.relative:.3%}"
         line = (f"{self.number:>4} {self.nodes:>8} {len(self.hierarchy):>6} {len(self.result.contact):>7} "
-                f"{self.estimate.relative:>9.3%} {self.result.cycles:>6} {self.work_units:>6.1f} "
+                f"{estimate:>9} {self.result.cycles:>6} {self.work_units:>6.1f} "
                 f"{self.total_work_units:>6.1f} {self.seconds:>8.3f} {self.total_seconds:>8.3f}")
         return f"{line}  {self.outcome}" if self.outcome else line

@@ -19,7 +19,7 @@ from adaptmg.estimate.loop.levels import appended, carried, thinned
 from adaptmg.estimate.loop.load_path import estimated_step
 from adaptmg.estimate.loop.resume import Meshes
 from adaptmg.estimate.loop.solving import solved, takes
-from adaptmg.estimate.loop.step import Step
+from adaptmg.estimate.loop.step import Step, settled
 from adaptmg.estimate.loop.store import LoopStore, StoredStep
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
@@ -123,7 +123,7 @@ class AdaptiveWalk:
     def _reached(self, last: Step) -> str:
         """Which limit a step has reached, in words; empty if none."""
         limits, relative = self.limits, last.estimate.relative
-        if limits.tolerance is not None and relative <= limits.tolerance:
+        if limits.tolerance is not None and relative <= limits.tolerance and last.settled is not False:
             return f"tolerance met: the estimate is {relative:.3g}, {limits.tolerance:g} was asked for"
         exact = self.EXACT if last.estimate.signed is None else self.EXACT_GOAL
         if last.estimate.relative_energy <= exact or not last.estimate.squares.any():
@@ -198,7 +198,8 @@ class AdaptiveWalk:
         nonzeros, timings = hierarchy.finest.matrix.nnz, self.clock.take()
         before = 0.0 if last is None else last.total_work_units * last.hierarchy.finest.matrix.nnz / nonzeros
         step = Step(number, hierarchy, result, estimate, timings,
-                    sum(timings.values()) + (0.0 if last is None else last.total_seconds), work, work + before, path)
+                    sum(timings.values()) + (0.0 if last is None else last.total_seconds), work, work + before, path,
+                    self._settled(estimate))
         with self.clock.phase("store"):
             keys, extra = self.meshes.note(number, hierarchy)
             if self.store is not None:
@@ -234,7 +235,11 @@ class AdaptiveWalk:
         hierarchy = self.meshes.take(number, kept.result.mesh, kept.extra, kept.levels)
         # one mesh for both, with its source
         result = replace(kept.result, mesh=hierarchy.finest.mesh)
-        return Step(number, hierarchy, result, kept.estimate, kept.timings, path=kept.path, **kept.numbers)
+        return Step(number, hierarchy, result, kept.estimate, kept.timings, path=kept.path,
+                    settled=self._settled(kept.estimate), **kept.numbers)
+
+    def _settled(self, estimate: Estimate) -> bool | None:
+        return settled(estimate, self.done[-1].estimate if self.done else None)
 
     def _remember(self, step: Step) -> None:
         self.done.append(step)

@@ -28,8 +28,8 @@ from adaptmg.mesh.netgen.outline import onto_outline, plane_measures, spline_geo
 from adaptmg.mesh.netgen.thin import refuse_thin
 from adaptmg.problem.domains import Box, Domain, Outline
 
-__all__ = ["NODES_PER_CELL", "SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh", "refine_uniformly",
-           "refuse_too_many"]
+__all__ = ["NODES_PER_CELL", "SizeField", "expected_nodes", "extent", "guessed_nodes", "netgen_mesh", "one_mesh",
+           "refine_uniformly", "refuse_too_many"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 
