@@ -60,7 +60,11 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     elif not os.access(target, os.W_OK):
         raise PermissionError(errno.EACCES, "the file is write-protected", str(given))
     _clean(target.parent)
-    _replace(target, content, None if there is None else stat.S_IMODE(there.st_mode))
+    try:
+        _replace(target, content, None if there is None else stat.S_IMODE(there.st_mode))
+    except OSError as error:
+        # of a file that is open the system does not say which one it is
+        raise OSError(error.errno, error.strerror, str(given)) from error
 
 
 def make_folder(name: str, path: Path) -> None:

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+from adaptmg.runtime.fingerprint import Fingerprint
 from adaptmg.runtime.text import printable
-from adaptmg.study.fingerprint import Fingerprint
 from adaptmg.study.machine.memory import forget_peak, peak_memory
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, check_size, plain_results
 from adaptmg.study.stored.kept import Packed, pack

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from adaptmg.study.fingerprint import Fingerprint
+from adaptmg.runtime.fingerprint import Fingerprint
 from adaptmg.study.record import Record
 
 __all__ = ["StudyStatus", "reasons"]

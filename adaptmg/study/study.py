@@ -12,10 +12,10 @@ from typing import Any
 import pandas as pd
 
 from adaptmg.problem import checks
+from adaptmg.runtime.fingerprint import Fingerprint, environment, fingerprint
 from adaptmg.study import arguments
 from adaptmg.study.designs import Design, as_design
 from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, in_turn, now
-from adaptmg.study.fingerprint import Fingerprint, environment, fingerprint
 from adaptmg.study.frame import frame
 from adaptmg.study.machine.commit import commit
 from adaptmg.study.progress import Watch, watched
@@ -41,8 +41,8 @@ class Study:
     Each run is stored when it ends. A study that is run again takes what is stored and computes the rest: points
     never reached, points that failed, and points that are stale, which means that something changed on which a run
     depends: code and values that the run function reads, the modules of adaptmg it can reach, a version of a package
-    (:mod:`adaptmg.study.fingerprint.fingerprint` says what is seen and what is not, such as data files and environment
-    variables, which ``depends`` can name; :meth:`status` what changed).
+    (:mod:`adaptmg.runtime.fingerprint.fingerprint` says what is seen and what is not, such as data files and
+    environment variables, which ``depends`` can name; :meth:`status` what changed).
 
     Parameters
     ----------

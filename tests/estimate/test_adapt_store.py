@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import json
 import shutil
@@ -11,6 +12,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from adaptive_loop import numbers_of, upset
 
@@ -158,6 +160,49 @@ def test_a_store_of_something_else_is_refused(kept, what, options):
         am.adapt(**given)
 
 
+class Some:
+    """Marks a share of the elements; neither its repr nor its class tells which."""
+
+    def __init__(self, share: object) -> None:
+        self.share = share
+
+    def mark(self, estimate: am.Estimate):
+        return am.Doerfler(0.5 if isinstance(self.share, np.random.Generator) else self.share).mark(estimate)
+
+
+def between_nodes(bump: float) -> am.Coulomb:
+    """Friction that differs by the bump between the nodes of the first mesh only."""
+    return am.Coulomb(lambda x: 0.5 + bump * np.sin(np.pi * x[:, 0] / COARSE) ** 2)
+
+
+def test_laws_and_parts_of_the_user_are_compared_by_value(tmp_path):
+    """A friction of other values between the nodes of the first mesh was answered with 4.12e-5 for 4.18e-5."""
+    def run(bump: float = 0.0, share: object = 0.5, **options: object):
+        problem = am.cases.upset_block(law=between_nodes(bump))
+        return am.adapt(problem, COARSE, mark=Some(share), engine=am.Bisect(), max_nodes=60, store=tmp_path, **options)
+
+    once = list(run())
+    assert numbers_of(list(run())) == numbers_of(once)
+    with pytest.raises(ValueError, match=r"another loop: .*bump"):
+        run(bump=-0.3)
+    with pytest.raises(ValueError, match="another loop: value of mark differs"):
+        run(share=0.4)
+    with pytest.raises(TypeError, match=r"value of mark, which cannot be told .*depends=\{'mark': \.\.\.\}"):
+        run(share=np.random.default_rng(0))
+    with pytest.raises(TypeError, match="depends must be a mapping"):
+        run(depends=3)
+
+
+def test_what_cannot_be_compared_is_named_by_depends(tmp_path):
+    def run(version: int):
+        return am.adapt(upset(), COARSE, mark=Some(np.random.default_rng(0)), engine=am.Bisect(), max_nodes=60,
+                        store=tmp_path, depends={"mark": version})
+
+    assert numbers_of(list(run(1))) == numbers_of(list(run(1)))
+    with pytest.raises(ValueError, match="another loop: depends mark differs"):
+        run(2)
+
+
 def test_a_damaged_file_is_named_with_what_to_do(copied):
     file = copied / "estimate_0001.npz"
     file.write_bytes(file.read_bytes()[:-10])
@@ -176,12 +221,47 @@ def test_a_step_that_says_nothing_is_damaged(copied, text):
         list(loop(copied))
 
 
-@pytest.mark.parametrize("levels", [[[0, 3], [1, -1]], [[0, -2], [1, -1]], [[0, -1]], [[7, -1], [1, -1]], [], "x"])
-def test_levels_that_cannot_be_are_damaged(copied, levels):
+@pytest.mark.parametrize("changes", [
+    {"levels": [[0, 3], [1, -1]]}, {"levels": [[1, -1], [0, -1]]}, {"levels": "x"}, {"files": {}}, {"step": 0},
+    {"total_seconds": float("nan")}, {"timings": {"solve": "long"}}, {"extra": "0"}, {"key": 3}])
+def test_a_step_that_was_changed_is_damaged(copied, changes):
     file = copied / "step_0001.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"levels": levels}))
-    with pytest.raises(ValueError, match="damaged"):
+    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+    with pytest.raises(ValueError, match=r"step_0001\.json is damaged .*remove it"):
         list(loop(copied))
+
+
+@pytest.mark.parametrize("changes", [{"fingerprint": [1]}, {"fingerprint": None}, {"key": []}, {"more": float("nan")}])
+def test_a_head_that_was_changed_is_damaged(copied, changes):
+    head = json.loads((copied / "loop.json").read_text())
+    (copied / "loop.json").write_text(json.dumps(head | changes))
+    with pytest.raises(ValueError, match=r"loop\.json is damaged"):
+        loop(copied)
+
+
+def test_steps_of_another_loop_or_in_another_order_are_refused(kept, copied, tmp_path):
+    list(itertools.islice(loop(tmp_path / "other", max_nodes=60, mark=am.Doerfler(0.4)), 1))
+    shutil.copy(tmp_path / "other" / "step_0000.json", copied)
+    with pytest.raises(ValueError, match=r"step_0000\.json belongs to another loop"):
+        list(loop(copied))
+    shutil.copy(kept / "step_0001.json", copied / "step_0000.json")
+    with pytest.raises(ValueError, match=r"step_0000\.json belongs to another loop or step"):
+        list(loop(copied))
+
+
+def test_a_full_disk_is_said_with_the_file(tmp_path, monkeypatch):
+    """The steps before are kept, and the loop goes on when there is room."""
+    steps = loop(tmp_path)
+    next(steps)
+
+    def full(descriptor: int, content: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(OSError, match=r"No space left on device: '.*step_0001\.npz'"):
+        patch.setattr("os.write", full)
+        next(steps)
+    assert [file.name for file in tmp_path.glob("*0001*")] == []
+    assert len(list(loop(tmp_path))) > 1
 
 
 def test_a_missing_step_is_told(copied):

@@ -345,6 +345,16 @@ def kill_after(step: int):
     return callback
 
 
+class Kept:
+    """A user-defined solver whose repr does not show its tolerance."""
+
+    def __init__(self, rtol):
+        self.rtol = rtol
+
+    def run(self, grids, run, start):
+        return am.Multigrid(rtol=self.rtol).run(grids, run, start)
+
+
 class TestStore:
     @pytest.mark.parametrize("solver", [am.FullMultigrid(), am.Multigrid(), EXACT,
                                         am.FullMultigrid(rtol="discretisation")],
@@ -373,7 +383,7 @@ class TestStore:
         am.solve_path(rough, path, store=tmp_path)
         others = {"path": (rough, am.LoadPath({"left": [0.5, 0.9]}), None),
                   "grids, transfers, loads, supports, contact, law": (bar(n=8), path, None),
-                  "solver": (rough, path, am.FullMultigrid(rtol=1e-6)),
+                  "value of solver": (rough, path, am.FullMultigrid(rtol=1e-6)),
                   "law": (bar(am.Coulomb(0.9)), path, None),
                   "problem, loads": (am.Hierarchy.uniform(replace(am.cases.greco_bar(top_pressure=6e7), name="other"),
                                                           divisions=(4, 8, 16)), path, None)}
@@ -382,6 +392,20 @@ class TestStore:
                 am.solve_path(grids, other, solver, store=tmp_path)
         with pytest.raises(ValueError, match="start differs"):
             am.solve_path(rough, path, start=np.zeros((289, 2)), store=tmp_path)
+
+    def test_a_solver_of_the_user_is_compared_by_its_code_and_state(self, rough, tmp_path):
+        path = am.LoadPath({"left": [0.5, 1]})
+        am.solve_path(rough, path, Kept(1e-2), store=tmp_path)
+        done = []
+        am.solve_path(rough, path, Kept(1e-2), store=tmp_path, callback=lambda k, r: done.append(k))
+        assert not done
+        with pytest.raises(ValueError, match="value of solver differs"):
+            am.solve_path(rough, path, Kept(1e-8), store=tmp_path)
+        drawn = Kept(np.random.default_rng(0))
+        with pytest.raises(TypeError, match=r"value of solver, which cannot be told.*depends=\{'solver': \.\.\.\}"):
+            am.solve_path(rough, path, drawn, store=tmp_path)
+        with pytest.raises(TypeError, match="depends must be a mapping"):
+            am.solve_path(rough, path, store=tmp_path, depends=3)
 
     def test_rounding_is_not_another_run(self, rough, tmp_path):
         path = am.LoadPath({"left": [0.5, 1]})

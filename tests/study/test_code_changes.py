@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from adaptmg.study.fingerprint import fingerprint, package
-from adaptmg.study.fingerprint.loaded import edited, given, loaded_before, set_values
+from adaptmg.runtime.fingerprint import fingerprint, package
+from adaptmg.runtime.fingerprint.loaded import edited, given, loaded_before, set_values
 
 TABLE = [re.match(r"(\w+): (.*?)\n(.*)", block, re.DOTALL).groups() for block in
          Path(__file__).with_name("code_changes.txt").read_text(encoding="utf-8").split("=== ")[1:]]

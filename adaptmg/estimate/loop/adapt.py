@@ -9,7 +9,7 @@ all are :math:`1/(1 - 1/g)` times those of the last.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from adaptmg.estimate.loop.expected import Limits
@@ -29,8 +29,9 @@ __all__ = ["adapt"]
 
 def adapt(problem: ContactProblem, start: Any = None, indicator: Any = None, mark: Any = None, engine: Any = None, *,
           tolerance: float | None = None, max_nodes: int | None = None, max_seconds: float | None = None,
-          store: str | os.PathLike[str] | None = None, transfer: Transfer | None = None, solver: Solver | None = None,
-          load_path: LoadPath | None = None, adapt_on: str = "last",
+          store: str | os.PathLike[str] | None = None, depends: Mapping[str, Any] | None = None,
+          transfer: Transfer | None = None, solver: Solver | None = None, load_path: LoadPath | None = None,
+          adapt_on: str = "last",
           progress: Callable[[dict[str, Any]], None] | None = None) -> Iterator[Step]:
     """Solve on meshes that follow the error, one finer than the other, until a limit is reached.
 
@@ -58,9 +59,13 @@ def adapt(problem: ContactProblem, start: Any = None, indicator: Any = None, mar
     max_seconds : float, optional
         No step is begun after so many, meshes included. A size of the first mesh is refused that needs many more.
     store : path, optional
-        A folder where every step is kept at once. A loop that was interrupted, or killed, goes on after its last
+        A folder where every step is kept immediately. A loop that was interrupted, or killed, goes on after its last
         complete step, and ends with the same numbers; steps that are there are yielded again. A folder with steps of
-        another problem or other options is refused; limits may change.
+        another problem or other options is refused; limits may change. User-defined functions and classes are compared
+        by their code and the values they read.
+    depends : mapping of str to value, optional
+        For the store: values that stand for what cannot be compared (an open file, a generator of random numbers), by
+        the name of the part of the problem (``law``, ``loads``, ...), of the option, or of the variable that is read.
     transfer : Transfer, optional
         Between the meshes; default :class:`adaptmg.transfer.Interpolation`, or that of the hierarchy ``start``.
     solver : Solver, optional
@@ -101,7 +106,7 @@ def adapt(problem: ContactProblem, start: Any = None, indicator: Any = None, mar
     if store is not None:
         options = {"indicator": parts.indicator, "mark": parts.mark, "engine": parts.engine, "solver": parts.solver,
                    "transfer": first.transfer, "contact_rows": first.contact_rows, "adapt_on": parts.adapt_on}
-        kept = LoopStore(store, loop_fingerprint(first, options, load_path))
+        kept = LoopStore(store, loop_fingerprint(first, options, load_path, depends))
     return AdaptiveWalk(first, parts, limits, kept, progress).steps()
 
 

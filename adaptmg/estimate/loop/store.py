@@ -3,7 +3,8 @@
 ``loop.json`` says what the steps belong to. A step is a Result (``step_0003.npz``, its mesh inside), an estimate
 (``estimate_0003.npz``), of a bisected mesh its history (``history_0003.npz``), meshes that were put between levels
 (``mesh_0003_0.npz``), and at last ``step_0003.json``, which makes it complete: it names the levels, and the checksum of
-each file. Every file is written whole or not at all.
+each file. Every file is written whole or not at all. Both JSON files carry a key, the hash of what they say, and those
+of steps the key of ``loop.json``: what was changed, or comes from another folder, is seen.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.history import history_arrays, with_history
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder, write_bytes
+from adaptmg.solver.history.files import HEAD as PATH_HEAD
 from adaptmg.solver.history.load_path import PathResult
 from adaptmg.solver.history.store import differences
 from adaptmg.solver.result import Result
@@ -34,7 +36,7 @@ from adaptmg.solver.result.archive import DAMAGES, read_arrays
 
 __all__ = ["LoopStore", "StoredStep"]
 
-_HEAD, _FORMAT = "loop.json", 1
+_HEAD, _FORMAT = "loop.json", 2
 _MESH = ("points", "elements", "facets", "facet_labels", "element_body")
 _NUMBERS = ("total_seconds", "work_units", "total_work_units")
 _AGAIN = "remove it and the steps after it to have them made again"
@@ -95,11 +97,10 @@ class LoopStore:
             if any(self.folder.glob("step_*")):
                 raise ValueError(f"store: {self.folder} holds steps of something else, there is no {_HEAD}; give "
                                  "another folder")
-            write_bytes(head, json.dumps({"format": _FORMAT, "fingerprint": wanted}, indent=1).encode())
-        said = _json(head)
-        if said.get("format") != _FORMAT:
-            raise ValueError(f"{self.folder} was written by another version of adaptmg; begin anew in another folder")
-        different = differences(said.get("fingerprint", {}), wanted)
+            _write_json(head, {"format": _FORMAT, "fingerprint": wanted})
+        said = _json(head, "give another folder")
+        self.key = said["key"]
+        different = differences(said["fingerprint"], wanted)
         if different:
             raise ValueError(f"the store {self.folder} belongs to another loop: {', '.join(different)} "
                              f"differ{'s' if len(different) == 1 else ''}; give another folder, or remove this one")
@@ -117,13 +118,7 @@ class LoopStore:
         if found != list(range(len(found))):
             raise ValueError(f"{self.folder} has the steps {found}: one is missing; put it back, or remove those after "
                              "it")
-        steps = [self._read(k) for k in found]
-        for k, step in enumerate(steps):
-            for number, place in step.levels:
-                if not -1 <= place < len(steps[number].extra):
-                    raise ValueError(f"{self._file(k, 'step', 'json')} is damaged (it names a mesh that is not there): "
-                                     f"{_AGAIN}")
-        return steps
+        return [self._read(k) for k in found]
 
     def put(self, number: int, step: StoredStep) -> None:
         """Keep a finished step; its ``.json`` comes last."""
@@ -144,10 +139,11 @@ class LoopStore:
             # what a process that was killed may have left
             shutil.rmtree(folder, ignore_errors=True)
             step.path.save(folder)
-        said = {"levels": step.levels, "extra": len(step.extra), "history": bool(history),
-                "path": step.path is not None, "timings": step.timings, **step.numbers,
+            names.append(f"{folder.name}/{PATH_HEAD}")
+        said = {"format": _FORMAT, "loop": self.key, "step": number, "levels": step.levels, "extra": len(step.extra),
+                "history": bool(history), "path": step.path is not None, "timings": step.timings, **step.numbers,
                 "files": {name: _checksum(self.folder / name) for name in names}}
-        write_bytes(self._file(number, "step", "json"), json.dumps(said, indent=1).encode())
+        _write_json(self._file(number, "step", "json"), said)
 
     def _file(self, number: int, kind: str, ending: str) -> Path:
         return self.folder / f"{kind}_{number:04d}.{ending}"
@@ -164,10 +160,12 @@ class LoopStore:
 
     def _read(self, number: int) -> StoredStep:
         file = self._file(number, "step", "json")
-        said = _json(file)
+        said = _json(file, _AGAIN)
+        if (said["loop"], said["step"]) != (self.key, number):
+            raise ValueError(f"{file} belongs to another loop or step: {_AGAIN}")
         try:
             for name, checksum in said["files"].items():
-                if _checksum(self.folder / Path(name).name) != checksum:
+                if _checksum(self.folder / name) != checksum:
                     raise ValueError(f"{name} is not what was written")
             extra = [self._mesh(f"mesh_{number:04d}_{k}.npz") for k in range(said["extra"])]
             arrays, meta = self._arrays(f"estimate_{number:04d}.npz")
@@ -177,8 +175,8 @@ class LoopStore:
                 history, _ = self._arrays(f"history_{number:04d}.npz")
                 result = replace(result, mesh=with_history(result.mesh, history))
             return StoredStep(result, estimate_from(arrays["squares"], meta),
-                              _levels(said["levels"], number), extra, {name: float(said[name]) for name in _NUMBERS},
-                              {name: float(value) for name, value in said["timings"].items()}, path)
+                              [(step, place) for step, place in said["levels"]], extra,
+                              {name: said[name] for name in _NUMBERS}, said["timings"], path)
         except (*DAMAGES, OSError) as error:
             raise ValueError(f"{file} is damaged, or a file beside it ({error or type(error).__name__}): {_AGAIN}"
                              ) from error
@@ -189,18 +187,28 @@ class LoopStore:
                           bodies=tuple(meta["bodies"]))
 
 
-def _levels(said: Sequence[Any], number: int) -> list[tuple[int, int]]:
-    levels = [(checks.integer("the step of a level", step, maximum=number), int(place)) for step, place in said]
-    if not levels or levels[-1] != (number, -1):
-        raise ValueError("its levels do not end with its own mesh")
-    return levels
+def _key(said: Mapping[str, Any]) -> str:
+    """The hash of what a file says, its own key apart."""
+    text = json.dumps({name: value for name, value in said.items() if name != "key"}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _json(file: Path) -> dict[str, Any]:
+def _write_json(file: Path, said: dict[str, Any]) -> None:
+    write_bytes(file, json.dumps(said | {"key": _key(said)}, indent=1, allow_nan=False).encode())
+
+
+def _json(file: Path, remedy: str) -> dict[str, Any]:
+    """What a file says, which is what :func:`_write_json` wrote."""
     try:
-        return checks.instance("its text", json.loads(file.read_bytes()), dict, "an object")
+        said = checks.instance("its text", json.loads(file.read_bytes()), dict, "an object")
+        if said["format"] == _FORMAT and said["key"] != _key(said):
+            raise ValueError("its key does not fit what it says")
     except (*DAMAGES, OSError) as error:
-        raise ValueError(f"{file} is damaged ({error or type(error).__name__}): {_AGAIN}") from error
+        what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else error or type(error).__name__
+        raise ValueError(f"{file} is damaged ({what}): {remedy}") from error
+    if said["format"] != _FORMAT:
+        raise ValueError(f"{file} was written by another version of adaptmg; begin again in another folder")
+    return said
 
 
 def _checksum(file: Path) -> str:

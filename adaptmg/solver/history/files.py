@@ -26,7 +26,7 @@ from adaptmg.solver.result.result_file import write_result
 __all__ = ["HEAD", "PathHead", "read", "step_file", "write", "write_head", "write_step"]
 
 HEAD = "path.json"
-_FORMAT = 2
+_FORMAT = 3
 #: a path.json of a million steps is some 20 MB
 _MOST_BYTES, _MOST_STEPS = 2**28, 10**7
 _AGAIN = "remove it and those after it to have these steps solved again"

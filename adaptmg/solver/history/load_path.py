@@ -170,7 +170,8 @@ class StepNotConverged(NotConverged):
 @one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
                start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
-               throw: bool = True, callback: Callable[[int, Result], None] | None = None,
+               depends: Mapping[str, Any] | None = None, throw: bool = True,
+               callback: Callable[[int, Result], None] | None = None,
                progress: Callable[[int, dict[str, float]], None] | None = None) -> PathResult:
     """Solve a contact problem along a load path on the finest level of a hierarchy.
 
@@ -187,7 +188,11 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         Displacement against which the first step slips, m. Default: the unloaded, undeformed bodies.
     store : path, optional
         A folder where every finished step is kept at once. A path that was interrupted goes on there; a folder with
-        steps of another problem, hierarchy, path or solver is refused.
+        steps of another problem, hierarchy, path or solver is refused. A user-defined solver is compared by its code
+        and the values that it reads.
+    depends : mapping of str to value, optional
+        For the store: values that stand for what cannot be compared (an open file, a generator of random numbers), by
+        the name of the variable that is read, or "solver".
     throw : bool
         Raise :class:`StepNotConverged` if a step does not reach the tolerance. False ends the path with that step,
         whose status says it; ``complete`` is then False.
@@ -213,7 +218,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     checks.optional_callable("callback", callback, "the number and Result of a step")
     checks.optional_callable("progress", progress, "the number of a step and a row of its history")
     walk = PathWalk(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
-    mark = {} if store is None else walk.fingerprint()
+    mark = {} if store is None else walk.fingerprint(depends)
     kept = None if store is None else PathStore(store, walk.factors, len(path), mark)
     results = [] if kept is None else kept.results
     for k, result in enumerate(results):

@@ -1,8 +1,9 @@
 """PathStore: the finished steps of a load path in a folder, so that a run that was killed goes on where it was.
 
 A step is written beside its place and renamed: what is there is whole. The fingerprint says what the steps belong to.
-Of every array it keeps length, norm and the product with a fixed wave, which are compared to a relative 1e-8: another
-mesh, material, load or law shows, the rounding of another machine does not.
+Of every array on the meshes it keeps length, norm and the product with a fixed wave, which are compared to a relative
+1e-8: another mesh, material, load or law shows, the rounding of another machine does not. The solver is compared by
+value, with the code of the user's functions and classes in it (:func:`adaptmg.runtime.fingerprint.value_parts`).
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,10 +20,9 @@ from adaptmg.discretisation.load_steps import LoadSteps
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
 from adaptmg.runtime.atomic import make_folder
+from adaptmg.runtime.fingerprint import value_parts
 from adaptmg.solver.history import files
 from adaptmg.solver.result import Result
-from adaptmg.solver.result.labels import label
-from adaptmg.solver.run import Solver
 
 __all__ = ["PathStore", "differences", "fingerprint"]
 
@@ -83,8 +82,27 @@ class PathStore:
 
 
 def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Mapping[str, np.ndarray], steps: int,
-                solver: Solver, start: np.ndarray | None) -> dict[str, Any]:
-    """What the steps of a path depend on, as plain values by what a message calls it."""
+                parts: Mapping[str, Any], start: np.ndarray | None = None, depends: Mapping[str, Any] | None = None
+                ) -> dict[str, Any]:
+    """What the steps of a path depend on, as plain values by what a message calls it.
+
+    Parameters
+    ----------
+    grids : Hierarchy
+    loads, factors, steps
+        Of each level; of the path.
+    parts : mapping
+        By name: solver, indicator, ...; compared by value.
+    start : array, optional
+    depends : mapping, optional
+        See :func:`adaptmg.solve_path`.
+
+    Raises
+    ------
+    TypeError
+        If a part cannot be compared by value, and ``depends`` does not name it.
+    """
+    given = checks.instance("depends", {} if depends is None else depends, Mapping, "a mapping of names to values")
     finest, contact = grids.finest.discrete, grids.finest.discrete.contact
     coordinates = [] if finest.coordinates is None else [_sums(finest.coordinates)]
     return {
@@ -96,10 +114,8 @@ def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Ma
         "contact": [_sums(part) for part in (contact.nodes, contact.normals, contact.gaps, contact.weights)],
         "law": [_sums(part) for part in finest.law.bounds(len(contact))],
         "path": {"steps": steps} | {name: list(map(float, values)) for name, values in factors.items()},
-        # an object without a repr of its own shows its address
-        "solver": re.sub(r" at 0x[0-9a-fA-F]+", "", label(solver)),
         "start": None if start is None else _sums(start),
-    }
+    } | value_parts(parts, given)
 
 
 def _sums(values: np.ndarray) -> list[float]:
@@ -112,7 +128,7 @@ def _sums(values: np.ndarray) -> list[float]:
 
 def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
     """Names under which two fingerprints differ, numbers by more than rounding."""
-    return [name for name in wanted if not _same(stored.get(name, ...), wanted[name])]
+    return [name for name in {**wanted, **stored} if not _same(stored.get(name, ...), wanted.get(name, ...))]
 
 
 def _same(a: Any, b: Any) -> bool:

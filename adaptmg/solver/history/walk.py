@@ -9,7 +9,7 @@ before and the extrapolated one; a FullMultigrid with another correction goes on
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -110,9 +110,10 @@ class PathWalk:
         self.past = past_of(grids, begin, start is not None)
         self.known = [_Known(begin, np.zeros_like(begin) if start is None else None)]
 
-    def fingerprint(self) -> dict[str, Any]:
+    def fingerprint(self, depends: Mapping[str, Any] | None) -> dict[str, Any]:
         """What the steps depend on."""
-        return fingerprint(self.grids, self.loads, self.factors, len(self.path), self.solver, self.start)
+        return fingerprint(self.grids, self.loads, self.factors, len(self.path), {"solver": self.solver}, self.start,
+                           depends)
 
     def described(self, k: int) -> str:
         """The factors of a step, for messages."""

@@ -13,11 +13,11 @@ from typing import Any
 
 import cloudpickle
 
+from adaptmg.runtime.fingerprint import fingerprint
 from adaptmg.runtime.threads import one_blas_thread
 from adaptmg.study.cluster.identity import differences, identity
 from adaptmg.study.cluster.sending import received
 from adaptmg.study.execute import Finished, Point, compute
-from adaptmg.study.fingerprint import fingerprint
 from adaptmg.study.machine.memory import held_memory
 
 __all__ = ["Order", "UnfitWorker", "perform", "readied"]

@@ -10,11 +10,11 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
-from adaptmg.study.fingerprint import package
-from adaptmg.study.fingerprint.instructions import code_text, free_read, globals_read, imports_in, texts_in
-from adaptmg.study.fingerprint.modules import Modules, text_hash
-from adaptmg.study.fingerprint.origin import ADAPTMG, INSTALLED, OWN, home_name, kind_of
-from adaptmg.study.fingerprint.values import NoText, Texts
+from adaptmg.runtime.fingerprint import package
+from adaptmg.runtime.fingerprint.instructions import code_text, free_read, globals_read, imports_in, texts_in
+from adaptmg.runtime.fingerprint.modules import Modules, text_hash
+from adaptmg.runtime.fingerprint.origin import ADAPTMG, INSTALLED, OWN, home_name, kind_of
+from adaptmg.runtime.fingerprint.values import NoText, Texts
 
 __all__ = ["Walk"]
 
@@ -35,7 +35,9 @@ class Walk:
     Parameters
     ----------
     depends : mapping
-        See :func:`adaptmg.study.fingerprint.fingerprint.fingerprint`.
+        See :func:`adaptmg.runtime.fingerprint.fingerprint.fingerprint`.
+    whose, remedy : str
+        For messages: who depends on a part, and what helps apart from ``depends``.
 
     Attributes
     ----------
@@ -45,7 +47,9 @@ class Walk:
         Modules of adaptmg that are used.
     """
 
-    def __init__(self, depends: Mapping[str, Any]) -> None:
+    def __init__(self, depends: Mapping[str, Any], whose: str = "the run function depends on the",
+                 remedy: str = "build it in the function, give its ingredients with fixed={...}, or ") -> None:
+        self._whose, self._remedy = whose, remedy
         self.parts: dict[str, str] = {}
         self.roots: set[str] = set()
         self._seen: set[int] = set()
@@ -205,12 +209,10 @@ class Walk:
         try:
             text = self._texts.of(value)
         except NoText as error:
-            raise TypeError(f"the run function depends on the {part}, which cannot be told from another ({error}); "
-                            f"build it in the function, give its ingredients with fixed={{...}}, or name what stands "
-                            f"for it: depends={{{_variable(variable) or part!r}: ...}}") from error
+            raise TypeError(f"{self._whose} {part}, which cannot be told from another ({error}); {self._remedy}name "
+                            f"what stands for it: depends={{{_variable(variable) or part!r}: ...}}") from error
         except RecursionError as error:
-            raise TypeError(f"the run function depends on the {part}, which is nested too deeply to be compared") \
-                from error
+            raise TypeError(f"{self._whose} {part}, which is nested too deeply to be compared") from error
         # functions, classes and modules have parts of their own: here it counts which one it is
         if not (isinstance(value, _LOOKED_INTO) and text == f"{OWN} {variable}"):
             self._part(part, text)

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
-from adaptmg.study.fingerprint.loaded import Given, edited, given, loaded_before, set_values
+from adaptmg.runtime.fingerprint.loaded import Given, edited, given, loaded_before, set_values
 
 __all__ = ["home_of", "reached", "replaced", "whole_package"]
 
@@ -29,6 +29,8 @@ _IMPORT = re.compile(r"^[ \t]*import[ \t]+(adaptmg[\w.]*)", re.MULTILINE)
 #: modules that are loaded by name when they are first used
 _QUOTED = re.compile(r"""["'](adaptmg(?:\.\w+)+)["']""")
 _ALIAS = re.compile(r"^[ \t]*import[ \t]+adaptmg[ \t]+as[ \t]+(\w+)", re.MULTILINE)
+#: no result depends on them
+_NOT_COMPUTING = ("adaptmg.study.", "adaptmg.runtime.fingerprint")
 _COMMENT = re.compile(r"#[^\n]*")
 
 
@@ -38,7 +40,7 @@ def reached(roots: Iterable[str]) -> dict[str, str]:
     waiting = list(roots)
     while waiting:
         name = waiting.pop()
-        if name in found or _file(name) is None or name == "adaptmg" or name.startswith("adaptmg.study."):
+        if name in found or _file(name) is None or name == "adaptmg" or name.startswith(_NOT_COMPUTING):
             continue
         found.add(name)
         waiting.extend(_imported(name, *_stamp(name)))
@@ -67,7 +69,7 @@ def _edited(name: str) -> str:
 def whole_package() -> list[str]:
     """All modules that compute, for functions of which one cannot say what they use."""
     names = (".".join(["adaptmg", *file.relative_to(_ROOT).with_suffix("").parts]) for file in _ROOT.rglob("*.py"))
-    apart = ("adaptmg.cli", "adaptmg.plot", "adaptmg.export", "adaptmg.study", "adaptmg.__")
+    apart = ("adaptmg.cli", "adaptmg.plot", "adaptmg.export", "adaptmg.study", "adaptmg.__", *_NOT_COMPUTING)
     return [name.removesuffix(".__init__") for name in names if not name.startswith(apart)]
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from adaptmg.study.fingerprint.loaded import edited, set_values
-from adaptmg.study.fingerprint.origin import ADAPTMG, INSTALLED, is_installed, kind_of, version_of
-from adaptmg.study.fingerprint.own_module import OwnText, own_text
+from adaptmg.runtime.fingerprint.loaded import edited, set_values
+from adaptmg.runtime.fingerprint.origin import ADAPTMG, INSTALLED, is_installed, kind_of, version_of
+from adaptmg.runtime.fingerprint.own_module import OwnText, own_text
 
 __all__ = ["Modules", "text_hash"]
 

@@ -9,8 +9,8 @@ import ast
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from adaptmg.study.fingerprint.instructions import code_text
-from adaptmg.study.fingerprint.loaded import Given, given
+from adaptmg.runtime.fingerprint.instructions import code_text
+from adaptmg.runtime.fingerprint.loaded import Given, given
 
 __all__ = ["OwnText", "own_text"]
 

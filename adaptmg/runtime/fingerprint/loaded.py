@@ -17,7 +17,7 @@ from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from adaptmg.study.fingerprint.instructions import code_text, constant_text, nested
+from adaptmg.runtime.fingerprint.instructions import code_text, constant_text, nested
 
 __all__ = ["Given", "edited", "given", "loaded_before", "set_values"]
 

@@ -4,7 +4,7 @@ Seen are: the code of the run function and of every function and class of the us
 (own: not installed, not adaptmg); defaults, attributes of functions, variables of closures and globals that they read,
 by value, and which function, class or module a name stands for; own modules that are imported inside a function, or
 used as a value, by their whole text and the constants set in them; own compiled modules by their bytes; the modules of
-adaptmg behind the names that are used, with all that those import (:mod:`adaptmg.study.fingerprint.package`); and the
+adaptmg behind the names that are used, with all that those import (:mod:`adaptmg.runtime.fingerprint.package`); and the
 versions of installed packages. Where ``eval``, ``exec`` or ``globals`` is called, all globals of that module count.
 
 Not seen are: data files, environment variables, the time, the working directory; the state of libraries and of Python
@@ -24,11 +24,11 @@ from functools import cached_property
 from types import FunctionType
 from typing import Any
 
-from adaptmg.study.fingerprint import package
-from adaptmg.study.fingerprint.origin import PACKAGES, version_of
-from adaptmg.study.fingerprint.walk import Walk
+from adaptmg.runtime.fingerprint import package
+from adaptmg.runtime.fingerprint.origin import PACKAGES, version_of
+from adaptmg.runtime.fingerprint.walk import Walk
 
-__all__ = ["Fingerprint", "environment", "fingerprint"]
+__all__ = ["Fingerprint", "environment", "fingerprint", "value_parts"]
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,19 @@ def fingerprint(function: Callable[..., Any], depends: Mapping[str, Any] | None 
     reached = package.reached(walk.roots)
     walk.from_values(package.replaced(reached))
     return Fingerprint(walk.parts | (package.reached(walk.roots) if walk.roots - set(reached) else reached))
+
+
+def value_parts(values: Mapping[str, Any], depends: Mapping[str, Any] | None = None) -> dict[str, str]:
+    """What the steps in a store depend on: values by name, with the code of the user's functions and classes in them.
+
+    Raises
+    ------
+    TypeError
+        If a value cannot be told from another, and is not named by ``depends``, as of :func:`fingerprint`.
+    """
+    walk = Walk(depends or {}, "what is stored depends on the", "")
+    walk.from_values(values)
+    return walk.parts
 
 
 def environment() -> dict[str, str]:
