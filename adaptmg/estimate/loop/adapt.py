@@ -39,9 +39,9 @@ def adapt(problem: ContactProblem, start: Any = None, indicator: Any = None, mar
     ----------
     problem : ContactProblem
     start : float, MeshArrays, ngsolve.Mesh, path of a mesh file or Hierarchy, optional
-        The first mesh, or its element size in m, with at least three elements along each contact boundary in the plane.
-        Of a hierarchy, which is not changed, the finest mesh. Default: an eighth of the square root of the mean area of
-        the bodies (3D: of the cube root of the mean volume).
+        The first mesh, or its element size in m. Of a hierarchy, which is not changed, the finest mesh. Default: an
+        eighth of the square root of the mean area of the bodies (3D: of the cube root of the mean volume), in the plane
+        with at least three elements along each contact boundary.
     indicator : Residual, Recovery, Goal or one's own, optional
         Anything with ``indicate(hierarchy, result) -> Estimate``. Default ``Residual()``.
     mark : Doerfler, Maximum or one's own, optional

@@ -68,8 +68,11 @@ def _of_size(problem: ContactProblem, start: Any, transfer: Transfer | None, eng
     need_domain(problem)
     volumes, lengths = measures(problem.domain)
     dim = problem.dim
+    ratio = 1.0
     if size is None:
         size = float(f"{(sum(volumes) / len(volumes)) ** (1 / dim) / _ACROSS:.2g}")
+        shortest = min((lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf)
+        ratio = max(ratio, _ALONG * size / shortest)
     most = min(math.inf if limits.max_nodes is None else limits.max_nodes,
                math.inf if limits.max_seconds is None else
                MAX_NODES[dim] / _SECONDS * max(limits.max_seconds, _LEAST))
@@ -84,8 +87,7 @@ def _of_size(problem: ContactProblem, start: Any, transfer: Transfer | None, eng
     with _named("start"):
         mesh = make(problem, size) if callable(make) else None
         if mesh is None:
-            shortest = min((lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf)
-            return Hierarchy.graded(problem, (size,), max(1.0, _ALONG * size / shortest), transfer)
+            return Hierarchy.graded(problem, (size,), ratio, transfer)
     sound_mesh(engine, "first", problem, mesh)
     with _named("start"):
         return Hierarchy.from_meshes(problem, (mesh,), transfer)
