@@ -44,6 +44,26 @@ def test_each_step_is_as_exact_as_a_tenth_of_its_estimate(loop, request):
         assert norm <= 0.1 * step.estimate.total
 
 
+def remote(gap: float, slide: float) -> am.ContactProblem:
+    """A body on one foot, a second one above the plane, its top moved down and perhaps along the plane."""
+    corners = [(0, 0), (20, 0), (20, 20), (40, 20), (40, gap), (60, gap), (60, 40), (0, 40)]
+    names = ("foot", "inside", "arch", "inside2", "foot2", "side", "top", "left")
+    plane = am.Plane((0.0, 0.0), (0.0, 1.0))
+    return am.ContactProblem(
+        domain=am.Polygon(vertices=[(1e-3 * x, 1e-3 * y) for x, y in corners], boundaries=names),
+        material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Coulomb(0.3),
+        contact=(am.Contact("foot", plane), am.Contact("foot2", plane)), supports=(am.Support("top", x=slide, y=-2e-6),))
+
+
+@pytest.mark.parametrize(("gap", "slide"), [(10, 0.0), (0, 1e-3)], ids=["far gap", "far slip"])
+def test_the_estimate_is_that_of_the_discrete_solution_however_far_bodies_are_or_slide(gap, slide):
+    found = list(am.adapt(remote(gap, slide), COARSE, engine=BISECT, max_nodes=900))
+    assert "max_nodes" in found[-1].outcome and len(found) < 10
+    for step in found:
+        exact = am.solve(step.hierarchy, am.ActiveSet(rtol=1e-9))
+        assert step.estimate.total == pytest.approx(am.Residual().indicate(step.hierarchy, exact).total, rel=0.05)
+
+
 def test_the_tolerance_is_a_tenth_of_what_is_expected(steps):
     for before, step in itertools.pairwise(steps):
         expected = before.estimate.relative * (before.nodes / step.nodes) ** 0.5
