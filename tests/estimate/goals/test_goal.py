@@ -300,16 +300,17 @@ def disc(kind):
 
 def valley():
     problem = am.cases.greco_bar()
-    front = am.GapFunction(lambda x: 0.5 * x[:, 0] ** 2)
+    front = am.GapFunction(lambda x: 5 * x[:, 0] ** 2)
     return dataclasses.replace(problem, law=am.Frictionless(), contact=am.Contact("bottom", front))
 
 
-@pytest.mark.parametrize(("problem", "point"), [(disc(am.PlaneStrain), None), (disc(am.Axisymmetric), None),
-                                                (valley(), None), (valley(), (0.037, 0.0))],
+@pytest.mark.parametrize(("problem", "point", "sizes"), [
+    (disc(am.PlaneStrain), None, (8e-3, 1e-3)), (disc(am.Axisymmetric), None, (8e-3, 1e-3)),
+    (valley(), None, (2e-3, 5e-4)), (valley(), (0.037, 0.0), (2e-3, 5e-4))],
                          ids=["plane", "axisymmetric", "gap function", "point"])
-def test_openings_of_curved_boundaries_contain_what_chords_change(problem, point):
+def test_openings_of_curved_boundaries_contain_what_chords_change(problem, point, sizes):
     goal = am.Goal(am.Opening(problem.contact[0].boundary, point=point))
-    coarse, fine = (am.Hierarchy.graded(problem, (size,)) for size in (8e-3, 1e-3))
+    coarse, fine = (am.Hierarchy.graded(problem, (size,)) for size in sizes)
     estimate, right = (goal.indicate(one, am.solve(one, am.ActiveSet())) for one in (coarse, fine))
     assert estimate.signed == pytest.approx(right.value + right.signed - estimate.value, rel=0.1)
     # marked where they lie, all along the boundary
