@@ -268,8 +268,8 @@ def _remote(rng: np.random.Generator) -> am.ContactProblem:
         contact=tuple(am.ContactPair(f"upper.{name}", "lower.top") for name in feet), **moved)
 
 
-_MAKERS = {"remote": _remote, "block": _block, "notched": _notched, "turned": _turned, "round": _round, "round 3D": _round_3d,
-           "stack": _stack, "shrunk": _shrunk, "joint": _joint}
+_MAKERS = {"remote": _remote, "block": _block, "notched": _notched, "turned": _turned, "round": _round,
+           "round 3D": _round_3d, "stack": _stack, "shrunk": _shrunk, "joint": _joint}
 
 
 @dataclass(frozen=True)

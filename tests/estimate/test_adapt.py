@@ -52,7 +52,8 @@ def remote(gap: float, slide: float) -> am.ContactProblem:
     return am.ContactProblem(
         domain=am.Polygon(vertices=[(1e-3 * x, 1e-3 * y) for x, y in corners], boundaries=names),
         material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Coulomb(0.3),
-        contact=(am.Contact("foot", plane), am.Contact("foot2", plane)), supports=(am.Support("top", x=slide, y=-2e-6),))
+        contact=(am.Contact("foot", plane), am.Contact("foot2", plane)),
+        supports=(am.Support("top", x=slide, y=-2e-6),))
 
 
 @pytest.mark.parametrize(("gap", "slide"), [(10, 0.0), (0, 1e-3)], ids=["far gap", "far slip"])

@@ -270,7 +270,7 @@ def _chords(view: GoalView, k: int, facets: np.ndarray, mean: float) -> np.ndarr
 def _halved(view: GoalView, facets: np.ndarray, middles: np.ndarray, corners: np.ndarray, between: np.ndarray
             ) -> np.ndarray:
     """4/3 of what an integral over facets changes with their edges halved at ``middles``, by edges (n_edges,)."""
-    mesh, (n, dim) = view.posed.mesh, facets.shape
+    mesh, dim = view.posed.mesh, facets.shape[1]
     m = mesh.n_nodes + np.arange(between.size).reshape(between.shape)
     points = np.concatenate([mesh.points, middles.reshape(-1, dim)])
     table = np.concatenate([facets, m], axis=1)
