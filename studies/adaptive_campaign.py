@@ -3,9 +3,10 @@
 One body and pairs, stacks of several pairs, in the plane, in space and axisymmetric, re-entrant corners, arcs and round
 faces, interference, laws, friction up to 1.5; from coarse meshes, with every engine, marking and indicator and every
 quantity of goals, to 1500 to 5000 nodes. Of every step: the status and the certificate, the estimate against the error
-to a solution on a mesh up to 8 times finer, the algebraic error against the discrete solution by another method, and
-the mesh, in plain numpy. Every loop runs again, broken off at a random step and gone on from its store: the bits must
-be the same.
+to a solution on a mesh up to 8 times finer, and against that of the exact discrete solution of its mesh, the algebraic
+error against this solution by another method, and the mesh, in plain numpy. On 60 more problems most of the contact
+boundary stays far from what it faces: balls, cylinders, feet and steps at .01 to 100 mm, bodies that slide. Every loop
+runs again, broken off at a random step and gone on from its store: the bits must be the same.
 
     python studies/adaptive_campaign.py [--quick] [--out DIR]
 """
@@ -36,17 +37,21 @@ from adaptive_checks import (
     smallest_angle,
     value_of,
 )
-from adaptive_problems import Loop, random_loop
+from adaptive_problems import REMOTE, Loop, random_loop
 from common import Context, Section, Table, main, slope
 
 import adaptmg as am
 from adaptmg.estimate import energy_error
 
 CASES, QUICK_CASES = 120, 3
+REMOTE_CASES, QUICK_REMOTE_CASES = 60, 1
 #: seeds from here on were not looked at while the checks were made
 FIRST_SEED = 1000
 #: bands of estimate over true error, as the README has them
 BANDS = {"Residual": (1.9, 3.5), "Recovery": (0.74, 1.03)}
+#: by which the estimate in the loop may miss that of the discrete solution; largest spread of estimate over true error
+#: where contact is remote, on meshes after the second with so many nodes in contact
+MISSED, SPREAD, TOUCHING = 0.15, 1.35, 5
 #: of a quantity: errors below this part of it are rounding and what the reference is not sure of
 SMALL = 1e-6
 
@@ -73,7 +78,10 @@ def measure(seed: int) -> dict[str, Any]:
         except Exception:
             return row | {"faults": json.dumps([traceback.format_exc()[-1500:]])}
         row["loop_s"] = time.perf_counter() - begin
-        rows, faults = _checked(loop, steps)
+        try:
+            rows, faults = _checked(loop, steps)
+        except ValueError as error:
+            return row | {"faults": json.dumps([f"reference: {str(error)[:300]}"])}
         faults += _again(loop, steps, seed)
     return row | _aggregate(rows) | {"outcome": steps[-1].outcome, "faults": json.dumps(faults),
                                      "steps": json.dumps(rows), "checked_s": time.perf_counter() - begin,
@@ -115,6 +123,9 @@ def _checked(loop: Loop, steps: list[am.Step]) -> tuple[list[dict[str, float]], 
         rows.append(row)
         faults += [label + fault for fault in found]
     faults += _end_faults(loop, steps)
+    spread = _aggregate(rows).get("spread", np.nan)
+    if loop.kind == "remote" and spread > SPREAD:
+        faults.append(f"effectivity varies by a factor {spread:.2f}")
     if not is_curved(loop.problem.domain) and np.isfinite(rows[-1]["error"]):
         # the last mesh is nested in that of the reference, so that interpolation is exact
         direct = direct_error(steps[-1].result, fine[1], fine[0])
@@ -127,7 +138,8 @@ def _checked(loop: Loop, steps: list[am.Step]) -> tuple[list[dict[str, float]], 
 
 def _errors(loop: Loop, step: am.Step, fine: Any, reference: Any, found: list[str]) -> dict[str, float]:
     """True errors of a step: energy, algebraic, and of the quantity."""
-    row: dict[str, float] = {"norm": step.estimate.norm}
+    row: dict[str, float] = {"norm": step.estimate.norm,
+                             "touching": int(np.sum(step.result.contact.state != am.OPEN))}
     try:
         row["error"], row["own"] = energy_error(reference, step.result).absolute, reference.own_error
     except ValueError as error:
@@ -151,6 +163,11 @@ def _errors(loop: Loop, step: am.Step, fine: Any, reference: Any, found: list[st
             found.append(f"the goal's value is {step.estimate.value:.12g}, read from the result {value:.12g}")
         if not step.estimate.converged:
             found.append(f"adjoint residual {step.estimate.residuals.max():.1e}")
+    else:
+        of_exact = loop.indicator.indicate(step.hierarchy, exact).total
+        row["in_loop"] = step.estimate.total / of_exact if of_exact > 0 else 1.0
+        if not abs(row["in_loop"] - 1) <= MISSED:
+            found.append(f"estimate {row['in_loop']:.3f} of that of the discrete solution")
     return row
 
 
@@ -207,7 +224,11 @@ def _aggregate(rows: list[dict[str, float]]) -> dict[str, float]:
         estimate, wrong = (np.array([row[name] for row in later]) for name in ("estimate", "error"))
         # a patch test is solved without error
         found = estimate[wrong > 0] / wrong[wrong > 0] if (wrong > 0).any() else np.array([np.nan])
-        return made | {"effectivity": float(found[-1]), "least": float(found.min()), "most": float(found.max())}
+        resolved = [row["estimate"] / row["error"] for row in rows[2:]
+                    if row["touching"] >= TOUCHING and row["error"] > 0]
+        return made | {"effectivity": float(found[-1]), "least": float(found.min()), "most": float(found.max()),
+                       "spread": max(resolved) / min(resolved) if resolved else np.nan,
+                       "in_loop": max((row["in_loop"] for row in later), key=lambda ratio: abs(ratio - 1))}
     true, signed = (np.array([row[name] for row in rows]) for name in ("true", "signed"))
     size = abs(rows[-1]["right"])
     clear = np.abs(true) > SMALL * size
@@ -220,23 +241,27 @@ def _aggregate(rows: list[dict[str, float]]) -> dict[str, float]:
 #: column of a row -> head of the table
 HEADS = {"seed": "seed", "problem": "problem", "dim": "dim", "law": "law", "indicator": "indicator",
          "made by": "made by", "n_steps": "meshes", "nodes": "nodes", "energy_error": "energy error", "rate": "rate",
-         "effectivity": "effectivity", "goal_effectivity": "effectivity, goal", "share": "left by the solver",
+         "effectivity": "effectivity", "spread": "spread", "in_loop": "over that of the discrete solution",
+         "goal_effectivity": "effectivity, goal", "share": "left by the solver",
          "cycles": "most cycles", "angle": "least angle", "outcome": "why it ended", "refused": "refused",
          "faults": "faults"}
 
 
 def run(context: Context) -> Section:
     """The campaign."""
-    cases = QUICK_CASES if context.quick else CASES
-    rows = context.study(measure, {"seed": list(range(FIRST_SEED, FIRST_SEED + cases))})
+    cases, remote = (QUICK_CASES, QUICK_REMOTE_CASES) if context.quick else (CASES, REMOTE_CASES)
+    rows = context.study(measure, {"seed": [*range(FIRST_SEED, FIRST_SEED + cases), *range(REMOTE, REMOTE + remote)]})
     table = outcomes(rows)
     bands = " and ".join(f"{low:g} to {high:g} ({name})" for name, (low, high) in BANDS.items())
     note = ("Effectivity: estimate over true energy error on the last mesh, of goals signed estimate over error; "
-            f"outside: loops beyond {bands}. Rate: of the energy error over the last three meshes, median. Left by the "
+            f"outside: loops beyond {bands}. Spread: largest over smallest effectivity of a loop's meshes after the "
+            f"second with {TOUCHING} nodes in contact. Over that of the discrete solution: the estimate in the loop, "
+            "where it misses most. Rate: of the energy error over the last three meshes, median. Left by the "
             f"solver: algebraic error over the estimate, largest of a loop's steps (aim {SHARE:g}; goals have another "
             "measure). Faults: whatever was found wrong of a status, certificate, mesh, outcome, or of the bits of the "
             "same loop gone on from its store.")
     spec = {"energy error": ".2f", "rate": ".2f", "effectivity": ".2f", "effectivity, goal": ".2f",
+            "spread": ".2f", "over that of the discrete solution": ".3f",
             "left by the solver": ".3f", "least angle": ".1f"}
     return Section("Random adaptive loops", __doc__.split("\n\n")[1],
                    [Table("adaptive_campaign", table, "Random adaptive loops: outcomes by indicator", note,
@@ -244,7 +269,8 @@ def run(context: Context) -> Section:
                     Table("adaptive_campaign_loops", every(rows), "Every loop", "Columns as above.", open=False,
                           units={"energy error": "%", "least angle": "degrees"},
                           formats=spec)],
-                   summary=summary(table), seeds=f"{FIRST_SEED} to {FIRST_SEED + cases - 1}")
+                   summary=summary(table),
+                   seeds=f"{FIRST_SEED} to {FIRST_SEED + cases - 1}, {REMOTE} to {REMOTE + remote - 1}")
 
 
 def summary(table: pd.DataFrame) -> str:
@@ -267,16 +293,22 @@ def every(rows: pd.DataFrame) -> pd.DataFrame:
 def outcomes(rows: pd.DataFrame) -> pd.DataFrame:
     """Counts and ranges by indicator."""
     result = []
-    for name, mine in rows.groupby("indicator"):
+    remote = rows["kind"].eq("remote").map({True: ", remote contact", False: ""})
+    for label, mine in rows.groupby(rows["indicator"] + remote):
+        name = label.partition(",")[0]
         ran = mine[mine["refused"] == ""]
         effectivity = ran.get("goal_effectivity" if name == "Goal" else "effectivity", pd.Series(dtype=float)).dropna()
         low, high = BANDS.get(name, (-np.inf, np.inf))
         rate, share = ran["rate"].dropna(), ran["share"].dropna()
-        result.append({"indicator": name, "loops": len(mine), "refused": len(mine) - len(ran),
+        spread, in_loop = (ran.get(key, pd.Series(dtype=float)).dropna() for key in ("spread", "in_loop"))
+        result.append({"indicator": label, "loops": len(mine), "refused": len(mine) - len(ran),
                        "with faults": int((ran["faults"] != "[]").sum()), "meshes": int(ran["n_steps"].sum()),
                        "effectivity, median": float(effectivity.median()), "5 %": float(effectivity.quantile(0.05)),
                        "95 %": float(effectivity.quantile(0.95)),
                        "outside": int((~effectivity.between(low, high)).sum()),
+                       "largest spread": float(spread.max()),
+                       "over that of the discrete solution, least": float(in_loop.min()),
+                       "most": float(in_loop.max()),
                        "rate 2D": float(rate[ran["dim"] == 2].median()),
                        "rate 3D": float(rate[ran["dim"] == 3].median()),
                        "left by the solver": float("nan") if name == "Goal" else float(share.max())})

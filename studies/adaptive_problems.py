@@ -22,6 +22,8 @@ MM = 1e-3
 #: drawn from; twice is twice as likely
 KINDS = ("block", "block", "block", "notched", "notched", "turned", "turned", "round", "round 3D", "stack", "stack",
          "shrunk", "joint")
+#: the first seed of problems with remote contact boundaries, which are adapted by residuals
+REMOTE = 5000
 
 
 @dataclass(frozen=True)
@@ -220,8 +222,54 @@ def _block(rng: np.random.Generator) -> am.ContactProblem:
     return random_problem(int(rng.integers(10**6)))[1].problem
 
 
-_MAKERS = {"block": _block, "notched": _notched, "turned": _turned, "round": _round, "round 3D": _round_3d,
-           "stack": _stack, "shrunk": _shrunk, "joint": _joint}
+def _remote(rng: np.random.Generator) -> am.ContactProblem:
+    """A body most of whose contact boundary stays far from what it faces: a ball, a cylinder, feet, or steps."""
+    width = float(10 ** rng.uniform(-2, -0.7))
+    law, pressure = _law(rng, width), float(10 ** rng.uniform(6, 7.5))
+    if rng.random() < 0.5:
+        turned = bool(rng.random() < 0.5)
+        shape = am.Outline(vertices=((0, 0), (width, width), (0, width)), boundaries=("foot0", "top", "symmetry"),
+                           arcs={0: (0.0, width)})
+        n_feet, material = 1, _material(rng, am.Axisymmetric if turned else am.PlaneStrain)
+    else:
+        # feet of equal width, with or without arches between them; the first one touches
+        n_feet, arch = int(rng.integers(2, 5)), float(rng.choice([0.0, 0.6]))
+        gaps = np.concatenate([[0.0], 10 ** rng.uniform(-5, -1, n_feet - 1)])
+        top = gaps.max() + width * float(rng.uniform(0.5, 1))
+        corners, names = [], []
+        for k, gap in enumerate(gaps):
+            left, right = k * width, (k + 1 - arch * (k < n_feet - 1)) * width
+            corners += [(left, gap), (right, gap)]
+            names += [f"foot{k}", f"side{k}"]
+            if arch > 0 and k < n_feet - 1:
+                corners += [(right, top - 0.4 * width), (left + width, top - 0.4 * width)]
+                names += [f"arch{k}", f"inside{k}"]
+        shape = am.Polygon(vertices=(*corners, (n_feet * width, top), (0.0, top)),
+                           boundaries=(*names, "top", "symmetry"))
+        material = _material(rng)
+    slide = float(10 ** rng.uniform(-4, -2)) if n_feet > 1 and rng.random() < 0.3 else None
+    held, feet = am.Support("symmetry", x=0.0), [f"foot{k}" for k in range(n_feet)]
+    if slide is not None:  # the top is moved down and along
+        moved = {"supports": (am.Support("top", x=slide, y=-width * float(10 ** rng.uniform(-5, -4))),)}
+    else:
+        moved = {"supports": (held,), "loads": (am.Pressure("top", pressure),)}
+    if rng.random() < 0.7:
+        plane = am.Plane((0.0, 0.0), (0.0, 1.0))
+        return am.ContactProblem(name="remote", domain=shape, material=material, law=law,
+                                 contact=tuple(am.Contact(name, plane) for name in feet), **moved)
+    # not touching at a point: the closest points of an arc are found to 1e-7 of its radius, and overlap is refused
+    under = am.Rectangle(width=1.5 * n_feet * width, height=width, origin=(0.0, -(1 + 1e-6) * width))
+    moved = {name: tuple(replace(one, boundary=f"upper.{one.boundary}") for one in ones)
+             for name, ones in moved.items()}
+    moved["supports"] += (am.Support("lower.left", x=0.0), am.Support("lower.bottom", y=0.0))
+    return am.ContactProblem(
+        name="remote pair", domain=am.Assembly(parts={"upper": shape, "lower": under}), law=law,
+        material={name: material for name in ("upper", "lower")},
+        contact=tuple(am.ContactPair(f"upper.{name}", "lower.top") for name in feet), **moved)
+
+
+_MAKERS = {"remote": _remote, "block": _block, "notched": _notched, "turned": _turned, "round": _round,
+           "round 3D": _round_3d, "stack": _stack, "shrunk": _shrunk, "joint": _joint}
 
 
 @dataclass(frozen=True)
@@ -243,9 +291,9 @@ class Loop:
 
 
 def random_loop(seed: int) -> Loop:
-    """A random problem and random options."""
+    """A random problem and random options; from the seed ``REMOTE`` on with remote contact boundaries."""
     rng = np.random.default_rng((seed, 11))
-    kind = str(KINDS[rng.integers(len(KINDS))])
+    kind = str(KINDS[rng.integers(len(KINDS))]) if seed < REMOTE else "remote"
     problem = _MAKERS[kind](rng)
     dim = problem.dim
     domain = problem.domain
@@ -258,7 +306,7 @@ def random_loop(seed: int) -> Loop:
             ][rng.choice(3, p=[0.5, 0.3, 0.2])]
     engine = [Remesh(), Remesh(growth=float(rng.uniform(1.6, 4)), refinements=int(rng.integers(3))), am.Bisect(),
               am.Bisect(coarsen=0.02), am.Bisect(passes=1)][rng.choice(5, p=[0.3, 0.2, 0.3, 0.1, 0.1])]
-    indicator = [Residual(), Recovery(), None][rng.choice(3, p=[0.35, 0.25, 0.4])]
+    indicator = [Residual(), Recovery(), None][rng.choice(3, p=[0.35, 0.25, 0.4]) if kind != "remote" else 0]
     if indicator is None:
         indicator = am.Goal(random_quantity(problem, rng))
     most = int(rng.integers(1500, 5000 if dim == 2 else 3500))

@@ -11,7 +11,8 @@ pattern of the mesh (the GRECO bar: 2.7 with alternating diagonals and on bisect
 meshes, 3.3 to 3.7 with all diagonals alike), and nearly constant on the meshes of one family; it is not proven to bound
 the error. Where body forces, or the hoop stress of smooth axisymmetric fields, rule the error it is 5.7 to 8.8 times
 the error (Lame's tube, a column under its own weight; Poisson's ratio .1 to .4): the first term is two thirds of its
-square there.
+square there. Where a contact zone between curved bodies has one or two nodes it is up to 30 times the error, nearly all
+of it complementarity, until meshes resolve the zone.
 """
 
 from __future__ import annotations

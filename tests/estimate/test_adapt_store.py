@@ -134,7 +134,8 @@ def test_a_load_path_is_kept(tmp_path):
     problem, path = am.cases.greco_bar(), am.LoadPath({"left": [0.5, 1.0]}, default=1.0)
 
     def run(**options):
-        return am.adapt(problem, 10e-3, engine=am.Bisect(), load_path=path, max_nodes=90, **options)
+        return am.adapt(problem, 10e-3, engine=am.Bisect(), load_path=path, adapt_on="worst", max_nodes=90,
+                        **options)
 
     once = list(run())
     next(run(store=tmp_path))

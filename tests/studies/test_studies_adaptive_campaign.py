@@ -15,7 +15,7 @@ campaign = load("adaptive_campaign")
 
 
 def test_every_kind_of_problem_can_be_drawn():
-    for kind in set(problems.KINDS) - {"block"}:
+    for kind in {*problems.KINDS, "remote"} - {"block"}:
         problem = problems._MAKERS[kind](np.random.default_rng(3))
         assert isinstance(problem, am.ContactProblem)
         quantity = problems.random_quantity(problem, np.random.default_rng(4))
@@ -24,10 +24,11 @@ def test_every_kind_of_problem_can_be_drawn():
 
 def test_loops_are_measured_stored_and_counted(tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "FIRST_SEED", 2088)
+    monkeypatch.setattr(campaign, "REMOTE", 5011)
     monkeypatch.setattr(campaign, "QUICK_CASES", 1)
     section = campaign.run(common.Context(True, tmp_path))
     summary, rows = (item.frame for item in section.items)
-    assert summary["loops"].sum() == 1 and summary["with faults"].sum() == 0 and summary["refused"].sum() == 0
+    assert summary["loops"].sum() == 2 and summary["with faults"].sum() == 0 and summary["refused"].sum() == 0
     assert (rows["rate"] > 0.4).all() and rows["why it ended"].str.contains("max_nodes").all()
     assert (summary["left by the solver"].dropna() < 0.2).all()
 

@@ -146,14 +146,15 @@ class Goal:
         if any(held):
             parts[held] = _energy_parts(view, [one for one, is_held in zip(wanted, held, strict=True) if is_held],
                                         np.einsum("nd,nd->n", residual, error.alone), energy)
-        parts /= sizes[:, None]
+        geometry = np.array([np.zeros(parts.shape[1]) if one.geometry is None else one.geometry for one in wanted])
+        parts = (parts + np.abs(geometry)) / sizes[:, None]
         squares = {functional.name: view.bubbles.on_elements(part)
                    for functional, part in zip(wanted, parts, strict=True)}
         if self.transitions > 0:
             squares["transitions"] = self.transitions * sum(
                 transition_changes(view, functional, dual.field) / size
                 for functional, dual, size in zip(wanted, duals, sizes, strict=True))
-        signed = np.einsum("gnd,nd->g", weighted, error.together)
+        signed = np.einsum("gnd,nd->g", weighted, error.together) + geometry.sum(axis=1)
         algebraic = np.array([algebraic_part(view, functional, dual.field)
                               for functional, dual in zip(wanted, duals, strict=True)])
         values, whole = np.array([functional.value for functional in wanted]), signed + algebraic

@@ -52,6 +52,8 @@ class Functional:
         Its derivative by the unknowns of the problem (between bodies relative), Cartesian.
     bubbles : (n_edges, dim) array
         Its derivative by the bubbles of the edges.
+    geometry : (n_edges,) array, optional
+        What the domain changes in it, which the mesh has with chords in the place of curves, in ``unit``; default none.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Functional:
     unit: str
     vector: np.ndarray
     bubbles: np.ndarray
+    geometry: np.ndarray | None = None
 
 
 def checked_functionals(view: GoalView, quantity: Any) -> list[Functional]:
@@ -75,4 +78,6 @@ def checked_functionals(view: GoalView, quantity: Any) -> list[Functional]:
         checks.number(f"{name}value", one.value)
         check_arrays.array(f"{name}vector", one.vector, (view.posed.discrete.n_dofs,))
         check_arrays.array(f"{name}bubbles", one.bubbles, (len(view.bubbles.edges), view.posed.mesh.dim))
+        if one.geometry is not None:
+            check_arrays.array(f"{name}geometry", one.geometry, (len(view.bubbles.edges),))
     return list(made)

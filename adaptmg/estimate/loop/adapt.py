@@ -74,7 +74,8 @@ def adapt(problem: ContactProblem, start: Any = None, indicator: Any = None, mar
     load_path : LoadPath, optional
         Every mesh goes along the whole path; by default with ``FullMultigrid(rtol="discretisation")``.
     adapt_on : {"last", "worst"}
-        With a load path: refine for its last load step, or for the one with the largest estimate.
+        With a load path: take the estimate of its last load step and refine for it; or the largest relative estimate of
+        all load steps, and refine where any of them needs it.
     progress : callable, optional
         Called with a dict before each phase of a step, and after it: step, phase, nodes, estimate (of the step before),
         seconds, expected_seconds (of the whole loop, roughly).

@@ -1,10 +1,12 @@
-"""Adapting with a load path: every mesh goes along the whole path, and is refined by one of the load steps."""
+"""Adapting with a load path: every mesh goes along the whole path, and is refined for its last load step or for all."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from adaptmg.discretisation.load_steps import load_steps
 from adaptmg.estimate.estimate import Estimate
@@ -38,11 +40,19 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
 
 
 def estimated_step(hierarchy: Hierarchy, path: LoadPath, results: PathResult, adapt_on: str,
-                   indicate: Callable[[Hierarchy, Any], Estimate]) -> tuple[int, Estimate]:
-    """By which load step to refine, and its estimate: the last, or the one with the largest sum of squares."""
+                   indicate: Callable[[Hierarchy, Any], Estimate]) -> tuple[int, Estimate, Estimate]:
+    """The last load step, or the one with the largest relative estimate: number, estimate, and what to refine by.
+
+    Of several load steps each element counts with its largest share in the relative estimate of any step: a mesh made
+    for one step alone is too coarse where others need it, and the loop would go to and fro between them.
+    """
     steps = range(len(results)) if adapt_on == "worst" else (len(results) - 1,)
     found = [(k, indicate(posed_at(hierarchy, path, results, k), results[k])) for k in steps
              if adapt_on == "last" or results[k].displacement.any()]
     if not found:
         raise ValueError("load_path: nothing moves in any of its steps, so there is nothing to refine for")
-    return max(found, key=lambda pair: float(pair[1].squares.sum()))
+    k, worst = max(found, key=lambda pair: pair[1].relative)
+    # a quantity that is zero has no relative error: above 1 all steps count alike
+    weights = [min(one.relative, 1.0) ** 2 / (one.squares.sum() or 1.0) for _, one in found]
+    shares = np.max([weight * one.squares for weight, (_, one) in zip(weights, found, strict=True)], axis=0)
+    return k, worst, replace(worst, squares=shares)

@@ -100,6 +100,7 @@ class AdaptiveWalk:
         self.clock, self.meshes = _Clock(), Meshes(start)
         self.clock.seconds |= start.timings
         self.done: list[Step] = []
+        self.steering: Estimate | None = None
 
     def steps(self) -> Iterator[Step]:
         """The steps, those of the store first."""
@@ -151,13 +152,13 @@ class AdaptiveWalk:
         self._tell("mesh", last.nodes)
         most = self.limits.max_nodes
         with self.clock.phase("mesh"):
-            mesh = last.hierarchy.finest.mesh
-            marked = marks_of(self.parts.mark, last.estimate)
+            mesh, estimate = last.hierarchy.finest.mesh, self._steering(last)
+            marked = marks_of(self.parts.mark, estimate)
             if not marked.any():
                 return None, "no progress: the marking chooses no element"
             asked = most
             for _ in range(self.ATTEMPTS):
-                finer = self.parts.engine.refine(self.first.problem, mesh, last.estimate, marked, max_nodes=asked)
+                finer = self.parts.engine.refine(self.first.problem, mesh, estimate, marked, max_nodes=asked)
                 if finer is not None:
                     finer = sound_mesh(self.parts.engine, "refine", self.first.problem, finer, mesh)
                 if finer is None or finer.n_nodes <= mesh.n_nodes:
@@ -226,9 +227,18 @@ class AdaptiveWalk:
         if path is None:
             estimate = indicate(hierarchy, result)
         else:
-            k, estimate = estimated_step(hierarchy, self.parts.load_path, path, self.parts.adapt_on, indicate)
+            k, estimate, self.steering = estimated_step(hierarchy, self.parts.load_path, path, self.parts.adapt_on,
+                                                        indicate)
             result = path[k]
         return result, estimate
+
+    def _steering(self, last: Step) -> Estimate:
+        """By which the next mesh is made: of a load path perhaps more than the estimate of the step."""
+        if last.path is None or self.parts.adapt_on == "last":
+            return last.estimate
+        if self.steering is None:  # the step is from a store
+            self._estimated(last.hierarchy, None, last.path)
+        return self.steering
 
     def _again(self, number: int, kept: StoredStep) -> Step:
         """A step from the store."""

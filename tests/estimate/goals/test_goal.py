@@ -290,6 +290,33 @@ def test_an_opening_that_all_nodes_hold_closed_is_looked_for_all_the_same():
     assert steps[0].estimate.value == 0 and steps[-1].estimate.value > 2e-8 and "max_nodes" in steps[-1].outcome
 
 
+def disc(kind):
+    shape = am.Outline(vertices=((0, 0), (0.04, 0.02), (0.04, 0.05), (0, 0.05)),
+                       boundaries=("round", "side", "top", "axis"), arcs={0: (0.0, 0.05)})
+    return am.ContactProblem(domain=shape, material=kind(young=2e11, poisson=0.3), law=am.Frictionless(),
+                             contact=am.Contact("round", am.Plane((0, 0), (0, 1))),
+                             supports=(am.Support("axis", x=0.0), am.Support("top", y=-5e-5)))
+
+
+def valley():
+    problem = am.cases.greco_bar()
+    front = am.GapFunction(lambda x: 5 * x[:, 0] ** 2)
+    return dataclasses.replace(problem, law=am.Frictionless(), contact=am.Contact("bottom", front))
+
+
+@pytest.mark.parametrize(("problem", "point", "sizes"), [
+    (disc(am.PlaneStrain), None, (8e-3, 1e-3)), (disc(am.Axisymmetric), None, (8e-3, 1e-3)),
+    (valley(), None, (2e-3, 5e-4)), (valley(), (0.037, 0.0), (2e-3, 5e-4))],
+                         ids=["plane", "axisymmetric", "gap function", "point"])
+def test_openings_of_curved_boundaries_contain_what_chords_change(problem, point, sizes):
+    goal = am.Goal(am.Opening(problem.contact[0].boundary, point=point))
+    coarse, fine = (am.Hierarchy.graded(problem, (size,)) for size in sizes)
+    estimate, right = (goal.indicate(one, am.solve(one, am.ActiveSet())) for one in (coarse, fine))
+    assert estimate.signed == pytest.approx(right.value + right.signed - estimate.value, rel=0.1)
+    # marked where they lie, all along the boundary
+    assert (estimate.squares > 0).sum() > 5 and sum(estimate.terms.values()) == pytest.approx(estimate.squares.sum())
+
+
 def test_a_quantity_that_a_support_holds_has_no_error():
     estimate = am.Goal(am.MeanDisplacement("right", "x")).indicate(*bar(4))
     assert estimate.value == 0 and not estimate.squares.any() and estimate.relative_energy == 0
