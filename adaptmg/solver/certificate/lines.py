@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.solver.certificate.aggregates import Aggregates
 from adaptmg.solver.certificate.energy import FrozenStatus, Tally, add_forces, residual_energy
 
 __all__ = ["Condition", "ContactClaims", "Evidence"]
@@ -176,8 +177,9 @@ class Evidence:
         return Condition("balance", float(np.abs(sums).max()), total, "N", _over(total, scale),
                          _over(self.rounding, scale))
 
-    def energy_error(self, exact: bool) -> tuple[float, float]:
-        """The relative energy error, and as much of it as rounding explains."""
+    def energy_error(self, aggregates: Aggregates | None) -> tuple[float, float]:
+        """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
+        """
         problem, coupling = self.problem, self.problem.coupling
         status, change, unlawful = self._frozen()
         # a copy: what is unexplained is told by other lines too
@@ -186,8 +188,7 @@ class Evidence:
         forces[problem.contact.nodes] += unlawful
         matrix = problem.matrix
         moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
-        rest = residual_energy(matrix, status, forces, self.diagonal, problem.coordinates, exact,
-                               relative=coupling is not None)
+        rest = residual_energy(matrix, status, forces, aggregates)
         rounding = 32 * _EPSILON * self.tally.stiff_energy
         return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
 
