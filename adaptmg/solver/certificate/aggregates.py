@@ -18,12 +18,15 @@ from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, time
 
 __all__ = ["Aggregates", "CoarseMatrix"]
 
-#: nodes of an aggregate and its depth in the graph, by dimension; and of more than so many nodes
-_SIZE, _MANY, _SIZE_OF_MANY = {2: (64, 4), 3: (80, 3)}, 100_000, {2: (100, 8), 3: (200, 4)}
+#: nodes of an aggregate and its depth in the graph, by dimension; of more than so many nodes the number of aggregates,
+#: which bounds the cost of the coarse matrix
+_SIZE, _MANY, _MOST = {2: (64, 4), 3: (80, 3)}, 100_000, {2: 1800, 3: 500}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
 #: unknowns up to which a coarse matrix is dense
 _DENSE = 600
+#: orders of sparse factorisations that fill little, by dimension, measured
+_ORDER = {2: "MMD_AT_PLUS_A", 3: "COLAMD"}
 #: of the diagonal, added to it: a status may take motions from an aggregate
 _SHIFT = 1e-10
 
@@ -87,6 +90,39 @@ def _join(indptr, indices, group, sizes, remnant, label, count):
 
 
 @kernel
+def _arrange(label, points, count, order, starts, offset):
+    """Nodes by aggregate, and their places from its centre over its extent (root of the mean square)."""
+    starts[:] = 0
+    for i in range(len(label)):
+        if label[i] >= 0:
+            starts[label[i] + 1] += 1
+    for a in range(count):
+        starts[a + 1] += starts[a]
+    ends = starts[:-1].copy()
+    for i in range(len(label)):
+        if label[i] >= 0:
+            order[ends[label[i]]] = i
+            ends[label[i]] += 1
+    if len(points) == 0:
+        return
+    for a in range(count):
+        members, square = order[starts[a]:starts[a + 1]], 0.0
+        for k in range(points.shape[1]):
+            centre = 0.0
+            for i in members:
+                centre += points[i, k]
+            centre /= len(members)
+            for i in members:
+                offset[i, k] = points[i, k] - centre
+                square += offset[i, k] ** 2
+        extent = np.sqrt(square / len(members))
+        if extent > 0:
+            for i in members:
+                for k in range(points.shape[1]):
+                    offset[i, k] /= extent
+
+
+@kernel
 def _pattern(indptr, indices, label, order, starts, coarse_indptr, coarse_indices):
     """Aggregates J met from rows i <= j of each aggregate I, as rows of a matrix; ``coarse_indices`` may be empty."""
     seen = np.full(len(starts) - 1, -1)
@@ -137,24 +173,18 @@ class Aggregates:
         if problem.coupling is not None:
             group[problem.contact.nodes] += bodies
         group[problem.fixed.reshape(n, dim).all(axis=1)] = -1
-        size, depth = (_SIZE if n <= _MANY else _SIZE_OF_MANY)[dim]
+        size, depth = _SIZE[dim]
+        if n > _MANY:
+            size = n // _MOST[dim]
+            depth = round(0.9 * size ** (1 / dim))
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
         self.label = np.full(n, -1, dtype=np.int32)
         count = _grow(matrix.indptr, matrix.indices, group, sizes, depth, self.label)
         count = _join(matrix.indptr, matrix.indices, group, sizes, _REMNANT, self.label, count)
-        order = np.argsort(self.label, kind="stable").astype(np.int32)
-        members = np.bincount(self.label[self.label >= 0], minlength=count)
-        self.starts = np.concatenate([[0], np.cumsum(members)]) + np.count_nonzero(self.label < 0)
-        self.order = order
+        self.order, self.starts = np.empty(n, dtype=np.int32), np.empty(count + 1, dtype=np.int32)
         self.offset = np.zeros((n, dim))
-        if problem.coordinates is not None and count:
-            inside = self.label >= 0
-            for k in range(dim):
-                centre = np.bincount(self.label[inside], problem.coordinates[inside, k], count) / members
-                self.offset[inside, k] = problem.coordinates[inside, k] - centre[self.label[inside]]
-            square = np.bincount(self.label[inside], np.einsum("nk,nk->n", self.offset, self.offset)[inside], count)
-            extent = np.sqrt(square / members)
-            self.offset[inside] /= np.where(extent > 0, extent, 1.0)[self.label[inside], None]
+        points = np.empty((0, dim)) if problem.coordinates is None else problem.coordinates
+        _arrange(self.label, points, count, self.order, self.starts, self.offset)
         self.indptr = np.zeros(count + 1, dtype=np.int32)
         given = matrix.indptr, matrix.indices, self.label, self.order, self.starts, self.indptr
         self.indices = np.empty(_pattern(*given, np.empty(0, dtype=np.int32)), dtype=np.int32)
@@ -286,7 +316,7 @@ class CoarseMatrix:
                 factor = cho_factor(coarse.toarray(), lower=True, overwrite_a=True, check_finite=False)
                 self._solve = lambda sums: cho_solve(factor, sums, check_finite=False)
             else:
-                self._solve = splu(coarse, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+                self._solve = splu(coarse, permc_spec=_ORDER[dim], diag_pivot_thresh=0.0,
                                    options={"SymmetricMode": True}).solve
         except (np.linalg.LinAlgError, RuntimeError):
             self._solve = None  # a motion that nothing holds: the sweeps alone are a preconditioner too

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg.blas import daxpy
 from scipy.sparse.linalg import splu
 
 from adaptmg.runtime.compiled import kernel
@@ -31,9 +32,10 @@ from adaptmg.solver.certificate.aggregates import Aggregates, CoarseMatrix
 
 __all__ = ["FrozenStatus", "Tally", "add_forces", "residual_energy"]
 
-#: steps at least, up to so many nodes and beyond; at most, without and with Coulomb friction; share of the energy that
-#: may be missing
-_SMALL, _LEAST, _LEAST_OF_MANY, _MOST, _MOST_COULOMB, _SHARE = 20_000, 3, 2, 40, 16, 0.15
+#: steps at least and share of the energy that may be missing, up to so many nodes and beyond
+_SMALL, _FEW, _MANY = 20_000, (3, 0.15), (2, 0.3)
+#: steps at most, without and with Coulomb friction, which needs all directions
+_MOST, _MOST_COULOMB = 40, 16
 #: dofs up to which a factorisation is taken where the steps do not settle, by dimension
 _FACTORISED = {2: 100_000, 3: 30_000}
 
@@ -99,11 +101,11 @@ def _inverses(zero, indptr, indices, data, diagonal, inverse):
         if dim == 2:
             v[0, 0], v[0, 1], v[1, 0], v[1, 1] = d[1, 1], -d[0, 1], -d[1, 0], d[0, 0]
         else:
-            for k in range(dim):
-                k1, k2 = (k + 1) % dim, (k + 2) % dim
-                for m in range(dim):
-                    m1, m2 = (m + 1) % dim, (m + 2) % dim
-                    v[m, k] = d[k1, m1] * d[k2, m2] - d[k1, m2] * d[k2, m1]
+            v[0, 0], v[1, 1] = d[1, 1] * d[2, 2] - d[1, 2] * d[2, 1], d[0, 0] * d[2, 2] - d[0, 2] * d[2, 0]
+            v[0, 1] = v[1, 0] = d[0, 2] * d[2, 1] - d[0, 1] * d[2, 2]
+            v[0, 2] = v[2, 0] = d[0, 1] * d[1, 2] - d[0, 2] * d[1, 1]
+            v[1, 2] = v[2, 1] = d[0, 2] * d[1, 0] - d[0, 0] * d[1, 2]
+            v[2, 2] = d[0, 0] * d[1, 1] - d[0, 1] * d[1, 0]
         determinant = 0.0
         for k in range(dim):
             determinant += d[0, k] * v[k, 0]
@@ -222,7 +224,7 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
 def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner
                ) -> tuple[float, bool]:
     """A Galerkin solution's energy, and whether further steps would change it little; overwrites the residual."""
-    least = _LEAST if len(residual) <= _SMALL else _LEAST_OF_MANY
+    least, missing = _FEW if len(residual) <= _SMALL else _MANY
     symmetric, energy, largest = status.symmetric, 0.0, 0.0
     start = None if symmetric else residual.copy()
     kept: list[tuple[np.ndarray, np.ndarray]] = []  # orthonormal directions, and what the equations make of them
@@ -241,8 +243,8 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
         status.project(forces)
         for other, of_other in kept:
             share = _dot(other, image)
-            direction -= share * other
-            forces -= share * of_other
+            _add(-share, other, direction)
+            _add(-share, of_other, forces)
             square -= share * share
         if not square > 0.0:
             return energy, False  # a motion that nothing holds
@@ -251,10 +253,8 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
         if symmetric:
             share = _dot(direction, residual)
             kept = [(direction, forces)]
-            residual -= share * forces
+            _add(-share, forces, residual)
             energy += share * share
-            largest = max(largest, share * share / product)
-            left = largest * product
         else:
             kept.append((direction, forces))
             equations = np.array([[_dot(v, f) for _, f in kept] for v, _ in kept])
@@ -264,10 +264,10 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
                 return energy, False
             residual[:] = start
             for share, (_, f) in zip(shares, kept, strict=True):
-                residual -= share * f
+                _add(-share, f, residual)
             energy = float(shares @ shares)
-            left = abs(energy - before)
-        if step >= least and left <= _SHARE * energy:
+        largest = max(largest, abs(energy - before) / product)
+        if step >= least and largest * product <= missing * energy:
             return energy, True
     return energy, False
 
@@ -288,6 +288,11 @@ def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.nda
     rest = np.abs(matrix.diagonal()).max() * (sparse.eye_array(matrix.shape[0]) - keep)
     found = splu(sparse.csc_array(whole @ keep + rest)).solve(residual.reshape(-1))
     return max(_dot(found.reshape(n, dim), (matrix @ found).reshape(n, dim)), 0.0)
+
+
+def _add(factor: float, vector: np.ndarray, to: np.ndarray) -> None:
+    """To += factor vector, in one pass."""
+    daxpy(vector.reshape(-1), to.reshape(-1), a=factor)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:
