@@ -35,9 +35,9 @@ class Certificate:
     ----------
     lines : tuple of Condition
         'equilibrium' (of free dofs, under the claimed contact forces), 'prescribed values', 'penetration', 'tension',
-        'complementarity' (pressure times gap), 'friction bound', 'slip direction' (the work of friction on its bound
-        and opposite to the slip, less that of the claimed friction), 'slip along the force' (weighted by force, over
-        the actual ones), 'open, touching' (forces at nodes said to be open), 'touching, open' (gaps at nodes said to
+        'complementarity' (the smaller of pressure and gap, each in its own scale), 'friction bound', 'slip direction'
+        (the work of friction on its bound and opposite to the slip, less that of the claimed friction),
+        'slip along the force' (weighted by force, over the actual ones), 'open, touching' (forces at nodes said to be open), 'touching, open' (gaps at nodes said to
         touch), 'slip, sticking' (slip at nodes said to stick), 'balance' (sum of loads and all reactions).
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: rather too small
@@ -133,7 +133,8 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
                  found.balance())
     if found.idle:
         # nothing is relative to forces that are rounding: what they leave is told in N alone
-        lines = tuple(replace(line, relative=0.0) if line.unit != "m" and line.largest <= found.rounding else line
+        lines = tuple(replace(line, relative=0.0)
+                      if not line.unit or (line.unit != "m" and line.largest <= found.rounding) else line
                       for line in lines)
         energy = 0.0
     return Certificate(lines, energy, energy_rounding, bound, found.force, found.length, found.energy)

@@ -86,7 +86,8 @@ class ActiveSet:
             with run.phase("setup"):
                 local = local_system(level.discrete)
             steps = _NewtonSteps(self, local, run, number, None if start is None else local.to_local(start))
-            stop = _NewtonTest(local, self.rtol, self.max_steps, run if finest else None)
+            stop = _NewtonTest(local, self.rtol, self.max_steps, run if finest else None,
+                               displacement=local.to_cartesian if finest else None)
             if finest:
                 run.start_work_units = run.work_units
             status = iterate(steps, stop, run if finest else None)
@@ -106,7 +107,8 @@ class _NewtonTest(IterateTest):
             return  # nothing strains
         self.error_estimate = np.inf
         if self.changes:
-            self.error_estimate = self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
+            change = self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
+            self.error_estimate = self._caution * change
         self.met = self._small_enough()
 
 
