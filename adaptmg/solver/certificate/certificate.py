@@ -37,8 +37,9 @@ class Certificate:
         'equilibrium' (of free dofs, under the claimed contact forces), 'prescribed values', 'penetration', 'tension',
         'complementarity' (the smaller of pressure and gap, each in its own scale), 'friction bound', 'slip direction'
         (the work of friction on its bound and opposite to the slip, less that of the claimed friction),
-        'slip along the force' (weighted by force, over the actual ones), 'open, touching' (forces at nodes said to be open), 'touching, open' (gaps at nodes said to
-        touch), 'slip, sticking' (slip at nodes said to stick), 'balance' (sum of loads and all reactions).
+        'slip along the force' (weighted by force, over the actual ones), 'open, touching' (forces at nodes said to be
+        open), 'touching, open' (gaps at nodes said to touch), 'slip, sticking' (slip at nodes said to stick), 'balance'
+        (sum of loads and all reactions).
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: rather too small
         than too large. With ``bound=True`` by a factorisation: exact for this status.

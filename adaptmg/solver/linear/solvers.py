@@ -44,7 +44,7 @@ class LinearSolution:
     residual : float
         |b - K x| / |b|, Euclidean.
     converged : bool
-        Whether the residual (and what else the solver tests) is below the tolerance asked for.
+        Whether the residual is below the tolerance asked for.
     """
 
     unknowns: np.ndarray
@@ -185,8 +185,8 @@ class AMG:
     max_iterations: int = 500
     lag: int = 8
 
-    #: iterations between restarts of GMRES
-    RESTART = 50
+    #: iterations between restarts of GMRES: on slender bodies with slip it stagnates with 50
+    RESTART = 200
 
     def __post_init__(self) -> None:
         strength = checks.nonnegative("strength", self.strength)
@@ -277,7 +277,7 @@ class Preconditioned:
             tol *= max(0.5 * rtol * size / error, 1e-2)
         relative = _relative(residual, rhs)
         passes = self._products + self._cycles * self.cycle_passes
-        converged = relative <= 1.1 * rtol and error <= 1.1 * rtol * size
+        converged = relative <= 1.1 * rtol
         return LinearSolution(unknowns, iterations, passes, relative, converged)
 
 
