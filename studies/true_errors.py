@@ -3,9 +3,9 @@
 Bodies on obstacles and pairs of bodies, in 2D and 3D, nested and independent meshes, with and without prescribed
 displacements, friction up to 2; every method with tolerances from 1e-3 to 1e-10. Slender and folded bodies (springs,
 combs, rings, frames, beams) with tolerances from 1e-1 to 1e-8, and bodies with gaps of 1e3 to 1e5 displacements. The
-true error is the A-norm of the difference to the exact discrete solution nearest to the result (found by Newton steps from it, as there may be several)
-over the A-norm of that. A result is wrong if it says CONVERGED and the true error exceeds three times rtol; failures
-that are said are counted as such.
+true error is the A-norm of the difference to the exact discrete solution nearest to the result (found by Newton
+steps from it, as there may be several) over the A-norm of that. A result is wrong if it says CONVERGED and the true
+error exceeds three times rtol; failures that are said are counted as such.
 
     python studies/true_errors.py [--quick | --full] [--out DIR]
 """
