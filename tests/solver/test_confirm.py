@@ -38,19 +38,18 @@ def test_it_goes_on(solver, monkeypatch):
 
 @cache
 def folded():
-    """A serpentine of four arms, 20 : 1, on a plane, its top pressed down and moved aside; and its solution."""
-    meshes = [slender.cut_out(slender.spring(4, 20), 1e-3, divisions, (0.0, 0.0)) for divisions in (1, 2)]
+    """A serpentine of eight arms, 40 : 1, on a plane, its top pressed down and moved aside; and its solution."""
+    meshes = [slender.cut_out(slender.spring(8, 40), 1e-3, divisions, (0.0, 0.0)) for divisions in (1, 2)]
     grids = am.Hierarchy.from_meshes(am.ContactProblem(
         name="spring", material=am.PlaneStrain(young=2.1e11, poisson=0.3), law=am.Coulomb(0.3),
         contact=am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1))),
         supports=(am.Support("top", x=5e-5, y=-2e-4),)), meshes)
-    return grids, am.solve(grids, am.ActiveSet(rtol=1e-9)).displacement
+    return grids, am.solve(grids, am.ActiveSet(rtol=1e-6)).displacement
 
 
-@pytest.mark.parametrize("solver", [am.ActiveSet(linear=am.AMG(), condensed=False, rtol=1e-2), am.Multigrid(rtol=0.1),
-                                    am.FullMultigrid(rtol=0.1), am.FullMultigrid(rtol=1e-3),
-                                    am.Multigrid(correction=am.Monotone(), rtol=0.1)],
-                         ids=["active set", "from zero", "nested", "nested, closer", "monotone"])
+@pytest.mark.parametrize("solver", [am.FullMultigrid(rtol=0.1), am.FullMultigrid(rtol=1e-3),
+                                    am.FullMultigrid(correction=am.Monotone(), rtol=0.1)],
+                         ids=["nested", "nested, closer", "monotone"])
 def test_on_a_folded_body(solver):
     grids, exact = folded()
     result, matrix = am.solve(grids, solver), grids.finest.discrete.matrix
@@ -70,5 +69,6 @@ def test_a_patch_test_to_the_discretisation_error():
 @pytest.mark.parametrize("start", [am.FullMultigrid, am.Multigrid])
 @pytest.mark.parametrize("seed", range(4))
 def test_gaps_of_thousands_of_displacements_do_not_stall(seed, start):
-    result = am.solve(slender.random_gaps(seed)[1], start(rtol=1e-8))
-    assert not result.certificate().contradictions(1e-8)
+    certificate = am.solve(slender.random_gaps(seed)[1], start(rtol=1e-8)).certificate()
+    # the product of rounding and the whole gap, over the work of contact, is 2e-8 to 1e-7
+    assert certificate["complementarity"].relative <= 1e-8 and not certificate.contradictions(1e-8)
