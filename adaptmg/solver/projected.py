@@ -123,7 +123,7 @@ class ProjectedMultigrid:
         cycles = _Cycles(self.runner(len(self.hierarchy) - 1), o.cycle, local, unknowns)
         with self.run.phase("cycles"):
             if o.stop == "error":
-                stop = IterateTest(local, o.rtol, o.max_cycles, self.run)
+                stop = IterateTest(local, o.rtol, o.max_cycles, self.run, displacement=local.to_cartesian)
                 status = iterate(cycles, stop, self.run)
             else:
                 stop = ChangeTest(local, o.rtol, o.max_cycles, self.run)

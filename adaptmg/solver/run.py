@@ -72,6 +72,8 @@ class Run:
 
     #: the certificate errs by a factor of two: its estimate of the error may be so many times the tolerance
     ENOUGH = 1.3
+    #: natural residual up to which the contact status is believed to be nearly that of the solution
+    SETTLED = 0.5
     #: entries of ``path`` kept; a run of thousands of cycles repeats itself
     PATH_LIMIT = 100_000
 
@@ -117,14 +119,18 @@ class Run:
     def shortfall(self, solved: np.ndarray, rtol: float) -> float:
         """By how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not.
 
-        Between bodies in relative coordinates. What rounding explains is no shortfall.
+        Between bodies in relative coordinates. What rounding explains is no shortfall. The energy error holds the
+        contact status: where that is still far from the solution's, which a large residual shows, no factor is granted.
         """
         if self.examiner is None or not rtol > 0:
             return 0.0
         with self.phase("certificate"):
-            checked = self.examiner(solved).checked
-        ratio = checked.energy_error / rtol
-        return ratio if ratio > self.ENOUGH and checked.energy_error > checked.energy_rounding else 0.0
+            found = self.examiner(solved)
+        checked, ratio = found.checked, found.checked.energy_error / rtol
+        enough = self.ENOUGH if found.residual <= self.SETTLED else 1.0
+        if ratio > enough and checked.energy_error > checked.energy_rounding:
+            return ratio
+        return 1.0 if checked.contradictions(rtol) else 0.0
 
 
 @dataclass

@@ -90,17 +90,22 @@ class SingleGrid:
             reference = condensed.restrict(reference)
         sizes = _CondensedSizes(condensed) if self.condensed else Sizes(local.discrete, local.frames)
         test = {"run": run, "reference": reference, "sizes": sizes}
+
+        def displacement(unknowns: np.ndarray) -> np.ndarray:
+            return local.to_cartesian(unknowns if recover is None else recover(unknowns))
+
         given = (problem, self.smoother(), run, unknowns, self.max_sweeps)
         with run.phase("sweeps"):
             if self.friction == "fixed point":
-                stop = _TrescaTest(problem, self.rtol, self.max_sweeps, **test)
+                stop = _TrescaTest(problem, self.rtol, self.max_sweeps, displacement=displacement, **test)
                 sweeps = _TrescaProblems(*given, new_test=partial(_SweepTest, **test))
                 status = iterate(sweeps, stop, run)
             elif self.stop == "change":
                 stop, sweeps = ChangeTest(problem, self.rtol, self.max_sweeps, **test), _ChangingSweeps(*given)
                 status = sweeps.end(iterate(sweeps, stop, run), stop)
             else:
-                stop, sweeps = _SweepTest(problem, self.rtol, self.max_sweeps, **test), _Sweeps(*given)
+                stop = _SweepTest(problem, self.rtol, self.max_sweeps, displacement=displacement, **test)
+                sweeps = _Sweeps(*given)
                 status = iterate(sweeps, stop, run)
         run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
         if recover is not None:

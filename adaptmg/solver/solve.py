@@ -17,11 +17,11 @@ from adaptmg.solver.arguments import (
     grids_argument,
     solver_argument,
 )
-from adaptmg.solver.confirm import confirmed_result
 from adaptmg.solver.critical_friction import warn_of_large_friction, warn_of_several_solutions
 from adaptmg.solver.result import Result
 from adaptmg.solver.result.examiner import Examiner
 from adaptmg.solver.result.not_converged import NotConverged
+from adaptmg.solver.result.result_of import result_of
 from adaptmg.solver.run import Run, Solver
 from adaptmg.solver.statics import check_statics_of
 
@@ -82,7 +82,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     with run.phase("result"):
         posed, mesh = grids.problem, grids.finest.mesh
         stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
-        result = confirmed_result(grids, examiner, run, outcome, solver, stress_data)
+        result = result_of(grids, examiner, run, outcome, solver, stress_data)
     if throw and not result.status.ok:
         raise NotConverged(result)
     return result

@@ -9,7 +9,7 @@ solution. What the truncated multigrid estimates from: :mod:`adaptmg.solver.trun
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import sparse
@@ -35,6 +35,10 @@ class StopTest:
         Cycles, sweeps or steps at most.
     sizes : Sizes
         What errors and residuals refer to.
+    certificate : callable, optional
+        By how many times the present iterate falls short of a tolerance, 0 if it does not; asked before a test that is
+        met is believed. Where it contradicts, the estimate is larger by that factor from then on; it is asked again
+        once that meets the tolerance, or after half as many cycles again.
 
     Attributes
     ----------
@@ -57,15 +61,17 @@ class StopTest:
     #: what a stalled iteration is called
     STALLED = Status.STALLED
 
-    def __init__(self, rtol: float, limit: float, sizes: Sizes) -> None:
+    def __init__(self, rtol: float, limit: float, sizes: Sizes,
+                 certificate: Callable[[float], float] | None = None) -> None:
         self.rtol, self.limit, self.sizes = rtol, limit, sizes
+        self._certificate, self._caution, self._asked, self._rounding = certificate, 1.0, 0, False
         self.changes: list[float] = []
         self.size, self.residual, self.error_estimate, self.met = 0.0, np.inf, np.inf, False
         self._last = np.nan
 
     def verdict(self, cycles: int) -> Status | None:
         """How the iteration ends after so many cycles; None if it goes on."""
-        if self.met and not self.doubted():
+        if self.met and not self.doubted(cycles):
             return Status.CONVERGED
         if self.diverged:
             return Status.DIVERGED
@@ -86,9 +92,9 @@ class StopTest:
             residual = 0.0
         self.residual = 0.0 if residual == 0 else residual / (forces or residual)  # an interference fit: no forces yet
         self._last = residual
-        rounding = self.at_rounding(floor)
-        self.error_estimate = self.residual if rounding else self._estimate()
-        self.met = rounding or self._small_enough()
+        self._rounding = self.at_rounding(floor)
+        self.error_estimate = self.residual if self._rounding else self._caution * self._estimate()
+        self.met = self._rounding or self._small_enough()
 
     def at_rounding(self, floor: float) -> bool:
         """Whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N.
@@ -102,9 +108,16 @@ class StopTest:
         """Whether the last residual is small enough."""
         return self.residual <= self.RESIDUAL_FACTOR * self.rtol
 
-    def doubted(self) -> bool:
-        """Whether something else contradicts a test that is met."""
-        return False
+    def doubted(self, cycles: int) -> bool:
+        """Whether the certificate contradicts a test that is met after so many cycles."""
+        if self._certificate is None or self._rounding:
+            return False
+        if self.error_estimate > self.rtol and cycles < 1.5 * self._asked:
+            return True
+        ratio, self._asked = self._certificate(self.rtol), cycles
+        if ratio > 0.0:
+            self._caution *= max(2.0, 1.5 * ratio)
+        return ratio > 0.0
 
     def measures(self) -> dict[str, float]:
         """Relative residual, change and estimate at the last iterate."""
@@ -149,7 +162,7 @@ class StopTest:
         return len(values) > self.PATIENCE and int(np.argmin(values)) < len(values) - self.PATIENCE
 
     def _small_enough(self) -> bool:
-        return self.error_estimate <= self.rtol and self.residual_met
+        return self.error_estimate <= self._caution * self.rtol and self.residual_met
 
     def _estimate(self) -> float:
         """The error that remains, relative."""
@@ -183,11 +196,16 @@ class IterateTest(StopTest):
         The exact discrete solution in local components. Default: that of ``run``.
     sizes : Sizes, optional
         Where ``local`` is condensed; by default that of ``local``.
+    displacement : callable, optional
+        Makes the displacement of unknowns, for the certificate; without it that is not asked.
     """
 
     def __init__(self, local: LocalProblem, rtol: float, limit: float, run: Run | None = None,
-                 reference: np.ndarray | None = None, sizes: Sizes | None = None) -> None:
-        super().__init__(rtol, limit, Sizes(local.discrete, local.frames) if sizes is None else sizes)
+                 reference: np.ndarray | None = None, sizes: Sizes | None = None,
+                 displacement: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
+        super().__init__(rtol, limit, Sizes(local.discrete, local.frames) if sizes is None else sizes,
+                         None if displacement is None else self._shortfall)
+        self._displacement = displacement
         if reference is None and run is not None and run.reference is not None:
             reference = local.to_local(run.reference)
         self.local, self.run, self.reference = local, run, reference
@@ -195,6 +213,9 @@ class IterateTest(StopTest):
         self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
         self._unknowns: np.ndarray | None = None
         self._defect: np.ndarray | None = None
+
+    def _shortfall(self, rtol: float) -> float:
+        return self.run.shortfall(self._displacement(self._unknowns), rtol)
 
     def take(self, unknowns: np.ndarray, defect: np.ndarray) -> None:
         """Take an iterate and its residual b - A w (n_dofs,)."""

@@ -61,7 +61,9 @@ def test_it_imports_nothing_of_the_solvers():
     folder = Path(am.solver.__file__).parent / "certificate"
     allowed = {"adaptmg.runtime.compiled", "adaptmg.runtime.threads", "adaptmg.discrete",
                "adaptmg.solver.certificate.lines", "adaptmg.solver.certificate.energy",
-               "adaptmg.solver.certificate.certificate", "adaptmg.solver.certificate.hats"}
+               "adaptmg.solver.certificate.certificate", "adaptmg.solver.certificate.aggregates",
+               # arithmetic of small blocks, for the estimate of the energy error alone
+               "adaptmg.smoother.blocks"}
     for file in folder.glob("*.py"):
         tree = ast.parse(file.read_text(encoding="utf-8"))
         names = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
@@ -83,7 +85,7 @@ def test_a_solution_violates_nothing(law, dim):
 def test_a_solution_between_bodies_violates_nothing(law):
     result = am.solve(bar_hierarchy(bar_on_block(law), 2), EXACT)
     assert not result.certificate().contradictions(1e-10)
-    assert {line.unit for line in result.certificate().lines} == {"N", "m", "N m"}
+    assert {line.unit for line in result.certificate().lines} == {"N", "m", "N m", ""}
 
 
 def test_the_scales_are_actual_forces_and_the_largest_displacement():

@@ -68,7 +68,7 @@ def test_what_is_met_may_be_doubted(grids):
     class Doubting(StopTest):
         doubts = 2
 
-        def doubted(self):
+        def doubted(self, cycles):
             self.doubts -= 1
             return self.doubts >= 0
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.runtime.threads import one_blas_thread
+from adaptmg.solver.certificate.aggregates import Aggregates
 from adaptmg.solver.certificate.lines import Condition, ContactClaims, Evidence
 
 __all__ = ["Certificate", "Condition", "certify"]
@@ -34,13 +35,14 @@ class Certificate:
     ----------
     lines : tuple of Condition
         'equilibrium' (of free dofs, under the claimed contact forces), 'prescribed values', 'penetration', 'tension',
-        'complementarity' (pressure times gap), 'friction bound', 'slip direction' (the work of friction on its bound
-        and opposite to the slip, less that of the claimed friction), 'slip along the force' (weighted by force, over
-        the actual ones), 'open, touching' (forces at nodes said to be open), 'touching, open' (gaps at nodes said to
-        touch), 'slip, sticking' (slip at nodes said to stick), 'balance' (sum of loads and all reactions).
+        'complementarity' (the smaller of pressure and gap, each in its own scale), 'friction bound', 'slip direction'
+        (the work of friction on its bound and opposite to the slip, less that of the claimed friction),
+        'slip along the force' (weighted by force, over the actual ones), 'open, touching' (forces at nodes said to be
+        open), 'touching, open' (gaps at nodes said to touch), 'slip, sticking' (slip at nodes said to stick), 'balance'
+        (sum of loads and all reactions).
     energy_error : float
-        Estimated ||u - u_h||_A / ||u||_A with the contact status held; a few conjugate gradient steps, so that it is
-        rather too small than too large. With ``bound=True`` by a factorisation: exact for this status.
+        Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: rather too small
+        than too large. With ``bound=True`` by a factorisation: exact for this status.
     energy_rounding : float
         As much of it as rounding explains.
     exact_energy : bool
@@ -104,7 +106,7 @@ class Certificate:
 
 @one_blas_thread()
 def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
-            images: np.ndarray | None = None) -> Certificate:
+            images: np.ndarray | None = None, aggregates: Aggregates | None = None) -> Certificate:
     """Check a displacement and the contact forces and states that go with it.
 
     Parameters
@@ -119,16 +121,21 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
         the matrix.
     images : (n_dofs,) array, optional
         The stored matrix times the displacement (relative), N, where the caller has made that product already.
+    aggregates : Aggregates, optional
+        Of the problem, where the caller keeps them.
     """
+    if aggregates is None and not bound:
+        aggregates = Aggregates(problem)
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
         found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, images)
-        energy, energy_rounding = found.energy_error(bound)
+        energy, energy_rounding = found.energy_error(None if bound else aggregates)
         lines = (found.equilibrium(), found.prescribed(), *found.normal(), *found.tangential(), *found.states(),
                  found.balance())
     if found.idle:
         # nothing is relative to forces that are rounding: what they leave is told in N alone
-        lines = tuple(replace(line, relative=0.0) if line.unit != "m" and line.largest <= found.rounding else line
+        lines = tuple(replace(line, relative=0.0)
+                      if not line.unit or (line.unit != "m" and line.largest <= found.rounding) else line
                       for line in lines)
         energy = 0.0
     return Certificate(lines, energy, energy_rounding, bound, found.force, found.length, found.energy)

@@ -1,15 +1,20 @@
-r"""The energy error of a displacement, estimated from the raw matrix by a few conjugate gradient steps.
+r"""The energy error of a displacement, estimated from the raw matrix by a few steps of a Galerkin method.
 
 With the contact status of the displacement held, u is first moved onto its constraints by a change z of constrained
 dofs alone: v = u + z has its prescribed values, touching nodes on the obstacle, sticking nodes at zero slip. What is
 then missing is a correction in the space of the displacements that keep the status,
 
-.. math:: \|u - u_h\|_A \le \|z\|_A + \|v - u_h\|_A, \qquad \|v - u_h\|_A = |e|_{A^{-1}},
+.. math:: \|u - u_h\|_A \le \|z\|_A + \|v - u_h\|_A,
 
-e the forces at v that no load, support or lawful contact force explains. Conjugate gradients give
-:math:`|e|^2_{A^{-1}} = \sum_k \alpha_k\,r_k \cdot z_k`, a sum of positive terms, of which some are taken: never too
-much. The preconditioner is the diagonal plus :mod:`adaptmg.solver.certificate.hats`. What other lines of a certificate
-need from all nodes, sums and largest entries, a :class:`Tally` takes in one pass. Nothing here comes from the solvers.
+the solution of :math:`K (I + D) A\,y + K S\,y = e`: e the forces at v that no load, support or lawful contact force
+explains, K the projection onto that space, S the stiffness of friction that turns with the slip, D the friction that
+a change of the pressure brings (Coulomb). Its Galerkin solution in the span of preconditioned residuals is sought,
+without D by conjugate gradients, whose energy grows from step to step and is never too large. The preconditioner:
+forward Gauss-Seidel, the rigid motions of :mod:`adaptmg.solver.certificate.aggregates`, backward Gauss-Seidel. The
+steps end when what the last residual could still hold, by the largest of the steps' ratios of energy to
+:math:`r\cdot P r`, is small; where they do not settle, a factorisation decides if the matrix is not too large for one.
+What other lines of a certificate need from all nodes, sums and largest entries, a :class:`Tally` takes in one pass.
+Nothing here comes from the solvers but the arithmetic of small blocks.
 """
 
 from __future__ import annotations
@@ -18,18 +23,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg.blas import daxpy
 from scipy.sparse.linalg import splu
 
 from adaptmg.runtime.compiled import kernel
-from adaptmg.solver.certificate.hats import Hats
+from adaptmg.smoother.blocks import ZERO, add, in_loop, read, subtract, times, transposed_times, write
+from adaptmg.solver.certificate.aggregates import Aggregates, CoarseMatrix
 
 __all__ = ["FrozenStatus", "Tally", "add_forces", "residual_energy"]
 
-
-#: conjugate gradient steps at most, and the share of the sum that is not worth another: up to so many nodes, which cost
-#: nothing that anybody notices, and beyond
-_SMALL, _MANY, _FEW = 20_000, (12, 0.005), (4, 0.05)
-_NONE = np.empty(0, dtype=np.int64)
+#: steps at least and share of the energy that may be missing, up to so many nodes and beyond
+_SMALL, _FEW, _MANY = 20_000, (3, 0.15), (2, 0.3)
+#: steps at most, without and with Coulomb friction, which needs all directions
+_MOST, _MOST_COULOMB = 40, 16
+#: dofs up to which a factorisation is taken where the steps do not settle, by dimension
+_FACTORISED = {2: 100_000, 3: 30_000}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +68,10 @@ class FrozenStatus:
         """Leave of a vector (n_nodes, dim) the part that may move, in place."""
         vector[self.held] = np.einsum("nij,nj->ni", self.kept, vector[self.held])
 
-    def product(self, matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
-        """The projected matrix, friction included, times a projected vector (n_nodes, dim)."""
-        result = (matrix @ vector.reshape(-1)).reshape(vector.shape)
-        result[self.nodes] += np.einsum("nij,nj->ni", self.stiffening, vector[self.nodes])
-        self.project(result)
-        return result
+    @property
+    def symmetric(self) -> bool:
+        """Whether the pressure does not change friction."""
+        return not self.dragged.any()
 
 
 @kernel
@@ -81,10 +87,113 @@ def add_forces(indptr, indices, data, nodes, change, forces):
     return energy
 
 
+@kernel
+def _inverses(zero, indptr, indices, data, diagonal, inverse):
+    """Diagonal blocks of a matrix and their inverses, by cofactors."""
+    dim = len(zero)
+    for i in range(len(indptr) - 1):
+        for p in range(indptr[i], indptr[i + 1]):
+            if indices[p] == i:
+                for k in range(dim):
+                    for m in range(dim):
+                        diagonal[i, k, m] = data[p, k, m]
+        d, v = diagonal[i], inverse[i]
+        if dim == 2:
+            v[0, 0], v[0, 1], v[1, 0], v[1, 1] = d[1, 1], -d[0, 1], -d[1, 0], d[0, 0]
+        else:
+            v[0, 0], v[1, 1] = d[1, 1] * d[2, 2] - d[1, 2] * d[2, 1], d[0, 0] * d[2, 2] - d[0, 2] * d[2, 0]
+            v[0, 1] = v[1, 0] = d[0, 2] * d[2, 1] - d[0, 1] * d[2, 2]
+            v[0, 2] = v[2, 0] = d[0, 1] * d[1, 2] - d[0, 2] * d[1, 1]
+            v[1, 2] = v[2, 1] = d[0, 2] * d[1, 0] - d[0, 0] * d[1, 2]
+            v[2, 2] = d[0, 0] * d[1, 1] - d[0, 1] * d[1, 0]
+        determinant = 0.0
+        for k in range(dim):
+            determinant += d[0, k] * v[k, 0]
+        for k in range(dim):
+            for m in range(dim):
+                v[k, m] /= determinant
+
+
+@in_loop
+def _plus(array, at, v):
+    write(array, at, add(read(array, at, v), v))
+
+
+@kernel
+def _forward(zero, indptr, indices, data, inverse, load, u, rest):
+    """Gauss-Seidel from zero, and the residual that it leaves: the lower half of the matrix alone is read."""
+    dim = np.uint64(len(zero))
+    size = dim * dim
+    rest[:] = 0.0
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        r = read(load, dim * i, zero)
+        end = indptr[node]
+        while indices[end] < node:
+            r = subtract(r, times(data, size * np.uint64(end), read(u, dim * np.uint64(indices[end]), zero)))
+            end += 1
+        value = times(inverse, size * i, r)
+        write(u, dim * i, value)
+        for p in range(indptr[node], end):
+            at = dim * np.uint64(indices[p])
+            write(rest, at, subtract(read(rest, at, zero), transposed_times(data, size * np.uint64(p), value)))
+
+
+@kernel
+def _backward(zero, indptr, indices, data, inverse, load, u, image):
+    """Gauss-Seidel from u, and the matrix times what it ends with, in one pass."""
+    dim = np.uint64(len(zero))
+    size = dim * dim
+    image[:] = 0.0
+    for node in range(len(indptr) - 2, -1, -1):
+        i = np.uint64(node)
+        r, above = read(load, dim * i, zero), zero
+        p = indptr[node]
+        while indices[p] < node:
+            r = subtract(r, times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero)))
+            p += 1
+        own = p
+        for p in range(own + 1, indptr[node + 1]):
+            above = add(above, times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero)))
+        value = times(inverse, size * i, subtract(r, above))
+        write(u, dim * i, value)
+        _plus(image, dim * i, add(above, times(data, size * np.uint64(own), value)))
+        for p in range(own + 1, indptr[node + 1]):
+            _plus(image, dim * np.uint64(indices[p]), transposed_times(data, size * np.uint64(p), value))
+
+
+class _Preconditioner:
+    """Forward Gauss-Seidel, coarse correction, backward Gauss-Seidel on the matrix of a status."""
+
+    def __init__(self, matrix: sparse.bsr_array, status: FrozenStatus, aggregates: Aggregates) -> None:
+        dim = status.kept.shape[1]
+        n = matrix.shape[0] // dim
+        self._zero = ZERO[dim]
+        self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1)
+        diagonal, inverse = np.zeros((n, dim, dim)), np.empty((n, dim, dim))
+        _inverses(self._zero, matrix.indptr, matrix.indices, matrix.data, diagonal, inverse)
+        diagonal[status.nodes] += status.stiffening
+        # a small stiffness of what is projected away is none
+        inverse[status.held] = np.linalg.pinv(status.kept @ diagonal[status.held] @ status.kept, rcond=1e-12,
+                                              hermitian=True)
+        number = np.full(n, -1, dtype=np.int32)
+        number[status.held] = np.arange(len(status.held))
+        self._inverse = inverse.reshape(-1)
+        self._coarse = CoarseMatrix(aggregates, matrix, diagonal, number, status.kept)
+        self._rest = np.empty(n * dim)
+
+    def __call__(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The preconditioned residual (n_nodes, dim), and the stored matrix times it."""
+        result, image, load = np.empty_like(residual), np.empty_like(residual), residual.reshape(-1)
+        _forward(self._zero, *self._matrix, self._inverse, load, result.reshape(-1), self._rest)
+        self._coarse.correct(self._rest, result.reshape(-1))
+        _backward(self._zero, *self._matrix, self._inverse, load, result.reshape(-1), image.reshape(-1))
+        return result, image
+
+
 def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray,
-                    diagonal: np.ndarray, coordinates: np.ndarray | None, exact: bool = False,
-                    relative: bool = False) -> float:
-    """|e|^2 in the inverse of the matrix on the space of a status, N m.
+                    aggregates: Aggregates | None) -> float:
+    """Energy of the displacement that a residual brings about in the space of a status, N m.
 
     Parameters
     ----------
@@ -92,14 +201,8 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
     status : FrozenStatus
     residual : (n_nodes, dim) array
         e, N; it is overwritten.
-    diagonal : (n_nodes, dim) array
-        Of the matrix.
-    coordinates : (n_nodes, dim) array or None
-        For the hats; else nodes are taken in the order of their numbers.
-    exact : bool
-        By a sparse factorisation; else from below, by conjugate gradients.
-    relative : bool
-        Whether contact nodes count from those of another body.
+    aggregates : Aggregates or None
+        For the estimate; None: by a sparse factorisation.
     """
     status.project(residual)
     size = _dot(residual, residual)
@@ -107,29 +210,66 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
         return float("inf")
     if size == 0.0:
         return 0.0
-    if exact:
+    if aggregates is None:
         return _factorised(matrix, status, residual)
-    if status.stiffening.any():
-        diagonal = diagonal.copy()
-        diagonal[status.nodes] += np.diagonal(status.stiffening, axis1=1, axis2=2)
-    hats = Hats(matrix, diagonal, status.held, status.kept, coordinates, status.nodes if relative else _NONE)
-    energy, before, alpha = 0.0, np.inf, 0.0
-    direction, image = np.zeros_like(residual), residual
-    steps, little = _MANY if len(residual) <= _SMALL else _FEW
-    for _ in range(steps):
-        product, smooth = hats.advance(residual, alpha, image)
-        # not before the product, which costs most: steps are about as long as the last one
-        if not product > 0.0 or (alpha * product <= little * energy and energy > 0.0):
-            break
-        hats.turn(residual, smooth, product / before, direction)
-        status.project(direction)
-        image = status.product(matrix, direction)
-        curvature = _dot(direction, image)
-        if not curvature > 0.0:
-            break  # a motion that nothing holds
-        alpha, before = product / curvature, product
-        energy += alpha * product
+    energy, settled = _estimated(matrix, status, residual.copy(), _Preconditioner(matrix, status, aggregates))
+    if not settled and matrix.shape[0] <= _FACTORISED[residual.shape[1]]:
+        try:
+            return _factorised(matrix, status, residual)
+        except RuntimeError:
+            return energy  # a motion that nothing holds
     return energy
+
+
+def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner
+               ) -> tuple[float, bool]:
+    """A Galerkin solution's energy, and whether further steps would change it little; overwrites the residual."""
+    least, missing = _FEW if len(residual) <= _SMALL else _MANY
+    symmetric, energy, largest = status.symmetric, 0.0, 0.0
+    start = None if symmetric else residual.copy()
+    kept: list[tuple[np.ndarray, np.ndarray]] = []  # orthonormal directions, and what the equations make of them
+    for step in range(1, (_MOST if symmetric else _MOST_COULOMB) + 1):
+        direction, image = precondition(residual)
+        product, before = _dot(residual, direction), energy
+        if not product > 0.0:
+            return energy, True
+        at = status.nodes
+        dragged = np.einsum("nij,nj->ni", status.dragged, image[at])
+        image[at] += np.einsum("nij,nj->ni", status.stiffening, direction[at])
+        square, forces = _dot(direction, image), image
+        if not symmetric:
+            forces = image.copy()
+            forces[at] += dragged
+        status.project(forces)
+        for other, of_other in kept:
+            share = _dot(other, image)
+            _add(-share, other, direction)
+            _add(-share, of_other, forces)
+            square -= share * share
+        if not square > 0.0:
+            return energy, False  # a motion that nothing holds
+        direction /= np.sqrt(square)
+        forces /= np.sqrt(square)
+        if symmetric:
+            share = _dot(direction, residual)
+            kept = [(direction, forces)]
+            _add(-share, forces, residual)
+            energy += share * share
+        else:
+            kept.append((direction, forces))
+            equations = np.array([[_dot(v, f) for _, f in kept] for v, _ in kept])
+            try:
+                shares = np.linalg.solve(equations, [_dot(v, start) for v, _ in kept])
+            except np.linalg.LinAlgError:
+                return energy, False
+            residual[:] = start
+            for share, (_, f) in zip(shares, kept, strict=True):
+                _add(-share, f, residual)
+            energy = float(shares @ shares)
+        largest = max(largest, abs(energy - before) / product)
+        if step >= least and largest * product <= missing * energy:
+            return energy, True
+    return energy, False
 
 
 def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray) -> float:
@@ -148,6 +288,11 @@ def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.nda
     rest = np.abs(matrix.diagonal()).max() * (sparse.eye_array(matrix.shape[0]) - keep)
     found = splu(sparse.csc_array(whole @ keep + rest)).solve(residual.reshape(-1))
     return max(_dot(found.reshape(n, dim), (matrix @ found).reshape(n, dim)), 0.0)
+
+
+def _add(factor: float, vector: np.ndarray, to: np.ndarray) -> None:
+    """To += factor vector, in one pass."""
+    daxpy(vector.reshape(-1), to.reshape(-1), a=factor)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:

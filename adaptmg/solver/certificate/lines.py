@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.solver.certificate.aggregates import Aggregates
 from adaptmg.solver.certificate.energy import FrozenStatus, Tally, add_forces, residual_energy
 
 __all__ = ["Condition", "ContactClaims", "Evidence"]
@@ -41,7 +42,7 @@ class Condition:
     largest, total : float
         At one node, and over all: the Euclidean norm, of energies the sum.
     unit : str
-        Of both.
+        Of both; empty for a number.
     relative : float
         Over the actual forces (Euclidean norm of loads or reactions), the largest displacement, or the energy.
     rounding : float
@@ -145,10 +146,13 @@ class Evidence:
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Penetration, tension, complementarity."""
         pulling = np.einsum("nd,nd->n", self.unexplained[self.nodes], self.normals) - self.pressure
-        works = np.maximum(self.pressure, 0.0) * np.maximum(self.gap, 0.0)
+        # each in its own scale: a force of rounding times a gap of a thousand displacements is no work of contact
+        both = np.minimum(_shares(self.pressure, self.force), _shares(self.gap, self.length))
+        complementarity = Condition("complementarity", float(both.max(initial=0.0)), _norm(both), "", _norm(both),
+                                    _over(self.rounding, self.force) + 16 * _EPSILON)
         return (self._lengths("penetration", np.maximum(-self.gap, 0.0)),
                 self._forces("tension", np.maximum(np.maximum(pulling, -self.pressure), 0.0)),
-                self._works("complementarity", works, np.maximum(self.pressure, 0.0).sum()))
+                complementarity)
 
     def tangential(self) -> tuple[Condition, Condition, Condition]:
         """Friction beyond its bound, and not opposite to the slip."""
@@ -176,8 +180,9 @@ class Evidence:
         return Condition("balance", float(np.abs(sums).max()), total, "N", _over(total, scale),
                          _over(self.rounding, scale))
 
-    def energy_error(self, exact: bool) -> tuple[float, float]:
-        """The relative energy error, and as much of it as rounding explains."""
+    def energy_error(self, aggregates: Aggregates | None) -> tuple[float, float]:
+        """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
+        """
         problem, coupling = self.problem, self.problem.coupling
         status, change, unlawful = self._frozen()
         # a copy: what is unexplained is told by other lines too
@@ -186,8 +191,7 @@ class Evidence:
         forces[problem.contact.nodes] += unlawful
         matrix = problem.matrix
         moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
-        rest = residual_energy(matrix, status, forces, self.diagonal, problem.coordinates, exact,
-                               relative=coupling is not None)
+        rest = residual_energy(matrix, status, forces, aggregates)
         rounding = 32 * _EPSILON * self.tally.stiff_energy
         return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
 
@@ -245,6 +249,11 @@ def _directions(vectors: np.ndarray) -> np.ndarray:
     """Unit vectors (n, dim), zero where there is none."""
     size = np.linalg.norm(vectors, axis=1)[:, None]
     return np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
+
+
+def _shares(values: np.ndarray, scale: float) -> np.ndarray:
+    """What is positive, over a scale."""
+    return np.maximum(values, 0.0) / (scale or 1.0)
 
 
 def _over(value: float, scale: float) -> float:

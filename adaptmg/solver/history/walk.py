@@ -22,7 +22,6 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.arguments import checked_outcome
-from adaptmg.solver.confirm import confirmed_result
 from adaptmg.solver.history.past import Past, StepSolver, better_start, coarse_displacements, past_of
 from adaptmg.solver.history.store import fingerprint
 from adaptmg.solver.method import own
@@ -129,7 +128,7 @@ class PathWalk:
         with run.phase("setup"):
             grids = self._posed(k)
             forces = lifted_load(grids.finest.discrete)
-            self.examiner = self.examiner.at_step(grids.finest.discrete)
+            run.examiner = self.examiner = self.examiner.at_step(grids.finest.discrete)
             past = replace(self.past, extrapolated=self._extrapolated(forces))
         with run.phase("statics"):
             try:
@@ -142,7 +141,7 @@ class PathWalk:
             outcome, coarse = self.method.run(grids, self.examiner, run, past)
             outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
             with run.phase("result"):
-                result = confirmed_result(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
+                result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
         with run.phase("result"):
             self._remember(grids, result, forces, coarse)
         _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,

@@ -86,7 +86,8 @@ class ActiveSet:
             with run.phase("setup"):
                 local = local_system(level.discrete)
             steps = _NewtonSteps(self, local, run, number, None if start is None else local.to_local(start))
-            stop = _NewtonTest(local, self.rtol, self.max_steps, run if finest else None)
+            stop = _NewtonTest(local, self.rtol, self.max_steps, run if finest else None,
+                               displacement=local.to_cartesian if finest else None)
             if finest:
                 run.start_work_units = run.work_units
             status = iterate(steps, stop, run if finest else None)
@@ -95,9 +96,19 @@ class ActiveSet:
 
 
 class _NewtonTest(IterateTest):
-    """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none."""
+    """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none.
 
-    stalled = False
+    As long as the contact status changes, nodes may follow one another, and steps are those of a linear iteration.
+
+    Attributes
+    ----------
+    settled : bool
+        Whether the status is that of the step before.
+    """
+
+    stalled, settled = False, False
+    #: the largest rate that is believed: flips at rounding have none
+    MOST_RATE = 0.9
 
     def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
         """See :class:`~adaptmg.solver.stop_test.StopTest`."""
@@ -106,7 +117,9 @@ class _NewtonTest(IterateTest):
             return  # nothing strains
         self.error_estimate = np.inf
         if self.changes:
-            self.error_estimate = self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
+            change = self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
+            rate = 0.0 if self.settled or np.isnan(self.safe_rate) else min(self.safe_rate, self.MOST_RATE)
+            self.error_estimate = self._caution * change * max(1.0, rate / (1 - rate))
         self.met = self._small_enough()
 
 
@@ -151,9 +164,10 @@ class _NewtonSteps:
         """Residual, and the contact status that it decides."""
         defect = residual(self.local.system, self.local.load, self.unknowns)
         self.run.count(1, self.local.system.nonzeros)
-        stop.take(self.unknowns, defect)
         self._forces = self.methods.contact_residual(defect)
         self._equations = self._linearised(self._factor, hold=self._hold_first and self.cycles == 0)
+        stop.settled = self._equations.key == self._last
+        stop.take(self.unknowns, defect)
 
     def row(self, stop: IterateTest) -> dict[str, float]:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""

@@ -17,7 +17,7 @@ from adaptmg.discrete import DiscreteProblem
 from adaptmg.smoother.residuals import natural_at_nodes, states
 from adaptmg.smoother.state import ContactState
 from adaptmg.smoother.system import NodalContact, contact_blocks, held_tangents, local_contact
-from adaptmg.solver.certificate import Certificate, certify
+from adaptmg.solver.certificate import Aggregates, Certificate, certify
 from adaptmg.solver.result.contact_result import ContactResult
 from adaptmg.solver.sizes import ROUNDING, Sizes, euclidean_norm
 
@@ -67,6 +67,7 @@ class Examiner:
         self.blocks = contact_blocks(discrete, self.contact, self.frames)
         self.sizes = Sizes(discrete)
         self._last: tuple[np.ndarray, Examined] | None = None
+        self._aggregates: Aggregates | None = None
 
     def at_step(self, discrete: DiscreteProblem) -> Examiner:
         """For the same bodies under other data (a load step)."""
@@ -125,8 +126,10 @@ class Examiner:
         displacement = discrete.physical(nodal)
         contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
                                  -self._at_contact(defect))
+        if self._aggregates is None:
+            self._aggregates = Aggregates(discrete)
         found = Examined(displacement, reaction.reshape(nodal.shape), contact, self._residual(solved, defect),
-                         certify(discrete, displacement, contact, images=images))
+                         certify(discrete, displacement, contact, images=images, aggregates=self._aggregates))
         self._last = solved, found
         return found
 

@@ -20,9 +20,12 @@ class NotConverged(RuntimeError):
 
     def __init__(self, result: Result) -> None:
         self.result = result
+        found = () if result.checked is None else result.checked.contradictions(result.rtol)
+        contradicted = f" The certificate contradicts this tolerance: {', '.join(found)}." if found else ""
         super().__init__(f"{result.solver_name}: {result.status.name} after {result.cycles} cycles, natural residual "
-                         f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}. "
-                         "The last iterate is in the exception's .result; throw=False returns it instead.")
+                         f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}."
+                         f"{contradicted} The last iterate is in the exception's .result; throw=False returns "
+                         "it instead.")
 
     def __reduce__(self) -> tuple[Any, ...]:
         # exceptions are rebuilt from .args, which is the text here: a process that is handed one back must not fail

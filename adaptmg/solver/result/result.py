@@ -115,7 +115,8 @@ class Result:
             return ""
         worst = self.checked.worst
         return (f"\n  certificate: worst {worst.name} {worst.largest:.2e} {worst.unit} (relative "
-                f"{worst.relative:.2e}), energy error {self.checked.energy_error:.2e}")
+                f"{worst.relative:.2e}), energy error {self.checked.energy_error:.2e}; "
+                f"{self.timings.get('certificate', 0.0):.2g} s")
 
     def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
         """By how much each condition of the contact problem is violated, by code that shares nothing with the solvers.

@@ -13,8 +13,9 @@ class Status(Enum):
     CONVERGED = "converged to the tolerance asked for"
     LIMIT = ("the limit on cycles or sweeps was reached before the tolerance: raise it, take a better start "
              "(FullMultigrid), more smoothing, or a looser rtol")
-    STALLED = ("the iterates stopped changing but the contact conditions are not met to the tolerance: take "
-               "am.Monotone() (the frozen choices of the paper's correction are known to stall), or am.ActiveSet()")
+    STALLED = ("the iterates no longer improve, or the certificate contradicts the last one, short of the "
+               "tolerance: take am.Monotone() (the frozen choices of the paper's correction are known to stall), or "
+               "am.ActiveSet()")
     CYCLING = ("the contact status repeats without converging: reduce the friction or the load step, start from a "
                "nested iteration, or solve with am.Multigrid()")
     DIVERGED = ("the iterates grow without bound: check supports and loads (am.solve checks rigid motions), take "

@@ -32,8 +32,7 @@ class EnergyTest(StopTest):
     limit : float
         Cycles at most.
     certificate : callable, optional
-        By how many times the present iterate falls short of a tolerance, 0 if it does not; asked before the test is
-        believed, a few times at most.
+        As of :class:`~adaptmg.solver.stop_test.StopTest`.
     """
 
     #: the energy of the coarse correction misses what the smoothing removes, and all the corrections that follow: the
@@ -49,15 +48,13 @@ class EnergyTest(StopTest):
     TROUBLE = 6
     #: cycles over which the speed is measured once there are twice as many, and the share of what is left that is most
     WINDOW, MOST = 12, 0.7
-    #: times that an iterate which meets the test is held against its certificate
-    DOUBTS = 3
 
     def __init__(self, problem: DiscreteProblem, rtol: float | str, limit: float = np.inf,
                  certificate: Callable[[float], float] | None = None) -> None:
-        super().__init__(0.0 if rtol == "discretisation" else rtol, limit, Sizes(problem))
+        super().__init__(0.0 if rtol == "discretisation" else rtol, limit, Sizes(problem), certificate)
         self.residuals: list[float] = []
         self._first = np.nan
-        self._certificate, self._doubts, self._caution, self._since = certificate, 0, 1.0, 0
+        self._since = 0
 
     def measure_size(self, runner: TruncatedStep, cycle: int) -> None:
         """Measure the displacement after a smoothing; each cycle only where it has to grow into prescribed values."""
@@ -77,18 +74,7 @@ class EnergyTest(StopTest):
             rate = max(rate, self.EARLY_RATE)
         if not (self.size > 0 and rate < 1):
             return np.inf
-        factor = self._caution * max(self.SAFETY, self.TAIL / (1 - rate))
-        return factor * self.changes[-1] * rate / self.size
-
-    def doubted(self) -> bool:
-        """Whether the certificate finds the iterate further off; then the test is so much more cautious from now on."""
-        if self._certificate is None or self._doubts >= self.DOUBTS:
-            return False
-        ratio = self._certificate(self.rtol)
-        if ratio > 0.0:
-            self._doubts += 1
-            self._caution *= max(2.0, 1.5 * ratio)
-        return ratio > 0.0
+        return max(self.SAFETY, self.TAIL / (1 - rate)) * self.changes[-1] * rate / self.size
 
     def corrected(self, energy: float) -> None:
         """Take the energy of a coarse correction, N m."""
