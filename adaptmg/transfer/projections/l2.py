@@ -84,7 +84,7 @@ class L2:
         inner = 0.01 * self.drop_tolerance
         rows = _chebyshev(mass, rhs, fine.dim, inner, inner)
         rows.sort_indices()
-        return clipped_rows(rows, coarse.points, fine.points, tolerance=self.drop_tolerance, moments=moments)
+        return clipped_rows(rows, coarse, fine, tolerance=self.drop_tolerance, moments=moments)
 
 
 def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
@@ -170,7 +170,7 @@ class PseudoL2:
         integrals = mixed_mass(coarse, fine, self.outside_tolerance)
         coefficients = (fine.dim + 2) * integrals.shape_coefficients() - 1.0
         coefficients /= integrals.lumped_mass[integrals.patches.nodes][:, None]
-        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)
+        return clipped_rows(integrals.assemble(coefficients), coarse, fine)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +196,7 @@ class QuasiInterpolation:
         """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
         integrals = mixed_mass(coarse, fine, self.outside_tolerance)
         coefficients = _patch_coefficients(fine, integrals.patches)
-        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)
+        return clipped_rows(integrals.assemble(coefficients), coarse, fine)
 
 
 def _patch_coefficients(fine: MeshArrays, patches: Patches) -> np.ndarray:
