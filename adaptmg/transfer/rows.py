@@ -108,7 +108,7 @@ def normalised(matrix: sparse.csr_array) -> sparse.csr_array:
 
 @kernel
 def _moment_systems(indptr, indices, data, points, centres, target, gram, defect, scale):
-    """Gram matrices G and moment defects of every row; ``scale`` grows to the extent of the row where that is larger."""
+    """Gram matrices G and moment defects of every row; ``scale`` grows to the extent of the row, if that is larger."""
     dim = points.shape[1]
     q = np.ones(dim + 1)
     for i in range(len(indptr) - 1):

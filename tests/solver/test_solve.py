@@ -143,7 +143,8 @@ def test_a_component_that_two_supports_hold_at_a_corner_is_shared():
     problem = am.ContactProblem(
         material=am.PlaneStrain(young=1e9, poisson=0.3), domain=am.Rectangle(width=1.0, height=1.0),
         contact=am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0))), law=am.Coulomb(0.3),
-        loads=(am.Traction("right", (2e5, -1e5)),), supports=(am.Support("left", x=0.0), am.Support("top", x=0.0, y=0.0)))
+        loads=(am.Traction("right", (2e5, -1e5)),),
+        supports=(am.Support("left", x=0.0), am.Support("top", x=0.0, y=0.0)))
     grids = am.Hierarchy.uniform(problem, (4,))
     result = am.solve(grids, am.ActiveSet())
     total = sum(result.resultant(name).force for name in ("left", "top", "right", "bottom"))
