@@ -80,8 +80,8 @@ def check_total(name: str, nodes: Sequence[int], dim: int) -> None:
     """ValueError if levels that hardly get finer would take memory and time that the finest does not."""
     most = max(MAX_NODES[dim], 4 * max(nodes))
     if sum(nodes) > most:
-        raise ValueError(f"{name} must make at most {most:.3g} nodes on all levels, got {sum(nodes):.3g} on {len(nodes)}, "
-                         f"{max(nodes):.3g} of them on the finest: leave levels out (halving the divisions is usual)")
+        raise ValueError(f"{name} must make at most {most:.3g} nodes in all, got {sum(nodes):.3g} on {len(nodes)} "
+                         f"levels, {max(nodes):.3g} on the finest: leave levels out (halving the divisions is usual)")
 
 
 def overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
