@@ -81,16 +81,15 @@ def _drop(indptr, indices, data, tolerance, new_indptr, new_indices, new_data):
     for i in range(len(indptr) - 1):
         new_indptr[i] = count
         for at in range(indptr[i], indptr[i + 1]):
-            if abs(data[at]) >= tolerance[i]:
+            if abs(data[at]) >= tolerance:
                 new_indices[count], new_data[count] = indices[at], data[at]
                 count += 1
     new_indptr[-1] = count
     return count
 
 
-def dropped(matrix: sparse.csr_array, tolerance: float | np.ndarray) -> sparse.csr_array:
-    """A copy without entries whose magnitude is below ``tolerance`` (of all rows, or of each)."""
-    tolerance = np.broadcast_to(np.float64(tolerance), matrix.shape[:1]).copy()
+def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
+    """A copy without entries whose magnitude is below ``tolerance``."""
     indptr, indices, data = np.empty_like(matrix.indptr), np.empty_like(matrix.indices), np.empty_like(matrix.data)
     count = _drop(matrix.indptr, matrix.indices, matrix.data, tolerance, indptr, indices, data)
     return sparse.csr_array((data[:count].copy(), indices[:count].copy(), indptr), shape=matrix.shape)
@@ -172,7 +171,7 @@ def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays
 
 
 def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, *, tolerance: float = CLIP,
-                 moments: np.ndarray | None = None) -> sparse.csr_array:
+                 moments: np.ndarray | None = None) -> tuple[sparse.csr_array, np.ndarray]:
     """Drop small entries, and restore row sums 1 and first moments.
 
     Parameters
@@ -180,8 +179,7 @@ def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays,
     matrix : (n_fine, n_coarse) csr_array
     coarse, fine : MeshArrays
     tolerance : float
-        Entries of smaller magnitude are dropped; at least ``CLIP``. A row that cannot have its moments without them (a
-        fine node near a coarse one, whose neighbours have small entries) loses those below ``CLIP`` only.
+        Entries of smaller magnitude are dropped; at least ``CLIP``.
     moments : (n_fine, dim + 1) array, optional
         Wanted row sums and first moments about the fine nodes, m. Default: sums 1, and the moments the rows have, over
         their sums.
@@ -190,6 +188,8 @@ def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays,
     -------
     csr_array
         No entry is smaller than ``CLIP`` in magnitude.
+    reached : (n_fine,) bool array
+        Rows that have their moments: near a coarse node what is left may be that node alone.
     """
     if moments is None:
         centre = coarse.points.mean(axis=0)             # far from the origin the differences would lose digits
@@ -197,9 +197,8 @@ def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays,
         moments /= moments[:, :1]
         moments[:, 1:] -= fine.points - centre
     rows, reached = _with_moments(dropped(matrix, tolerance), coarse, fine, moments)
-    if tolerance > CLIP and not reached.all():
-        rows, _ = _with_moments(dropped(matrix, np.where(reached, tolerance, CLIP)), coarse, fine, moments)
     # a correction may make an entry small; each round removes at least one
     while np.abs(rows.data).min() < CLIP:
-        rows, _ = _with_moments(dropped(rows, CLIP), coarse, fine, moments)
-    return rows
+        rows, again = _with_moments(dropped(rows, CLIP), coarse, fine, moments)
+        reached &= again
+    return rows, reached
