@@ -172,7 +172,8 @@ def _fields(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, An
         fields["checked"] = Certificate.from_dict(checks.instance("checked", meta["checked"], dict))
     # written later than the first files: those say nothing about supports
     fields["supports"] = _mapping("supports", meta.get("supports", {}), str)
-    unknown = set(fields["supports"]) - set(fields["mesh"].boundaries if fields["mesh"] is not None else ())
+    # later steps of a load path are kept without their mesh
+    unknown = set() if fields["mesh"] is None else set(fields["supports"]) - set(fields["mesh"].boundaries)
     if unknown:
         raise ValueError(f"supports names boundaries that the mesh does not have: {checks.shown(sorted(unknown))}")
     fields |= {name: _number(name, meta[name]) for name in _NUMBERS}
