@@ -36,6 +36,7 @@ from adaptmg.exchange import NEGLIGIBLE, Exchange, exchanged, facing_part
 from adaptmg.geometry.rigid_modes import rigid_body_modes
 from adaptmg.problem import check_arrays, checks
 from adaptmg.problem.contact_problem import check_law
+from adaptmg.problem.index_arrays import indices_frozen
 from adaptmg.problem.laws import Law
 from adaptmg.runtime.on_demand import OnDemand, made_on_demand
 
@@ -231,7 +232,7 @@ class DiscreteProblem:
             values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
         values = np.where(fixed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
         values.flags.writeable = False
-        arrays = {"matrix": matrix, "load": load, "fixed": fixed, "fixed_values": values}
+        arrays = {"matrix": indices_frozen(matrix), "load": load, "fixed": fixed, "fixed_values": values}
         if self.coordinates is not None:
             arrays["coordinates"] = bounded("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
         modes = self.__dict__["near_nullspace"]

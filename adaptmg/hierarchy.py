@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
-from adaptmg.hierarchy_input import each, label, limits_of_bisection, need_domain, need_problem
+from adaptmg.hierarchy_input import check_total, each, label, limits_of_bisection, need_domain, need_problem, overlaps
 from adaptmg.level import Level
 from adaptmg.levels import Levels
 from adaptmg.mesh.arrays import MeshArrays
@@ -70,12 +70,20 @@ class Hierarchy(Levels):
             name -> cells.
         diagonal : {"right", "left", "alternating"}
             How squares are cut (2D).
+
+        Raises
+        ------
+        ValueError
+            What :func:`adaptmg.mesh.structured` refuses; levels that together have more than four times the nodes of
+            the finest, and millions of them.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import structured
+        from adaptmg.mesh.structured import lattice_nodes
 
         need_domain(problem)
         divisions = each("divisions", divisions, (int, np.integer, Mapping))
+        check_total("divisions", [lattice_nodes(problem.domain, n) for n in divisions], problem.dim)
         meshes = [structured(problem.domain, n, diagonal=diagonal) for n in divisions]
         return cls._build(problem, meshes, None, f"uniform {', '.join(map(label, divisions))}", begin)
 
@@ -220,5 +228,7 @@ class Hierarchy(Levels):
     @one_blas_thread()
     def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
                begin: float, contact_rows: bool = True, limits: str = "") -> Hierarchy:
+        for words in overlaps(problem, meshes[-1]):
+            warnings.warn(words, UserWarning, stacklevel=4)
         levels, timings = meshed_levels(problem, meshes, transfer, contact_rows, begin)
         return cls(levels, problem, origin, timings, limits, transfer, contact_rows)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise, product
 from typing import Any
 
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import ContactProblem, checks
+from adaptmg.mesh.limits import MAX_NODES
+from adaptmg.problem import ContactPair, ContactProblem, checks
 
-__all__ = ["check_coarse_to_fine", "each", "label", "limits_of_bisection", "need_domain", "need_problem"]
+__all__ = ["check_coarse_to_fine", "check_total", "each", "label", "limits_of_bisection", "need_domain", "need_problem",
+           "overlaps"]
 
 
 # elements away from contact this many times as large as those at it: about what two halvings more than theirs make
@@ -72,6 +74,31 @@ def check_coarse_to_fine(meshes: Sequence[MeshArrays]) -> None:
     sizes = [mesh.n_nodes for mesh in meshes]
     if any(a >= b for a, b in pairwise(sizes)):
         raise ValueError(f"meshes must go from coarse to fine; they have {sizes} nodes")
+
+
+def check_total(name: str, nodes: Sequence[int], dim: int) -> None:
+    """ValueError if levels that hardly get finer would take memory and time that the finest does not."""
+    most = max(MAX_NODES[dim], 4 * max(nodes))
+    if sum(nodes) > most:
+        raise ValueError(f"{name} must make at most {most:.3g} nodes in all, got {sum(nodes):.3g} on {len(nodes)} "
+                         f"levels, {max(nodes):.3g} on the finest: leave levels out (halving the divisions is usual)")
+
+
+def overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
+    """Words on bodies that lie in each other and are no pair; in axisymmetry that is how a ring of bolts is posed."""
+    from adaptmg.mesh.checks.overlap import overlapping_bodies
+
+    if problem.axisymmetric or len(mesh.bodies) < 2:
+        return []
+    body = np.zeros(mesh.n_nodes, dtype=np.int64)
+    body[mesh.elements] = mesh.element_body[:, None]
+    of = {name: set(body[mesh.boundary_nodes(name)].tolist()) for name in mesh.boundaries}
+    paired = {frozenset(ends) for pair in problem.contact if isinstance(pair, ContactPair)
+              for ends in product(of.get(pair.slave, ()), of.get(pair.master, ()))}
+    apart = [ends for ends in combinations(np.unique(mesh.element_body).tolist(), 2) if frozenset(ends) not in paired]
+    return [f"the bodies {mesh.bodies[a]!r} and {mesh.bodies[b]!r} lie in each other, at {x.round(9).tolist()} among "
+            "other places, and are not a contact pair: nothing keeps them apart. Move one of them, or declare an "
+            "am.ContactPair" for a, b, x in overlapping_bodies(mesh, apart)]
 
 
 def label(value: Any) -> str:

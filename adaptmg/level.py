@@ -11,6 +11,7 @@ from scipy import sparse
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import check_arrays, checks
+from adaptmg.problem.index_arrays import indices_frozen
 from adaptmg.runtime.on_demand import OnDemand, made_on_demand
 
 __all__ = ["Level", "ratio_to"]
@@ -54,6 +55,7 @@ class Level:
             rows, columns = check_arrays.sparse_matrix("galerkin", self.galerkin).shape
             if rows != columns:
                 raise ValueError(f"galerkin must be square, got {(rows, columns)}")
+            object.__setattr__(self, "galerkin", indices_frozen(self.galerkin))
         if self.mesh is not None:
             checks.instance("mesh", self.mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts")
         for name in ("prolongation", "surface_prolongation"):
@@ -61,7 +63,8 @@ class Level:
             if value is not None:
                 value = check_arrays.sparse_matrix(name, value)
                 as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
-                object.__setattr__(self, name, value if as_csr else sparse.csr_array(value, dtype=np.float64))
+                value = value if as_csr else sparse.csr_array(value, dtype=np.float64)
+                object.__setattr__(self, name, indices_frozen(value))
 
     def posing(self, discrete: DiscreteProblem) -> Level:
         """The level with the data of a load step; nothing else is read or made."""

@@ -204,3 +204,20 @@ def test_what_the_package_assembles_passes_the_checks_of_a_strangers_problem(mak
         np.testing.assert_array_equal(again.matrix.data, given.matrix.data)
         np.testing.assert_array_equal(again.near_nullspace, given.near_nullspace)
         check_mesh(replace(level.mesh, source=None))
+
+
+def test_indices_that_kernels_follow_cannot_be_written(problem):
+    """Compiled code would read outside of its arrays; a user's own matrices stay open, as they are copied."""
+    grids = am.Hierarchy.uniform(problem, (2, 4, 8))
+    discrete = grids.finest.discrete
+    given = [sparse.csr_array(level.prolongation, copy=True) for level in grids[1:]]
+    bare = am.DiscreteProblem(matrix=discrete.matrix.copy(), load=discrete.load, fixed=discrete.fixed, law=discrete.law,
+                              contact=discrete.contact)
+    made = am.Hierarchy.from_prolongations(bare, given)
+    single = am.Level(bare, prolongation=given[-1])
+    for level in (*grids.levels, *made.levels, single):
+        for matrix in (level.matrix, level.prolongation, level.surface_prolongation):
+            for array in () if matrix is None else (matrix.indices, matrix.indptr):
+                with pytest.raises(ValueError, match="read-only"):
+                    array[0] = 2**30
+    given[-1].indices[0] = 0

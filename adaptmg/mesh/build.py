@@ -130,8 +130,8 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        Triangles or tetrahedra. Of curved and second-order elements the corners are read. Materials become bodies,
-        those with the same name one body; boundaries inside the mesh (interfaces of glued materials) are left out.
+        Straight triangles or tetrahedra. Materials become bodies, those with the same name one body; boundaries inside
+        the mesh (interfaces of glued materials) are left out.
 
     Returns
     -------
@@ -144,12 +144,28 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     TypeError
         If it is no NGSolve mesh.
     ValueError
-        On other elements, dimensions other than 2 and 3, or a mesh that is not sound
-        (:func:`adaptmg.mesh.check_mesh`).
+        On other elements, curved or of second order, a deformation, periodic boundaries, dimensions other than 2 and 3,
+        or a mesh that is not sound (:func:`adaptmg.mesh.check_mesh`).
     """
     if not isinstance(mesh, ngsolve.Mesh):
         raise TypeError(f"mesh must be an ngsolve.Mesh, got {type(mesh).__name__}")
+    _check_plain(mesh)
     return check_overlap(own_mesh(mesh))
+
+
+def _check_plain(mesh: ngsolve.Mesh) -> None:
+    """ValueError for what the corners of the elements do not say."""
+    types = np.concatenate([table.NumPy()["type"] for table in (mesh.ngmesh.Elements2D(), mesh.ngmesh.Elements3D())])
+    order = 2 if np.isin(types, (_TRIANGLES[1], _TETRAHEDRA[1])).any() else mesh.GetCurveOrder()
+    if order > 1:
+        raise ValueError(f"mesh has curved elements (order {order}), bodies are made of straight ones: give the mesh "
+                         "before SecondOrder() and Curve(), finer where its boundary is curved")
+    if mesh.deformation is not None:
+        raise ValueError("mesh has a deformation, which would be left out: call mesh.UnsetDeformation(), or move the "
+                         "nodes")
+    if mesh.ngmesh.GetIdentifications():
+        raise ValueError("mesh has identified nodes (periodic boundaries), which a contact problem does not know: make "
+                         "it without them")
 
 
 def own_mesh(mesh: ngsolve.Mesh) -> MeshArrays:

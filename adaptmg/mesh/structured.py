@@ -22,7 +22,7 @@ from adaptmg.mesh.topology import MOST_NODES, facet_table
 from adaptmg.problem import checks
 from adaptmg.problem.domains import Assembly, Box, Rectangle
 
-__all__ = ["structured"]
+__all__ = ["lattice_nodes", "structured"]
 
 Divisions = int | Sequence[int]
 #: what making the mesh takes at its peak, measured
@@ -61,15 +61,28 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     return _lattice(domain, divisions, diagonal)
 
 
-def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> MeshArrays:
-    """See :func:`structured`; one body."""
+def lattice_nodes(domain: Rectangle | Box | Assembly, divisions: Divisions | Mapping[str, Divisions]) -> int:
+    """Number of nodes that :func:`structured` makes, or what it raises."""
+    if isinstance(domain, Assembly):
+        apart = per_body("divisions", divisions, domain.bodies)
+        return sum(lattice_nodes(part, apart[body]) for body, part in domain.parts.items())
+    return math.prod(n + 1 for n in _counts(domain, divisions))
+
+
+def _counts(domain: Rectangle | Box, divisions: Divisions) -> tuple[int, ...]:
+    """Cells along each axis; what cannot be divided so is refused."""
     if not isinstance(domain, Rectangle | Box):
         raise TypeError(f"domain must be a Rectangle or a Box, or an Assembly of them, got {domain!r}; graded meshes "
                         "other domains")
     if isinstance(divisions, Mapping):
         raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
+    return _divisions(divisions, domain.dim)
+
+
+def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> MeshArrays:
+    """See :func:`structured`; one body."""
+    counts = _counts(domain, divisions)
     dim = domain.dim
-    counts = _divisions(divisions, dim)
     checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
     if dim == 3 and diagonal != "right":
         raise ValueError(f"diagonal must be 'right' in 3D, got {diagonal!r}")

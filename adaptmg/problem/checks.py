@@ -234,6 +234,8 @@ def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: 
     n = len(points)
     if callable(value):
         returned = value(points)
+        if isinstance(returned, np.ma.MaskedArray):
+            raise TypeError(f"{name}: the function must return real numbers, got a masked array: fill it first")
         try:
             result = np.asarray(returned)
         except (TypeError, ValueError):

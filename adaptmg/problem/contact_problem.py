@@ -170,6 +170,14 @@ class ContactProblem:
         return tuple(dict.fromkeys(name for pair in zip(self.contact_boundaries, self.masters, strict=True)
                                    for name in pair if name))
 
+    @property
+    def held_components(self) -> dict[str, str]:
+        """By boundary the components that supports prescribe, such as "xy"."""
+        held = {support.boundary: "" for support in self.supports}
+        for support in self.supports:
+            held[support.boundary] += "".join(c for c in "xyz" if getattr(support, c) is not None)
+        return held
+
     def check_boundaries(self, known: tuple[str, ...]) -> None:
         """Raise ValueError unless every boundary named by the problem is one of ``known``."""
         for boundary, use in self._uses().items():

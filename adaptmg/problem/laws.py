@@ -10,9 +10,10 @@ a Tresca limit s plus a Coulomb part. A law of one's own is any object with the 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from adaptmg.problem import checks
 __all__ = ["Coulomb", "Frictionless", "Law", "Tresca"]
 
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
+_Given = TypeVar("_Given")
 
 
 @runtime_checkable
@@ -51,6 +53,13 @@ def _check_parameter(name: str, value: FieldLike | np.ndarray) -> None:
         raise TypeError(f"{name} must be a number, a function of position or an array, got {checks.described(value)}")
     if not ((array >= 0) & (array <= checks.VAST)).all():
         raise ValueError(f"{name} must be finite and >= 0, and at most {checks.VAST:g}, got {checks.shown(value)}")
+
+
+def _with(law: _Given, name: str, values: np.ndarray) -> _Given:
+    """The law with other values, of the same class: a subclass may have bounds of its own."""
+    result = copy.copy(law)
+    object.__setattr__(result, name, values)
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +96,7 @@ class Tresca:
         if isinstance(self.limit, np.ndarray) and self.limit.ndim:
             raise TypeError("limit: give a number (Pa) or a function of position on a ContactProblem; "
                             "arrays of nodal forces belong on a DiscreteProblem")
-        return Tresca(checks.field("limit", self.limit, points, minimum=0.0) * weights)
+        return _with(self, "limit", checks.field("limit", self.limit, points, minimum=0.0) * weights)
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
         """Nodal limits, zero friction."""
@@ -116,7 +125,7 @@ class Coulomb:
         if isinstance(self.friction, np.ndarray) and self.friction.ndim:
             raise TypeError("friction: give a number or a function of position on a ContactProblem; "
                             "arrays over contact nodes belong on a DiscreteProblem")
-        return Coulomb(checks.field("friction", self.friction, points, minimum=0.0))
+        return _with(self, "friction", checks.field("friction", self.friction, points, minimum=0.0))
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
         """Zero limit, nodal friction."""

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.problem import check_arrays, checks
-from adaptmg.runtime.compiled import kernel
+from adaptmg.runtime.compiled import kernel, read_only
 from adaptmg.transfer.aggregation import without_fixed
 
 __all__ = ["coarse_spaces", "galerkin_product", "is_galerkin", "seen"]
@@ -178,9 +178,8 @@ def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_
     idle = np.bincount(finer.indices, weights=np.abs(finer.data), minlength=finer.shape[1]) == 0
     if not idle.any():
         return nodal
-    result = nodal.copy()
-    result.data[np.repeat(idle, np.diff(nodal.indptr))] = 0.0
-    return result
+    data = np.where(np.repeat(idle, np.diff(nodal.indptr)), 0.0, nodal.data)
+    return sparse.csr_array((data, nodal.indices, nodal.indptr), shape=nodal.shape)
 
 
 def _with_diagonal_blocks(indptr: np.ndarray, indices: np.ndarray, data: np.ndarray
@@ -202,21 +201,23 @@ def _with_diagonal_blocks(indptr: np.ndarray, indices: np.ndarray, data: np.ndar
 def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weights: sparse.csr_array, columns: int, *,
              left: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Blocks (indptr, indices, data) times weights, or (``left``) weights times blocks; with so many columns."""
-    indptr, indices, data = blocks
+    # one kind of index arrays, whether a hierarchy holds them or not
+    indptr, indices, data = read_only(blocks[0]), read_only(blocks[1]), blocks[2]
+    weight_indptr, weight_indices = read_only(weights.indptr), read_only(weights.indices)
     # kernels know the number of entries of a block when they are compiled
     zero = (0.0,) * size
     place = np.full(columns, -1, dtype=np.int64)
-    arguments = ((weights.indptr, weights.indices, indptr, indices) if left
-                 else (indptr, indices, weights.indptr, weights.indices))
+    arguments = ((weight_indptr, weight_indices, indptr, indices) if left
+                 else (indptr, indices, weight_indptr, weight_indices))
     result = np.empty(len(arguments[0]), dtype=np.int64)
     _pattern(*arguments, place, result)
     place[:] = -1
     found, values = np.empty(result[-1], dtype=np.int32), np.empty(result[-1] * size)
     if left:
-        _weights_times_block(zero, weights.indptr, weights.indices, weights.data, indptr, indices, data, place, result,
+        _weights_times_block(zero, weight_indptr, weight_indices, weights.data, indptr, indices, data, place, result,
                              found, values)
     else:
-        _block_times_weights(zero, indptr, indices, data, weights.indptr, weights.indices, weights.data, place, result,
+        _block_times_weights(zero, indptr, indices, data, weight_indptr, weight_indices, weights.data, place, result,
                              found, values)
     return result.astype(np.int32), found, values
 

@@ -4,8 +4,11 @@ After entries have been dropped, the rest :math:`p_j` of a row is changed by the
 squares) that restores the sum and, where asked for, the first moments :math:`m` the row had before:
 
 .. math:: \min \sum_j \delta_j^2 \quad\text{with}\quad \sum_j (p_j + \delta_j)\, q_j = m, \qquad
-          q_j = (1, (x_j - x_i)/h), \qquad \delta_j = q_j \cdot G^{-1} \Big(m - \sum_j p_j q_j\Big),\;
-          G = \sum_j q_j q_j^T .
+          q_j = (1, (x_j - x_i)/h_i), \qquad \delta_j = q_j \cdot G^{-1} \Big(m - \sum_j p_j q_j\Big),\;
+          G = \sum_j q_j q_j^T ,
+
+where :math:`h_i` is a size of the mesh: a single coarse node that is left may equal the fine node up to rounding, and
+its distance is no scale.
 """
 
 from __future__ import annotations
@@ -13,12 +16,16 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.runtime.compiled import kernel
 
 __all__ = ["CLIP", "clipped_rows", "csr_from_weights", "dropped", "normalised"]
 
-CLIP = 1e-8
+CLIP = 1e-10
 """Weights smaller than this are removed: they would put spurious nodes into minima over the support of P."""
+
+_REACHED = 1e-10
+"""A sum, or a first moment over the size of its row, that differs by less from what is asked for is restored."""
 
 
 @kernel
@@ -100,15 +107,13 @@ def normalised(matrix: sparse.csr_array) -> sparse.csr_array:
 
 @kernel
 def _moment_systems(indptr, indices, data, points, centres, target, gram, defect, scale):
-    """Gram matrices G and moment defects of every row, in coordinates relative to its centre and extent."""
+    """Gram matrices G and moment defects of every row; ``scale`` grows to the extent of the row, if that is larger."""
     dim = points.shape[1]
     q = np.ones(dim + 1)
     for i in range(len(indptr) - 1):
-        extent = 0.0
         for at in range(indptr[i], indptr[i + 1]):
             for c in range(dim):
-                extent = max(extent, abs(points[indices[at], c] - centres[i, c]))
-        scale[i] = extent if extent > 0.0 else 1.0
+                scale[i] = max(scale[i], abs(points[indices[at], c] - centres[i, c]))
         gram[i] = 0.0
         defect[i, 0] = target[i, 0]
         for c in range(dim):
@@ -132,44 +137,47 @@ def _add_corrections(indptr, indices, data, points, centres, multiplier, scale):
                 data[at] += multiplier[i, c + 1] * (points[indices[at], c] - centres[i, c]) / scale[i]
 
 
-def _with_moments(matrix: sparse.csr_array, coarse_points: np.ndarray, fine_points: np.ndarray,
-                 moments: np.ndarray) -> sparse.csr_array:
-    """Change the entries of every row as little as possible so that it has given moments.
+def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, moments: np.ndarray
+                  ) -> tuple[sparse.csr_array, np.ndarray]:
+    """Change the entries of every row as little as possible so that it has the given moments.
 
     Parameters
     ----------
     matrix : (n_fine, n_coarse) csr_array
-    coarse_points, fine_points : (n, dim) arrays
-        m.
+    coarse, fine : MeshArrays
     moments : (n_fine, dim + 1) array
         Wanted: sum of the row, then its first moments about the fine node, m.
 
     Returns
     -------
     csr_array
-        The same pattern. Moments that the pattern cannot change (all columns on one line) are left as they are.
+        The same pattern. Moments that the pattern cannot change (all columns on one line) are left unchanged.
+    reached : (n_fine,) bool array
+        Rows that have all their moments.
     """
-    n, dim = fine_points.shape
+    n, dim = fine.points.shape
     gram, defect, scale = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1)), np.empty(n)
+    scale[fine.elements] = fine.element_sizes[:, None]      # that of one of its elements will do
     data = matrix.data.copy()
-    _moment_systems(matrix.indptr, matrix.indices, data, coarse_points, fine_points, moments, gram, defect, scale)
-    multiplier = np.zeros((n, dim + 1))
+    _moment_systems(matrix.indptr, matrix.indices, data, coarse.points, fine.points, moments, gram, defect, scale)
+    multiplier, reached = np.zeros((n, dim + 1)), np.ones(n, dtype=bool)
     wrong = np.flatnonzero(np.abs(defect).max(axis=1) > 4 * np.finfo(float).eps)
     inverse = np.linalg.pinv(gram[wrong], rcond=1e-10, hermitian=True)
     multiplier[wrong] = np.einsum("nij,nj->ni", inverse, defect[wrong])
-    _add_corrections(matrix.indptr, matrix.indices, data, coarse_points, fine_points, multiplier, scale)
-    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    left = np.einsum("nij,nj->ni", gram[wrong], multiplier[wrong]) - defect[wrong]
+    reached[wrong] = np.abs(left).max(axis=1) <= _REACHED
+    _add_corrections(matrix.indptr, matrix.indices, data, coarse.points, fine.points, multiplier, scale)
+    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape), reached
 
 
-def clipped_rows(matrix: sparse.csr_array, coarse_points: np.ndarray, fine_points: np.ndarray, *,
-                 tolerance: float = CLIP, moments: np.ndarray | None = None) -> sparse.csr_array:
+def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, *, tolerance: float = CLIP,
+                 moments: np.ndarray | None = None) -> tuple[sparse.csr_array, np.ndarray]:
     """Drop small entries, and restore row sums 1 and first moments.
 
     Parameters
     ----------
     matrix : (n_fine, n_coarse) csr_array
-    coarse_points, fine_points : (n, dim) arrays
-        m.
+    coarse, fine : MeshArrays
     tolerance : float
         Entries of smaller magnitude are dropped; at least ``CLIP``.
     moments : (n_fine, dim + 1) array, optional
@@ -180,14 +188,17 @@ def clipped_rows(matrix: sparse.csr_array, coarse_points: np.ndarray, fine_point
     -------
     csr_array
         No entry is smaller than ``CLIP`` in magnitude.
+    reached : (n_fine,) bool array
+        Rows that have their moments: near a coarse node what is left may be that node alone.
     """
     if moments is None:
-        centre = coarse_points.mean(axis=0)             # far from the origin the differences would lose digits
-        moments = matrix @ np.column_stack([np.ones(len(coarse_points)), coarse_points - centre])
+        centre = coarse.points.mean(axis=0)             # far from the origin the differences would lose digits
+        moments = matrix @ np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])
         moments /= moments[:, :1]
-        moments[:, 1:] -= fine_points - centre
-    rows = _with_moments(dropped(matrix, tolerance), coarse_points, fine_points, moments)
+        moments[:, 1:] -= fine.points - centre
+    rows, reached = _with_moments(dropped(matrix, tolerance), coarse, fine, moments)
     # a correction may make an entry small; each round removes at least one
     while np.abs(rows.data).min() < CLIP:
-        rows = _with_moments(dropped(rows, CLIP), coarse_points, fine_points, moments)
-    return rows
+        rows, again = _with_moments(dropped(rows, CLIP), coarse, fine, moments)
+        reached &= again
+    return rows, reached

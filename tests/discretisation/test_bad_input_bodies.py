@@ -9,8 +9,9 @@ import pytest
 from bodies import EXACT, SOFT, bar_on_block, in_the_corner
 
 import adaptmg as am
+from adaptmg.discretisation.contact_nodes import contact_nodes
 from adaptmg.discretisation.discretise import discretise
-from adaptmg.mesh import merged, structured
+from adaptmg.mesh import graded, merged, structured
 
 BAR = am.PlaneStrain(young=1.3e11, poisson=0.2)
 PAIR = ("upper.bottom", "lower.top")
@@ -156,3 +157,32 @@ class TestNames:
         for name in ("nothing", ""):
             with pytest.raises(ValueError, match=f"'{name}' is not known; known are 'contact'"):
                 result.resultant(name)
+
+
+@pytest.mark.parametrize("slave_is_round", [True, False])
+@pytest.mark.parametrize("kind", ["pole at the end of the surface", "pole within a facet"])
+def test_a_cylinder_that_touches_a_block_does_not_overlap_it(kind, slave_is_round):
+    """The mean of a distance >= 0 with a dual function, which changes sign, may be negative; that is not an overlap."""
+    radius, size = 0.05, 0.01
+    for sunk in (0.0, 4e-3):
+        centre = (0.0, radius - sunk)
+        angles = np.radians([0.0, 45.0, 90.0] if "end" in kind else [-90.0, -40.0, 40.0, 90.0])
+        arc = [(radius * np.sin(a), centre[1] - radius * np.cos(a)) for a in angles]
+        names = ("contact", "side", "top", "axis") if "end" in kind else ("side", "contact", "side", "top")
+        cylinder = am.Outline(vertices=[*arc, centre] if "end" in kind else arc, boundaries=names,
+                              arcs={i: centre for i in range(len(arc) - 1)})
+        left = 0.0 if "end" in kind else -2 * radius
+        domain = am.Assembly(parts={"round": cylinder, "block": am.Rectangle(
+            width=2 * radius - left, height=radius, origin=(left, -radius))})
+        pair = ("round.contact", "block.top") if slave_is_round else ("block.top", "round.contact")
+        problem = am.ContactProblem(
+            material=am.PlaneStrain(young=1e9, poisson=0.3), domain=domain, law=am.Frictionless(),
+            contact=am.ContactPair(*pair), loads=(am.Pressure("round.top", 1e5),),
+            supports=(am.Support("round.axis" if "end" in kind else "round.top", x=0.0),
+                      am.Support("block.bottom", x=0.0, y=0.0)))
+        mesh = graded(domain, {"round": size, "block": 1.7 * size}, pair)
+        if not sunk:
+            assert contact_nodes(problem, mesh).gaps.min() >= 0
+            continue
+        with pytest.raises(ValueError, match="overlap by up to"):
+            contact_nodes(problem, mesh)

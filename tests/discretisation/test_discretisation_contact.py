@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import adaptmg as am
 from adaptmg.discretisation import contact_nodes, discretise
 from adaptmg.discretisation.facets import area_vectors
 from adaptmg.mesh import MeshArrays, structured
@@ -229,3 +230,17 @@ def test_the_disc_of_these_tests_is_sound():
         mesh = disc(12, half=half)
         assert (mesh.volumes > 0).all()
         np.testing.assert_allclose(area_vectors(mesh.points, mesh.facets).sum(axis=0), 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("law", [am.Coulomb(lambda p: 0.2 + p[:, 0]), am.Tresca(3e6)], ids=["Coulomb", "Tresca"])
+def test_a_subclass_of_a_law_keeps_its_bounds(law):
+    class Half(type(law)):
+        def bounds(self, n_contact):
+            limit, friction = super().bounds(n_contact)
+            return 0.5 * limit, 0.5 * friction
+
+    whole, half = (am.Hierarchy.uniform(am.cases.greco_bar(law=one), (2,)).finest.discrete.law.bounds(3)
+                   for one in (law, Half(*vars(law).values())))
+    assert max(map(np.max, whole)) > 0
+    for one, other in zip(whole, half, strict=True):
+        np.testing.assert_array_equal(0.5 * one, other)

@@ -111,6 +111,7 @@ INPUTS = (
     Hostile("divisions zero", lambda: _uniform((0, 4)), "divisions"),
     Hostile("divisions empty", lambda: _uniform(()), "divisions"),
     Hostile("divisions fine to coarse", lambda: _uniform((4, 2)), "coarse to fine"),
+    Hostile("divisions endless", lambda: _uniform(range(2, 600)), "divisions"),
     Hostile("divisions None inside", lambda: _uniform((None, 4)), "divisions"),
     Hostile("diagonal text", lambda: _uniform((2, 4), diagonal="up"), "diagonal"),
     Hostile("problem None", lambda: am.Hierarchy.uniform(None, (2, 4)), "problem"),

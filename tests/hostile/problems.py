@@ -20,6 +20,10 @@ def _facing(gap):
     return am.Contact("bottom", am.GapFunction(gap))
 
 
+def _masked(p):
+    return np.ma.masked_array(0 * p[:, 0], mask=p[:, 0] > 0.2)
+
+
 def _posed(**changes):
     return am.Hierarchy.uniform(_problem(**changes), divisions=(2, 4))
 
@@ -116,6 +120,8 @@ INPUTS = (
     Hostile("pressure function text", lambda: _posed(loads=(am.Pressure("top", lambda p: "1"),)), "top"),
     Hostile("gap function None", lambda: _posed(contact=_facing(lambda p: None)), "gap"),
     Hostile("gap function complex", lambda: _posed(contact=_facing(lambda p: 1j * p[:, 0])), "gap"),
+    Hostile("friction function masked", lambda: _posed(law=am.Coulomb(_masked)), "friction"),
+    Hostile("gap function masked", lambda: _posed(contact=_facing(_masked)), "gap"),
     Hostile("gap function number", lambda: am.GapFunction(0.0), "function"),
     # the name of all contact boundaries
     Hostile("support on a boundary named contact", lambda: _problem(

@@ -196,6 +196,10 @@ _STUDIES = {
     "seconds of text": "UPDATE runs SET seconds = 'long'", "an error that is a blob": "UPDATE runs SET error = x'00ff'",
     "deep JSON": f"UPDATE runs SET results = '{'[' * 10**5}'",
     "another table": "DROP TABLE runs; CREATE TABLE runs (id, name)", "no table": "DROP TABLE runs",
+    "an endless view": "DROP TABLE points; CREATE VIEW points AS WITH RECURSIVE n(study, parameters) AS (SELECT 's', 1 "
+                       "UNION ALL SELECT study, parameters + 1 FROM n) SELECT * FROM n",
+    "a view for runs": "ALTER TABLE runs RENAME TO t; CREATE VIEW runs AS SELECT * FROM t",
+    "a trigger": "CREATE TRIGGER t AFTER INSERT ON runs BEGIN DELETE FROM runs; END",
     "a newer version": "PRAGMA user_version = 7", "another program": "DROP TABLE runs; CREATE TABLE t (a); "
                                                                      "PRAGMA user_version = 0"}
 

@@ -86,25 +86,34 @@ def test_interfaces_are_left_out_and_names_merged():
     assert (floor[:, 1] == 0).all() and np.ptp(floor[:, 0]) == 2
 
 
-@pytest.mark.parametrize("geometry", [unit_square, unit_cube], ids=["2D", "3D"])
-def test_second_order_meshes_are_read_by_their_corners(geometry):
-    ngmesh = geometry.GenerateMesh(maxh=0.5)
-    plain = from_ngsolve(ngsolve.Mesh(ngmesh))
-    ngmesh.SecondOrder()
-    mesh = from_ngsolve(ngsolve.Mesh(ngmesh))
-    np.testing.assert_array_equal(mesh.points, plain.points)
-    np.testing.assert_array_equal(mesh.elements, plain.elements)
-    np.testing.assert_array_equal(mesh.facets, plain.facets)
+def periodic_square():
+    geometry = SplineGeometry()
+    corners = [geometry.AppendPoint(*x) for x in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    right = [geometry.Append(["line", corners[i], corners[i + 1]], bc="rim") for i in range(3)][1]
+    geometry.Append(["line", corners[0], corners[3]], bc="rim", leftdomain=0, rightdomain=1, copy=right)
+    return ngsolve.Mesh(geometry.GenerateMesh(maxh=0.5))
 
 
-def test_curved_meshes_become_straight():
+def test_what_corners_do_not_say_is_refused():
+    for geometry in (unit_square, unit_cube):
+        mesh = ngsolve.Mesh(geometry.GenerateMesh(maxh=0.5))
+        field = ngsolve.GridFunction(ngsolve.VectorH1(mesh, order=1))
+        mesh.SetDeformation(field)
+        with pytest.raises(ValueError, match="has a deformation"):
+            from_ngsolve(mesh)
+        mesh.UnsetDeformation()
+        assert from_ngsolve(mesh).n_nodes == mesh.nv
+        mesh.ngmesh.SecondOrder()
+        with pytest.raises(ValueError, match=r"has curved elements \(order 2\)"):
+            from_ngsolve(ngsolve.Mesh(mesh.ngmesh))
     geometry = SplineGeometry()
     geometry.AddCircle((0, 0), 1, bc="rim")
     curved = ngsolve.Mesh(geometry.GenerateMesh(maxh=0.5))
     curved.Curve(3)
-    mesh = from_ngsolve(curved)
-    assert ngsolve.Integrate(1, mesh.source) == pytest.approx(mesh.volumes.sum(), rel=1e-13)
-    assert mesh.volumes.sum() < np.pi - 1e-3
+    with pytest.raises(ValueError, match=r"has curved elements \(order 3\)"):
+        from_ngsolve(curved)
+    with pytest.raises(ValueError, match=r"identified nodes \(periodic"):
+        from_ngsolve(periodic_square())
 
 
 def test_other_meshes_are_refused():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -254,3 +255,22 @@ class TestProblemOfBodies:
 def test_top_level_names():
     for name in ("Assembly", "Axisymmetric", "ContactPair", "InitialStrain", "Outline"):
         assert getattr(am, name) is getattr(am.problem, name)
+
+
+def test_bodies_that_lie_in_each_other_and_are_no_pair_are_named():
+    """Nothing would keep them apart; where they only touch, or are a pair, there is no warning."""
+    def posed(shift):
+        places = {"low": (0.0, 0.0), "high": (0.0, 1.0), "third": (1.0 - shift, 0.0)}
+        parts = {name: am.Rectangle(width=1.0, height=1.0, origin=origin) for name, origin in places.items()}
+        problem = am.ContactProblem(
+            material=am.PlaneStrain(young=1e9, poisson=0.3), domain=am.Assembly(parts=parts), law=am.Frictionless(),
+            contact=am.ContactPair("high.bottom", "low.top"), loads=(am.Pressure("high.top", 1e5),),
+            supports=(am.Support("high.left", x=0.0), am.Support("low.bottom", x=0.0, y=0.0),
+                      am.Support("third.bottom", x=0.0, y=0.0)))
+        return am.Hierarchy.uniform(problem, (4, 8))
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        posed(0.0)
+    with pytest.warns(UserWarning, match=r"the bodies 'low' and 'third' lie in each other, at \[.* not a contact pair"):
+        posed(0.3)

@@ -103,7 +103,8 @@ def test_resultants_balance_the_loads(solved):
         discrete = grids.finest.discrete
         load = discrete.load.reshape(-1, discrete.dim).sum(axis=0)
         supports = ("right", "front", "back") if name == "block" else ("right",)
-        # corner nodes belong to several supports: sum the nodal reactions once
+        total = contact_force(result) + sum(result.resultant(name).force for name in supports)
+        assert total == pytest.approx(-load, abs=1e-9 * np.abs(load).max())
         nodes = np.unique(np.concatenate([grids.finest.mesh.boundary_nodes(s) for s in supports]))
         contact = result.resultant("contact")
         reaction = result.reaction.sum(axis=0)
@@ -122,6 +123,36 @@ def test_resultants_balance_the_loads(solved):
         moment = np.sum(arm[:, 0] * load[:, 1] - arm[:, 1] * load[:, 0])
         total = result.resultant("contact", about).moment + result.resultant("right", about).moment
         assert total == pytest.approx(-moment, rel=1e-8)
+
+
+def test_a_force_at_a_shared_corner_belongs_to_the_support_that_holds_it(tmp_path):
+    """A square between two rollers and the plane, in homogeneous compression: each side carries its pressure."""
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=1e9, poisson=0.3), domain=am.Rectangle(width=1.0, height=1.0),
+        contact=am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0))), law=am.Frictionless(),
+        loads=(am.Pressure("right", 1e6),), supports=(am.Support("left", x=0.0), am.Support("top", y=-1e-3)))
+    result = am.solve(am.Hierarchy.uniform(problem, (3,)), am.ActiveSet())
+    result.save(tmp_path / "run.npz")
+    for found in (result, am.Result.load(tmp_path / "run.npz")):
+        assert found.resultant("left").force == pytest.approx([1e6, 0], abs=1e-3)
+        assert found.resultant("top").force == pytest.approx([0, -contact_force(result)[1]], abs=1e-3)
+        assert found.resultant("right").force == pytest.approx([0, 0], abs=1e-3)
+
+
+def test_a_component_that_two_supports_hold_at_a_corner_is_shared():
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=1e9, poisson=0.3), domain=am.Rectangle(width=1.0, height=1.0),
+        contact=am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0))), law=am.Coulomb(0.3),
+        loads=(am.Traction("right", (2e5, -1e5)),),
+        supports=(am.Support("left", x=0.0), am.Support("top", x=0.0, y=0.0)))
+    grids = am.Hierarchy.uniform(problem, (4,))
+    result = am.solve(grids, am.ActiveSet())
+    total = sum(result.resultant(name).force for name in ("left", "top", "right", "bottom"))
+    assert total == pytest.approx([-2e5, 1e5], abs=1e-3)
+    corner = np.flatnonzero((result.mesh.points == [0, 1]).all(axis=1))[0]
+    inner = np.setdiff1d(result.mesh.boundary_nodes("top"), [corner])
+    assert result.resultant("top").force == pytest.approx(
+        result.reaction[inner].sum(axis=0) + [0.5, 1.0] * result.reaction[corner], abs=1e-3)
 
 
 def contact_force(result):

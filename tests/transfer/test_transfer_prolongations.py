@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
 
@@ -53,15 +53,26 @@ def test_affine_fields_are_reproduced(transfer, pair):
     assert np.abs(error).max() < 3e-14
 
 
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), transfer=st.sampled_from(AFFINE))
-def test_affine_fields_are_reproduced_on_any_two_meshes(seed, dim, transfer):
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), transfer=st.sampled_from(AFFINE),
+       apart=st.sampled_from([None, 1e-17, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4]), moved=st.booleans())
+def test_sums_and_affine_fields_on_any_two_meshes(seed, dim, transfer, apart, moved):
+    """Also where fine nodes equal coarse ones up to rounding: their rows have one entry, and no extent."""
     rng = np.random.default_rng(seed)
     coarse, fine = (random_box(int(n), dim, seed + k) for k, n in enumerate(rng.integers(1, 40, 2)))
-    field = rng.standard_normal((dim, 4))
-    offset = rng.standard_normal(4)
+    if apart is not None:
+        inner = (coarse.points > 0) & (coarse.points < 1)
+        points = np.clip(coarse.points + apart * rng.standard_normal(coarse.points.shape) * inner, 0, 1)
+        if moved:
+            corners = points[coarse.elements]
+            assume((np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0).all())
+            fine = mesh_of(points, coarse.elements)
+        else:
+            shared = ~inner.any(axis=1) | (rng.random(coarse.n_nodes) < 0.5)
+            fine = delaunay(np.concatenate([points[shared], rng.random((20, dim))]))
     P = transfer.build(coarse, fine)
-    np.testing.assert_allclose(P @ (coarse.points @ field + offset), fine.points @ field + offset, atol=1e-12)
+    np.testing.assert_allclose(P.sum(axis=1), 1, atol=1e-12)
+    assert np.abs(P @ coarse.points - fine.points).max() < (1e-12 if apart is None else 1e-9)
 
 
 def test_lumped_l2_breaks_linears_at_the_boundary():

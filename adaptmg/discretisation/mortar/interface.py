@@ -40,6 +40,9 @@ class MortarInterface:
     coupling : (n, n_nodes) sparse
         B, rows with sum 1: its columns are nodes of the master surface, and slave nodes without a multiplier. Single
         entries may be negative.
+    closest : (n,) array, optional
+        Smallest distance between the surfaces around each node, m, for the question whether they overlap: a dual
+        function changes sign, so that its mean of a distance >= 0 may be negative. Default: ``gaps``.
 
     Raises
     ------
@@ -53,6 +56,7 @@ class MortarInterface:
     weights: np.ndarray
     gaps: np.ndarray
     coupling: sparse.csr_array
+    closest: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         nodes = np.asarray(self.nodes)
@@ -80,8 +84,9 @@ class MortarInterface:
                              "cannot be one of the master surface")
         for array in (nodes, normals, weights, gaps):
             array.flags.writeable = False
+        closest = gaps if self.closest is None else self.closest
         for name, value in (("nodes", nodes), ("normals", normals), ("weights", weights), ("gaps", gaps),
-                            ("coupling", coupling)):
+                            ("coupling", coupling), ("closest", closest)):
             object.__setattr__(self, name, value)
 
     def __len__(self) -> int:

@@ -187,13 +187,14 @@ def _integrate(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray, ends: np
     eta, distance = _opposite(surfaces, slave, master, s)
 
     n_nodes = len(surfaces.points)
-    diagonal, gap = np.zeros(n_nodes), np.zeros(n_nodes)
+    diagonal, gap, closest = np.zeros(n_nodes), np.zeros(n_nodes), np.full(n_nodes, np.inf)
     rows, columns, values = [], [], []
     for j in (0, 1):
         weighted = measure * psi[j]
         own = surfaces.carries[slave[:, j]]
         np.add.at(diagonal, slave[own, j], (measure * phi[j]).sum(axis=1)[own])
         np.add.at(gap, slave[own, j], (weighted * distance).sum(axis=1)[own])
+        np.minimum.at(closest, slave[own, j], distance.min(axis=1)[own])
         other = own & ~surfaces.carries[slave[:, 1 - j]]
         for k, shape, used, sign in ((master[:, 0], 1 - eta, own, 1.0), (master[:, 1], eta, own, 1.0),
                                      (slave[:, 1 - j], phi[1 - j], other, -1.0)):
@@ -205,7 +206,8 @@ def _integrate(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray, ends: np
                              shape=(n_nodes, n_nodes))
     coupling = sparse.csr_array(sparse.diags_array(1 / diagonal[nodes]) @ total[nodes])
     return MortarInterface(nodes=nodes, normals=surfaces.normals[nodes], weights=diagonal[nodes],
-                     gaps=gap[nodes] / diagonal[nodes], coupling=_without_rounding(coupling))
+                           gaps=gap[nodes] / diagonal[nodes], coupling=_without_rounding(coupling),
+                           closest=closest[nodes])
 
 
 def _bases(surfaces: Surfaces, edge: np.ndarray, origin: np.ndarray, offset: np.ndarray, measure: np.ndarray

@@ -248,7 +248,7 @@ def _integrate(surfaces: Surfaces, parts: _Parts) -> MortarInterface:
     shape = _barycentric(parts.corners[..., :2], centroid)[0] * stretch[:, None]
     own = shape * parts.covered()[:, None]
     towards = np.linalg.solve(covariance, np.swapaxes(parts.corners[..., :2] - centroid[:, None], 1, 2))
-    master, gap = _dual_moments(surfaces, parts, shape, towards, off)
+    master, gap, distance = _dual_moments(surfaces, parts, shape, towards, off)
 
     carries = surfaces.carries[slave]
     share = _shared_out(carries)
@@ -262,16 +262,21 @@ def _integrate(surfaces: Surfaces, parts: _Parts) -> MortarInterface:
 
     diagonal = np.bincount(slave.ravel(), np.where(carries, own, 0.0).ravel(), minlength=n_nodes)
     gaps = np.bincount(slave[parts.slave].ravel(), gap.ravel(), minlength=n_nodes)
+    closest = np.full(n_nodes, np.inf)
+    np.minimum.at(closest, slave[parts.slave], distance[:, None])
     around = np.bincount(slave.ravel(), np.repeat(size / 3, 3), minlength=n_nodes)
     nodes = np.flatnonzero(diagonal > _NEGLIGIBLE * around)
     coupling = sparse.csr_array(sparse.diags_array(1 / diagonal[nodes]) @ total[nodes])
     return MortarInterface(nodes=nodes, normals=surfaces.normals[nodes], weights=diagonal[nodes],
-                     gaps=gaps[nodes] / diagonal[nodes], coupling=_without_rounding(coupling))
+                           gaps=gaps[nodes] / diagonal[nodes], coupling=_without_rounding(coupling),
+                           closest=closest[nodes])
 
 
 def _dual_moments(surfaces: Surfaces, parts: _Parts, shape: np.ndarray, towards: np.ndarray, off: np.ndarray
-                  ) -> tuple[np.ndarray, np.ndarray]:
+                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r"""Integrals (n_parts, 3, 3) of dual times master shape functions and (n_parts, 3) of dual functions times gap.
+
+    Then the gap at the centroids (n_parts,).
 
     From :math:`\phi_j(c)` (n_slave, 3), :math:`S^{-1}(x_j - c)` (n_slave, 2, 3) and :math:`\bar x - c` (n_parts, 2).
     """
@@ -291,7 +296,7 @@ def _dual_moments(surfaces: Surfaces, parts: _Parts, shape: np.ndarray, towards:
     first = value[..., None] * off[:, None] + np.einsum("pab,pkb->pka", s, slope)
     result = value[:, None] + np.einsum("paj,pka->pjk", towards[slave], first)
     result *= (moments[:, :1] * shape[slave])[..., None]
-    return result[..., :3], result[..., 3]
+    return result[..., :3], result[..., 3], gap
 
 
 def _shared_out(carries: np.ndarray) -> np.ndarray:

@@ -88,10 +88,13 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
         tolerance = np.full(len(gaps), _ROUNDING * size)
         if pair.gap is None:
             tolerance += _facet_heights(mesh, slave)[found.nodes] + _facet_heights(mesh, master).max()
-        deepest = int(np.argmin(gaps + tolerance))
-        if gaps[deepest] < -tolerance[deepest]:
-            raise ValueError(f"{what}: the bodies overlap by up to {-gaps.min():.6g} m at the start, at "
-                             f"{tuple(mesh.points[found.nodes[np.argmin(gaps)]].tolist())}: move one of them apart, or "
+            # the surfaces themselves must overlap, and not only a mean of their distance with weights of both signs
+            tolerance[found.closest >= -tolerance] = np.inf
+        wrong = np.flatnonzero(gaps < -tolerance)
+        if len(wrong):
+            deepest = wrong[np.argmin(gaps[wrong])]
+            raise ValueError(f"{what}: the bodies overlap by up to {-gaps[deepest]:.6g} m at the start, at "
+                             f"{tuple(mesh.points[found.nodes[deepest]].tolist())}: move one of them apart, or "
                              "say allow_interference=True for an interference fit")
         gaps = np.maximum(gaps, 0.0)
     return MortarInterface(nodes=found.nodes, normals=found.normals, weights=found.weights, gaps=gaps,

@@ -16,7 +16,8 @@ from scipy import sparse
 from adaptmg.estimate.goals.contact_state import LinearisedContact
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.linear.linear_cycle import LinearCycle
-from adaptmg.multigrid.linear.split_matrix import split
+from adaptmg.multigrid.linear.split_matrix import nodal_prolongations, split
+from adaptmg.problem.index_arrays import indices_frozen
 from adaptmg.transfer.galerkin import galerkin_product
 
 __all__ = ["AdjointCycle"]
@@ -58,9 +59,7 @@ class AdjointCycle:
         matrix = _with_diagonal(sparse.csr_array(prolongation.T @ sparse.csr_array(matrix) @ prolongation), dim)
         split_levels.insert(0, split(matrix, coarse.fixed))
         prolongations = [prolongation]
-        for level, below in zip(reversed(levels[1:-1]), reversed(levels[:-2]), strict=True):
-            nodal = sparse.csr_array(level.prolongation)
-            nodal.sort_indices()
+        for nodal, below in zip(reversed(nodal_prolongations(hierarchy)[:-1]), reversed(levels[:-2]), strict=True):
             matrix = galerkin_product(matrix, nodal)
             split_levels.insert(0, split(matrix, below.discrete.fixed))
             prolongations.insert(0, nodal)
@@ -86,7 +85,7 @@ def _rotated(nodal: sparse.csr_array, contact: LinearisedContact, trial: np.ndar
                                                                              format="csr"))
     result.eliminate_zeros()
     result.sort_indices()
-    return result
+    return indices_frozen(result)
 
 
 def _with_diagonal(matrix: sparse.csr_array, dim: int) -> sparse.bsr_array:

@@ -1,4 +1,4 @@
-r"""check_overlap: does a body lie over itself? For meshes of strangers; own generators cannot make such ones.
+r"""check_overlap: does a body lie over itself, overlapping_bodies: over another? For meshes of strangers.
 
 Where every two neighbours lie on opposite sides of their facet (:func:`adaptmg.mesh.check_mesh`), a mesh can still wind
 twice around a node (in 3D: an edge), so that the angles there add up to :math:`4\pi`, or run into another part of
@@ -7,6 +7,7 @@ itself; then its boundary lies inside it, and so do boundary nodes.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from itertools import combinations
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["check_overlap"]
+__all__ = ["check_overlap", "overlapping_bodies"]
 
 # the boundary this deep inside an element, in barycentric coordinates: the two sides of a curved slit, cut into
 # chords apart, may cross by less
@@ -47,7 +48,7 @@ def check_overlap(mesh: MeshArrays) -> MeshArrays:
                          f"{_place(mesh.points[np.atleast_1d(corners[k])].mean(axis=0))} fill "
                          f"{np.degrees(total[k]):.0f} degrees, more than 360: the mesh lies over itself (tangled)")
     for number, name in enumerate(mesh.bodies):
-        inside = _buried(mesh, mesh.elements[mesh.element_body == number])
+        inside = _buried(mesh, number, number)
         if len(inside):
             raise ValueError(f"the boundary of body {name!r} lies inside other elements of it at {len(inside)} places, "
                              f"one of them {_place(inside[0])}: the body lies over itself (overlapping elements)")
@@ -82,13 +83,27 @@ def _turns(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     return total, np.stack([edge // mesh.n_nodes, edge % mesh.n_nodes], axis=1)
 
 
-def _buried(mesh: MeshArrays, elements: np.ndarray) -> np.ndarray:
-    """Boundary nodes of a body, and centroids of its boundary facets, deep inside one of its elements; places (n, dim).
+def overlapping_bodies(mesh: MeshArrays, apart: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Those pairs of bodies of which one lies deep inside elements of the other, and a place (dim,) where it does."""
+    box = {}
+    for k in np.unique(mesh.element_body).tolist():
+        points = mesh.points[mesh.elements[mesh.element_body == k]].reshape(-1, mesh.dim)
+        box[k] = points.min(axis=0), points.max(axis=0)
+    for a, b in apart:
+        if (box[a][0] < box[b][1]).all() and (box[b][0] < box[a][1]).all():
+            places = np.concatenate([_buried(mesh, a, b), _buried(mesh, b, a)])
+            if len(places):
+                yield a, b, places[0]
 
-    Centroids as well: in extruded meshes nodes may lie in planes that no element crosses.
+
+def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
+    """Boundary nodes of a body, and centroids of its boundary facets, deep inside elements of another; places (n, dim).
+
+    Centroids as well: in extruded meshes nodes may lie in planes that no element crosses. Both may be the same body.
     """
     own = np.zeros(mesh.n_nodes, dtype=bool)
-    own[elements] = True
+    own[mesh.elements[mesh.element_body == body]] = True
+    elements = mesh.elements[mesh.element_body == other]
     facets = mesh.facets[own[mesh.facets].all(axis=1)]
     if len(facets) == 0:
         return np.empty((0, mesh.dim))

@@ -16,6 +16,8 @@ from scipy import sparse
 from adaptmg.discrete import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level
 from adaptmg.multigrid.linear import split_kernels as kernels
+from adaptmg.problem.index_arrays import indices_frozen
+from adaptmg.runtime.compiled import read_only
 from adaptmg.transfer.aggregation import without_fixed
 from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen
 
@@ -134,7 +136,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     """
     dim = matrix.blocksize[0]
     n = matrix.shape[0] // dim
-    indptr, indices, data = matrix.indptr, matrix.indices, matrix.data.reshape(-1)
+    indptr, indices, data = read_only(matrix.indptr), read_only(matrix.indices), matrix.data.reshape(-1)
     lower_indptr, upper_indptr = np.empty(n + 1, dtype=np.int32), np.empty(n + 1, dtype=np.int32)
     kernels.count(indptr, indices, lower_indptr, upper_indptr)
     below, above = int(lower_indptr[-1]), int(upper_indptr[-1])
@@ -161,12 +163,9 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
 
 def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
     """Prolongations between neighbours, coarsest first, columns sorted."""
-    result = []
-    for level in hierarchy.levels[1:]:
-        nodal = sparse.csr_array(level.prolongation)
-        nodal.sort_indices()
-        result.append(nodal)
-    return result
+    # a copy where they are not: the hierarchy's own stays
+    return [P if P.has_sorted_indices else indices_frozen(P.sorted_indices())
+            for P in (level.prolongation for level in hierarchy.levels[1:])]
 
 
 def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from adaptmg.discrete import DiscreteProblem
+from adaptmg.discretisation.facets import area_vectors
 from adaptmg.discretisation.measures import StressData, von_mises
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import check_arrays, checks
@@ -67,6 +68,8 @@ class Result:
         Material constants and initial strains, for :meth:`stresses`; None for a bare DiscreteProblem.
     checked : Certificate or None
         What :meth:`certificate` returns.
+    supports : dict of str to str
+        By boundary the components that supports hold, such as "xy"; empty for a bare DiscreteProblem.
     """
 
     displacement: np.ndarray
@@ -90,6 +93,7 @@ class Result:
     versions: dict[str, str] = field(default_factory=dict)
     stress_data: StressData | None = None
     checked: Certificate | None = None
+    supports: dict[str, str] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -227,7 +231,7 @@ class Result:
         return Resultant(forces.sum(axis=0), moment.sum(axis=0))
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node has both)."""
+        """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node may have both)."""
         checks.instance("boundary", boundary, str, "the name of a boundary")
         c = self.contact
         slave = np.array([boundary in ("contact", name) for name in c.names])
@@ -242,7 +246,20 @@ class Result:
         nodes, of_contact = self.mesh.boundary_nodes(boundary), np.zeros_like(self.reaction)
         of_contact[c.node] = c.force
         np.add.at(of_contact, c.master_node, c.master_force)
-        return nodes, (self.reaction - of_contact)[nodes]
+        return nodes, self._share(boundary)[nodes] * (self.reaction - of_contact)[nodes]
+
+    def _share(self, boundary: str) -> np.ndarray:
+        """The part of each reaction (n_nodes, dim) that the support on a boundary carries."""
+        own, total = np.zeros_like(self.reaction), np.zeros_like(self.reaction)
+        for name, components in self.supports.items():
+            facets = self.mesh.boundary_facets(name)
+            area = np.linalg.norm(area_vectors(self.mesh.points, facets), axis=1)
+            at = np.bincount(facets.ravel(), np.repeat(area, self.dim), minlength=len(total))
+            held = at[:, None] * [c in components for c in "xyz"[:self.dim]]
+            total += held
+            if name == boundary:
+                own = held
+        return np.divide(own, total, out=np.ones_like(total), where=total > 0)
 
     def _on_slaves(self) -> np.ndarray:
         """Which of ``contact.master_node`` (m,) lie on the slave of their pair; without a mesh none."""

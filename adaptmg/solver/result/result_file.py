@@ -53,6 +53,7 @@ class Saved(Protocol):
     mesh: MeshArrays | None
     stress_data: StressData | None
     checked: Certificate | None
+    supports: dict[str, str]
 
 
 def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[str, Any] | None = None) -> None:
@@ -123,7 +124,7 @@ def _said(result: Saved) -> dict[str, Any]:
     names = (*_TEXTS, *_NUMBERS, "cycles", "timings", "path", "levels", "versions")
     meta = {name: getattr(result, name) for name in names}
     meta |= {"status": result.status.name, "names": result.contact.names, "masters": result.contact.masters,
-             "checked": None if result.checked is None else result.checked.as_dict()}
+             "checked": None if result.checked is None else result.checked.as_dict(), "supports": result.supports}
     if result.mesh is not None:
         meta |= {"boundaries": result.mesh.boundaries, "bodies": result.mesh.bodies}
     return meta
@@ -169,6 +170,12 @@ def _fields(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, An
               "versions": _mapping("versions", meta["versions"], str), "checked": None}
     if meta.get("checked") is not None:
         fields["checked"] = Certificate.from_dict(checks.instance("checked", meta["checked"], dict))
+    # written later than the first files: those say nothing about supports
+    fields["supports"] = _mapping("supports", meta.get("supports", {}), str)
+    # later steps of a load path are kept without their mesh
+    unknown = set() if fields["mesh"] is None else set(fields["supports"]) - set(fields["mesh"].boundaries)
+    if unknown:
+        raise ValueError(f"supports names boundaries that the mesh does not have: {checks.shown(sorted(unknown))}")
     fields |= {name: _number(name, meta[name]) for name in _NUMBERS}
     return fields | {name: _text(name, meta[name]) for name in _TEXTS}
 

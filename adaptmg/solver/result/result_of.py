@@ -50,7 +50,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
                   problem_name=problem_name(grids), solver_name=solver_name(solver, run), mesh=grids.finest.mesh,
-                  start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data)
+                  start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data,
+                  supports={} if grids.problem is None or grids.finest.mesh is None else grids.problem.held_components)
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:

@@ -21,6 +21,7 @@ from adaptmg.multigrid.truncated.contact import TruncatedContact
 from adaptmg.multigrid.truncated.interface import Interface
 from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated.step import TruncatedStep
+from adaptmg.problem.index_arrays import indices_frozen
 from adaptmg.solver.iterate import iterate
 from adaptmg.solver.method import MultigridOptions
 from adaptmg.solver.newton.active_set import ActiveSet
@@ -188,7 +189,8 @@ class TruncatedMultigrid:
         """The coarsest level as its own coarse level: truncated Newton steps with direct solves between sweeps."""
         problem, level = self.problems[0], self.cycle.levels[0]
         n = level.n_nodes
-        identity = sparse.csr_array((np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)))
+        identity = indices_frozen(sparse.csr_array(
+            (np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32))))
         cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1),
                             self.options.correction.coarse_solve)
         runner = self._cycle_on(problem, cycle, 1, np.zeros(problem.n_dofs))

@@ -110,6 +110,11 @@ def _checked_version(connection: sqlite3.Connection, called: str) -> int:
     if version not in range(FORMAT + 1) or (version == 0 and tables):
         raise ValueError(f"{called} is a database, but not a store of this version of adaptmg "
                          f"(version {version}, wanted {FORMAT}): give another file")
+    # a view in place of a table may have no end, a trigger change what is written
+    foreign = connection.execute("SELECT type, name FROM sqlite_master WHERE type IN ('view', 'trigger')").fetchone()
+    if foreign is not None:
+        raise ValueError(f"{called} has a {foreign[0]} {checks.shown(foreign[1])}, which adaptmg does not write: "
+                         "remove it, or give another file")
     return version
 
 

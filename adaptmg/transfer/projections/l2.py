@@ -34,8 +34,9 @@ from scipy import sparse
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import checks
+from adaptmg.transfer.contact_rows import with_contact_rows
 from adaptmg.transfer.location import OUTSIDE_TOLERANCE
-from adaptmg.transfer.projections.mixed_mass import Patches, mixed_mass
+from adaptmg.transfer.projections.mixed_mass import MixedMass, Patches, mixed_mass
 from adaptmg.transfer.rows import CLIP, clipped_rows, dropped, normalised
 
 __all__ = ["L2", "LumpedL2", "PseudoL2", "QuasiInterpolation"]
@@ -57,7 +58,8 @@ class L2:
     ----------
     drop_tolerance : float
         Entries of smaller magnitude are removed (rows sum to 1), at least ``CLIP``. The mass system is solved to a
-        hundredth of this.
+        hundredth of this. A row that cannot have its moments so, of a node next to a coarse one, is that of
+        :class:`PseudoL2`, which differs by less.
     outside_tolerance : float
         How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
     """
@@ -84,7 +86,9 @@ class L2:
         inner = 0.01 * self.drop_tolerance
         rows = _chebyshev(mass, rhs, fine.dim, inner, inner)
         rows.sort_indices()
-        return clipped_rows(rows, coarse.points, fine.points, tolerance=self.drop_tolerance, moments=moments)
+        result, reached = clipped_rows(rows, coarse, fine, tolerance=self.drop_tolerance, moments=moments)
+        missed = np.flatnonzero(~reached)
+        return with_contact_rows(result, missed, _pseudo(integrals)[missed]) if len(missed) else result
 
 
 def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
@@ -167,10 +171,14 @@ class PseudoL2:
 
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
-        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
-        coefficients = (fine.dim + 2) * integrals.shape_coefficients() - 1.0
-        coefficients /= integrals.lumped_mass[integrals.patches.nodes][:, None]
-        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)
+        return _pseudo(mixed_mass(coarse, fine, self.outside_tolerance))
+
+
+def _pseudo(integrals: MixedMass) -> sparse.csr_array:
+    """Rows of the pseudo-L2 projection."""
+    coefficients = (integrals.fine.dim + 2) * integrals.shape_coefficients() - 1.0
+    coefficients /= integrals.lumped_mass[integrals.patches.nodes][:, None]
+    return clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +204,7 @@ class QuasiInterpolation:
         """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
         integrals = mixed_mass(coarse, fine, self.outside_tolerance)
         coefficients = _patch_coefficients(fine, integrals.patches)
-        return clipped_rows(integrals.assemble(coefficients), coarse.points, fine.points)
+        return clipped_rows(integrals.assemble(coefficients), coarse, fine)[0]
 
 
 def _patch_coefficients(fine: MeshArrays, patches: Patches) -> np.ndarray:
