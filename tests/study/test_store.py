@@ -206,12 +206,18 @@ def test_arrays_meshes_results_and_figures_are_kept_and_given_back(tmp_path, whe
         study.load(0, "arrey")
 
 
-def test_a_kept_file_that_is_gone_or_damaged_is_named(tmp_path):
-    study = Study(lambda n: {"a": np.arange(3)}, {"n": [1]}, tmp_path / "s.sqlite")
-    (file,) = (tmp_path / "s.sqlite.files" / path for path in study.run(progress=False)["a"])
-    file.write_bytes(b"junk")
-    with pytest.raises(ValueError, match=r"\.npy is damaged"):
-        study.load(0)
+def test_a_kept_file_that_is_gone_or_damaged_is_named_and_made_again(tmp_path):
+    study = Study(lambda n: {"a": np.arange(3), "t": "x" * 20_000, "f": Figure()}, {"n": [1]}, tmp_path / "s.sqlite")
+    table = study.run(progress=False)
+    for name in "atf":
+        file = tmp_path / "s.sqlite.files" / table[name][0]
+        content = file.read_bytes()
+        for damage in (b"junk", content[:-1] + bytes([content[-1] ^ 1])):
+            file.write_bytes(damage)
+            with pytest.raises(ValueError, match=rf"{re.escape(str(file))} is damaged.*rerun=True"):
+                study.load(0, name)
+        study.run(progress=False, rerun=True)
+        assert study.load(0, name) is not None
     file.unlink()
     with pytest.raises(FileNotFoundError, match="no longer there"):
         study.load(0)

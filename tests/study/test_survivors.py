@@ -168,12 +168,23 @@ def test_kept_files_are_written_whole_or_not_at_all(tmp_path, monkeypatch):
     assert not [path for path in folder.path.rglob("*") if path.is_file()]
 
 
-def test_files_outside_the_folder_of_a_store_are_not_read(tmp_path):
-    (tmp_path / "secret.txt").write_text("x", encoding="utf-8")
+@pytest.mark.skipif(os.name != "posix", reason="symbolic links and pipes")
+@pytest.mark.parametrize("kind", ["..", "absolute", "link", "linked folder", "pipe"])
+def test_what_a_row_from_elsewhere_names_is_neither_read_nor_removed(tmp_path, kind):
+    secret, folder = tmp_path / "secret.txt", tmp_path / "s.sqlite.files"
+    secret.write_text("x", encoding="utf-8")
+    folder.mkdir()
+    (folder / "link.txt").symlink_to(secret)
+    (folder / "linked").symlink_to(tmp_path)
+    os.mkfifo(folder / "pipe.txt")
+    path = {"..": "../secret.txt", "absolute": str(secret), "link": "link.txt", "linked folder": "linked/secret.txt",
+            "pipe": "pipe.txt"}[kind]
     study = Study(squares, {"n": [1]}, tmp_path / "s.sqlite")
-    study._store.put("squares", Record(parameters={"n": 1}, status="done", files={"a": "../secret.txt"}))
+    study._store.put("squares", Record(parameters={"n": 1}, status="done", files={"a": path}))
     with pytest.raises(ValueError, match="is no file of this store"):
         study.load(0)
+    assert study.run(progress=False)["status"].tolist() == ["done"]
+    assert secret.exists() and (folder / "link.txt").is_symlink() and (folder / "pipe.txt").exists()
 
 
 def test_rows_are_safe_in_the_next_folder_where_the_first_cannot_be_written(tmp_path, monkeypatch):
