@@ -139,6 +139,14 @@ def test_processes_that_dask_gave_up_are_started_anew(when, monkeypatch, caplog)
     assert "no process that computes runs is left: starting 1" in caplog.text
 
 
+def test_scratch_files_of_dask_lie_in_a_folder_that_goes(cluster):
+    import dask
+
+    folder = cluster.run_on_scheduler(lambda dask_scheduler: dask_scheduler._original_local_dir)
+    assert os.path.isdir(folder) and folder.startswith(dask.config.get("temporary-directory"))
+    assert set(cluster.run(lambda dask_worker: dask_worker._original_local_dir).values()) == {folder}
+
+
 def test_kernels_are_warm_before_a_clock_starts(cluster):
     def run(n):
         from adaptmg.study.cluster import in_worker

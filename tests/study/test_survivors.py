@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import sqlite3
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -219,7 +221,6 @@ def test_rows_that_adaptmg_cannot_have_written_are_told(tmp_path):
 
 def test_limits_are_refused_where_nobody_starts_a_worker_again():
     pytest.importorskip("distributed")
-    from types import SimpleNamespace
 
     from adaptmg.study.cluster.fitness import check_workers
 
@@ -233,7 +234,6 @@ def test_limits_are_refused_where_nobody_starts_a_worker_again():
 
 def test_a_worker_that_leaves_while_it_is_looked_at_is_no_unfit_one(caplog):
     pytest.importorskip("distributed")
-    from types import SimpleNamespace
 
     from distributed.comm import CommClosedError
 
@@ -271,6 +271,57 @@ def test_no_more_processes_are_started_than_there_are_runs(monkeypatch):
     assert asked == [3, 2, 1]
 
 
+class _Processes:
+    """Stands for dask's cluster: ends while it starts as often as it is said, or hears Ctrl-C meanwhile."""
+
+    workers: dict = {}
+
+    def __init__(self, fails=0, signals=False, closed=None):
+        self.fails, self.signals, self.closed = fails, signals, closed if closed is not None else []
+
+    def __call__(self, **options):
+        if self.signals:
+            signal.raise_signal(signal.SIGINT)
+        self.fails -= 1
+        if self.fails >= 0:
+            raise RuntimeError("Nanny failed to start.")
+        return self
+
+    def close(self, timeout=None):
+        self.closed.append(timeout)
+
+
+@pytest.mark.parametrize("fails", [2, 3])
+def test_processes_that_end_while_they_start_are_started_again(fails, monkeypatch):
+    local = pytest.importorskip("adaptmg.study.cluster.local")
+    processes = _Processes(fails)
+    monkeypatch.setattr(local, "LocalCluster", processes)
+    monkeypatch.setattr(local, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
+    if fails < 3:
+        with local.local_cluster(2):
+            assert not processes.closed
+        assert processes.closed
+    else:
+        with pytest.raises(OSError, match=r"workers: 2 processes could not be started.*fewer workers"), \
+                local.local_cluster(2):
+            pass
+
+
+@pytest.mark.parametrize("fails", [0, 1])
+def test_ctrl_c_while_processes_start_ends_them(fails, monkeypatch):
+    local = pytest.importorskip("adaptmg.study.cluster.local")
+    processes, heard = _Processes(fails, signals=True), signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(local, "LocalCluster", processes)
+    monkeypatch.setattr(local, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # in a shell's background it comes ignored
+    try:
+        with pytest.raises(KeyboardInterrupt), local.local_cluster(2):
+            pytest.fail("the block is not reached")
+    finally:
+        signal.signal(signal.SIGINT, heard)
+    assert bool(processes.closed) == (fails == 0)
+
+
 def test_runs_are_sent_ahead_only_while_no_worker_has_died_and_they_are_short():
     executor = pytest.importorskip("adaptmg.study.cluster.executor")
     runs = object.__new__(executor._Runs)
@@ -300,7 +351,6 @@ def test_a_death_that_is_told_of_late_is_no_time_limit(since, told):
 @pytest.mark.parametrize("local", [True, False])
 def test_a_study_does_not_wait_for_ever_for_processes_of_this_machine(local, monkeypatch, caplog):
     executor = pytest.importorskip("adaptmg.study.cluster.executor")
-    from types import SimpleNamespace
 
     monkeypatch.setattr(executor, "_PATIENCE_S", 0.02)
     monkeypatch.setattr(executor, "_LOOK_S", 0.01)
