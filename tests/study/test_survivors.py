@@ -274,10 +274,8 @@ def test_no_more_processes_are_started_than_there_are_runs(monkeypatch):
 class _Processes:
     """Stands for dask's cluster: ends while it starts as often as it is said, or hears Ctrl-C meanwhile."""
 
-    workers: dict = {}
-
-    def __init__(self, fails=0, signals=False, closed=None):
-        self.fails, self.signals, self.closed = fails, signals, closed if closed is not None else []
+    def __init__(self, fails=0, signals=False):
+        self.fails, self.signals, self.workers, self.closed = fails, signals, {}, []
 
     def __call__(self, **options):
         if self.signals:
