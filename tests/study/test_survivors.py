@@ -6,6 +6,7 @@ import math
 import os
 import signal
 import sqlite3
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -80,6 +81,8 @@ def test_runs_of_which_nothing_is_known_go_first():
     assert [point["n"] for point in in_order(points, "n", stored)] == [3, 2, 1, 0]
     with pytest.raises(TypeError, match="cost must be"):
         in_order(points, 3, stored)
+    table = Study(lambda n: {"began": time.monotonic_ns()}, {"n": range(4)}).run(progress=False, cost="n")
+    assert table["began"].is_monotonic_decreasing
 
 
 def test_failed_runs_are_tried_again_unless_one_says_no():
@@ -333,12 +336,13 @@ def test_runs_are_sent_ahead_only_while_no_worker_has_died_and_they_are_short():
 
 
 @pytest.mark.parametrize(("since", "told"), [(3.2, None), (4.8, "TimeLimit: stopped after limit_s=3 s")])
-def test_a_death_that_is_told_of_late_is_no_time_limit(since, told):
+def test_a_death_that_is_told_of_late_is_no_time_limit(since, told, monkeypatch):
     """Code that holds Python's lock is ended two seconds after its limit, without a word."""
     executor = pytest.importorskip("adaptmg.study.cluster.executor")
     runs = object.__new__(executor._Runs)
     runs._limit_s, runs._over, runs._left, runs._alone = 3.0, {}, executor.deque(), executor.deque()
-    now = executor.time.monotonic()
+    now = 100.0
+    monkeypatch.setattr(executor, "time", SimpleNamespace(monotonic=lambda: now))
     run = executor._Run({"n": 6}, 1, now - since, None, False, now - since)
     runs._out = {"run": run}
     found = runs._outcome("run", executor.KilledWorker("run", None, 0))
