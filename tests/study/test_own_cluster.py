@@ -50,24 +50,29 @@ def address(tmp_path_factory):
             yield found
 
 
-def test_runs_limits_and_deaths(address, tmp_path):
-    store = str(tmp_path / "s.sqlite")
-
+def test_runs_and_limits(address, tmp_path):
     def run(n):
         if n == 5:
             time.sleep(600)
-        if n == 6:
-            os.kill(os.getpid(), signal.SIGKILL)
         time.sleep(0.05)
-        return {"m": n * n, "pid": os.getpid()}
+        return {"m": n * n}
 
-    study = Study(run, {"n": range(12)}, store)
+    study = Study(run, {"n": range(12)}, tmp_path / "s.sqlite")
     study.run(progress=False, scheduler=address, limit_s=3)
     table = study.table(details=True)
-    assert table["status"].tolist() == ["done"] * 5 + ["failed"] * 2 + ["done"] * 5
+    assert table["status"].tolist() == ["done"] * 5 + ["failed"] + ["done"] * 6
     assert table["error"][5] == "TimeLimit: stopped after limit_s=3 s" and table["tries"][5] == 1
+
+
+def test_a_run_that_ends_its_worker(address):
+    def run(n):
+        if n == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"m": n}
+
     # as often as dask itself starts it again, and then again alone
-    assert table["error"][6] == "WorkerDied: worker died 8 times during this run"
+    assert Study(run, {"n": range(4)}).run(progress=False, scheduler=address)["error"].tolist() == [
+        "", "WorkerDied: worker died 8 times during this run", "", ""]
 
 
 def test_runs_that_are_given_up_do_not_go_on(address, tmp_path):
