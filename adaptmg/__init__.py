@@ -6,11 +6,16 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import Any
 
 from adaptmg.runtime import kernel_cache
 
 __version__ = "0.1.0"
+
+if sys.flags.optimize > 1:
+    raise ImportError("adaptmg cannot run under 'python -OO' (PYTHONOPTIMIZE=2), which removes the docstrings that "
+                      "pyamg and the command line read: use 'python -O'")
 
 kernel_cache.install()
 

@@ -87,6 +87,11 @@ def test_importing_is_light():
     assert done.stdout == ""
 
 
+def test_python_without_docstrings_is_refused_by_name():
+    done = subprocess.run([sys.executable, "-OO", "-c", "import adaptmg"], capture_output=True, text=True)
+    assert done.stderr.splitlines()[-1].startswith("ImportError: adaptmg cannot run under 'python -OO'")
+
+
 @pytest.mark.parametrize("file", MODULES, ids=lambda f: f.relative_to(REPOSITORY).as_posix())
 def test_a_module_says_what_it_is_and_stays_small(file):
     text = file.read_text(encoding="utf-8")

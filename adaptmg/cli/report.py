@@ -41,6 +41,8 @@ def report(
         table = from_columns(columns)
         table.attrs["study"] = name
         known = {key for record in records for key in record.parameters}
+        if to is None and Path(name).name != name:
+            raise ValueError(f"--to must be given, as the name of the study cannot be that of a file: {name!r}")
         page = store.with_name(f"{name}.html") if to is None else checks.file_path("--to", to)
         csv = page.with_suffix(".csv")
         if csv == page:

@@ -45,8 +45,13 @@ def runs(
             from adaptmg.cli.listed import writing
 
             writing.ending(to)
-        found = listing.opened(store)
-        if take_in is not None:
+        if take_in is None:
+            found = listing.opened(store)
+        else:
+            from adaptmg.study.store import Store
+
+            listing.opened(take_in)  # a store that was removed is made again only for one that is there
+            found = Store(store)
             say(f"{found.take_in(take_in)} runs taken in from {take_in}", err=True)
         names = found.studies()
         if study is None and len(names) != 1:

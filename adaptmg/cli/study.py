@@ -99,7 +99,7 @@ def _logged(quiet: bool) -> Iterator[None]:
     handler.setFormatter(logging.Formatter("%(message)s"))
     level, spread = logger.level, logger.propagate
     logger.addHandler(handler)
-    logger.setLevel(logging.WARNING if quiet or sys.stderr.isatty() else logging.INFO)
+    logger.setLevel(logging.INFO if sys.stderr and not (quiet or sys.stderr.isatty()) else logging.WARNING)
     logger.propagate = False
     try:
         yield

@@ -1,8 +1,10 @@
 """Pictures with matplotlib: what is posed, the grids, the solution, the contact surfaces, the way the solver went,
 adaptive loops.
 
-Each function draws into a new figure or into given axes and returns the Figure; nothing is shown or saved. Names of
-problems, bodies and boundaries are shown as they are; labels given to a function may hold matplotlib's math text.
+Each function draws into a new figure or into given axes and returns the Figure; nothing is saved. Notebooks show it.
+pyplot does not keep it: in a script ``plt.figure(figure)`` (matplotlib 3.11) gives it to pyplot for ``plt.show()``.
+Names of problems, bodies and boundaries are shown as they are; labels given to a function may hold matplotlib's math
+text.
 """
 
 from __future__ import annotations

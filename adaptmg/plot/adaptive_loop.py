@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -18,7 +17,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot.space.axes import finish_axes, view_of
 from adaptmg.plot.space.surface import draw_facets
 from adaptmg.plot.states import STATE_INKS, halves, state_lines
-from adaptmg.plot.style import BLUE, GREY, INK, PALE, bounds, plain, scaled, styled
+from adaptmg.plot.style import BLUE, GREY, INK, PALE, bounds, new_figure, plain, scaled, styled
 from adaptmg.plot.walks import walks
 from adaptmg.problem import checks
 
@@ -48,7 +47,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     if not steps:
         raise ValueError("steps is empty: give the steps of am.adapt, as in list(am.adapt(...))")
     dim = steps[0].result.dim
-    figure = plt.figure(figsize=(10.5, 7.2))
+    figure = new_figure((10.5, 7.2))
     shown = sorted({0, len(steps) // 2, len(steps) - 1})[:_MESHES]
     kind = "3d" if dim == 3 else None
     present: set[int] = set()

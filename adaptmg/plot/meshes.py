@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
@@ -15,7 +14,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot.space.axes import finish_axes, view_of
 from adaptmg.plot.space.surface import draw_facets
-from adaptmg.plot.style import BODY_COLORS, INK, ORANGE, PALE, axes_of, bounds, canvas, scaled, styled
+from adaptmg.plot.style import BODY_COLORS, INK, ORANGE, PALE, axes_of, bounds, canvas, new_figure, scaled, styled
 from adaptmg.problem import checks
 
 __all__ = ["grids", "mesh"]
@@ -73,7 +72,7 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     if axes is None:
         columns = min(len(hierarchy), 4)
         rows = -(-len(hierarchy) // columns)
-        figure = plt.figure(figsize=(3.1 * columns, 3.3 * rows))
+        figure = new_figure((3.1 * columns, 3.3 * rows))
         axes = [figure.add_subplot(rows, columns, k + 1, projection="3d" if dim == 3 else None)
                 for k in range(len(hierarchy))]
     axes = axes_of(axes, len(hierarchy), "axes")

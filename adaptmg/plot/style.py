@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
 
 from adaptmg.runtime.text import printable
 from adaptmg.solver.result import Result
 
 __all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "axes_of", "axis_names",
-           "bounds", "canvas", "label_text", "number", "plain", "quoted", "scaled", "styled"]
+           "bounds", "canvas", "label_text", "new_figure", "number", "plain", "quoted",
+           "scaled", "styled"]
 
 INK, GREY, PALE = "#1f2328", "#8a9099", "#eceef1"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
@@ -41,10 +44,26 @@ styled = matplotlib.rc_context(rc=_STYLE)
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
+class _Picture(Figure):
+    """A figure that notebooks show without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", bbox_inches="tight")
+        return buffer.getvalue()
+
+
+def new_figure(size: tuple[float, float]) -> Figure:
+    """Return a figure of ``size`` inches that goes when nobody holds it: pyplot would keep it until it is closed."""
+    figure = _Picture(figsize=size)
+    FigureCanvasAgg(figure)
+    return figure
+
+
 def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
     """``ax``, or the axes of a new figure of ``size`` inches; three-dimensional where ``dim`` is 3."""
     if ax is None:
-        return plt.figure(figsize=size).add_subplot(projection="3d" if dim == 3 else None)
+        return new_figure(size).add_subplot(projection="3d" if dim == 3 else None)
     if not isinstance(ax, Axes):
         raise TypeError(f"ax must be matplotlib axes, got {ax!r}")
     if (ax.name == "3d") != (dim == 3):

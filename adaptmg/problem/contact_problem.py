@@ -18,6 +18,8 @@ __all__ = ["CONTACT", "Contact", "ContactProblem", "check_law"]
 CONTACT = "contact"
 """Name of all contact boundaries together."""
 
+#: between the Young's moduli of two bodies
+_MOST_STIFFER = 1e11
 _LOADS = (Pressure, Traction, BodyForce, InitialStrain)
 
 
@@ -208,6 +210,11 @@ def _materials(material: object) -> dict[str, Elastic]:
     kinds = {name: type(m).__name__ for name, m in material.items()}
     if len({(m.dim, isinstance(m, Axisymmetric)) for m in material.values()}) > 1:
         raise ValueError(f"material: the bodies must be all Solid, all Axisymmetric, or all plane, got {kinds}")
+    soft, stiff = (pick(material, key=lambda name: material[name].young) for pick in (min, max))
+    if material[stiff].young > _MOST_STIFFER * material[soft].young:
+        raise ValueError(f"material: Young's moduli must lie within a factor {_MOST_STIFFER:g} of each other, got "
+                         f"{material[stiff].young:g} ({stiff!r}) and {material[soft].young:g} ({soft!r}): beyond, the "
+                         "soft body is lost in rounding; an obstacle (am.Contact) is a rigid body")
     return dict(material)
 
 

@@ -100,7 +100,8 @@ def watched(name: str, total: int, before: int, running: Callable[[], int],
     if callable(bar):
         yield Watch(name, total, before, running, bar)
         return
-    if not (sys.stderr.isatty() if bar is None else bar):
+    # without a console (pythonw, a service) Python has no standard error
+    if sys.stderr is None or not (sys.stderr.isatty() if bar is None else bar):
         yield Watch(name, total, before, running)
         return
     from rich.console import Console

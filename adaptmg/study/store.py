@@ -146,7 +146,8 @@ class Store:
             whole = isinstance(error, OSError) and self._identity() == self._opened
             words = rescue.save(self.path, None if whole else self._connection, list(self._written.values()))
             self._waiting = {}
-            raise type(error)(f"{error}. {words}") from error
+            first = "Move the damaged file away. " if isinstance(error, ValueError) else ""
+            raise type(error)(f"{error}. {first}{words}") from error
         self._waiting = {}
 
     def flush(self) -> None:

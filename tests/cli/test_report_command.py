@@ -47,6 +47,13 @@ def test_a_page_and_its_table_stand_beside_the_store(command):
     assert Path("other.html").read_text(encoding="utf-8").count("<svg") < page.count("<svg")
 
 
+def test_a_study_whose_name_is_not_that_of_a_file_needs_a_file(command):
+    stored("a/b")
+    code, err = command("s.sqlite")
+    assert code == 2 and err.endswith("--to must be given, as the name of the study cannot be that of a file: 'a/b'\n")
+    assert command("s.sqlite", "--to", "ab.html")[0] == 0
+
+
 def test_a_page_says_what_all_runs_share_units_and_when_they_were_made(command):
     store = Store("s.sqlite")
     same = {"case.case": "greco_bar", "h.sizes": (0.01, 5e-3), "measure.columns": ("max_pressure",)}

@@ -79,6 +79,8 @@ INPUTS = (
     Hostile("law number", lambda: _problem(law=0.3), "law"),
     Hostile("material empty", lambda: _problem(material={}), "material"),
     Hostile("material number name", lambda: _problem(material={1: am.PlaneStrain(young=1.0, poisson=0.0)}), "material"),
+    Hostile("moduli 1e39 : 1", lambda: _problem(material={name: am.PlaneStrain(young=young, poisson=0.3) for name, young
+                                                          in (("a", 1e39), ("b", 1.0))}), "material: Young's moduli"),
     Hostile("name number", lambda: _problem(name=5), "name"),
     Hostile("name control", lambda: _problem(name="a\x00b"), "name"),
     Hostile("name surrogate", lambda: _problem(name="\ud800"), "name"),

@@ -17,7 +17,7 @@ from hostile_table import TABLES
 
 HERE = Path(__file__).parent
 #: seconds that one row may take, the start of its process and its imports included
-LIMIT_S = 60
+LIMIT_S = 120
 ROWS = [(table, row) for table in TABLES for row in importlib.import_module(table).INPUTS]
 
 

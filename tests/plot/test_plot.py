@@ -289,6 +289,14 @@ def test_grids_draws_each_level_of_a_hierarchy():
         plot.grids(bare)
 
 
+def test_pyplot_does_not_keep_pictures_and_notebooks_show_them():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    pictures = [plot.problem(grids.problem), plot.grids(grids), plot.contact(PLANE), plot.deformation(SOLID),
+                plot.load_history([PLANE] * 2, [1.0, 2.0], {"n": lambda result: 1.0}, steps=0)]
+    assert not plt.get_fignums()
+    assert all(picture._repr_png_().startswith(b"\x89PNG") for picture in pictures)
+
+
 def test_pictures_leave_the_settings_of_the_user_alone():
     before = dict(plt.rcParams)
     plot.contact(PLANE)

@@ -17,6 +17,7 @@ from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.run import Outcome
 
 EXACT = am.ActiveSet(rtol=1e-12)
+ROUNDING = 1e-13  # relative energy errors below say nothing
 LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(2e7), "coulomb": am.Coulomb(1.0)}
 
 
@@ -239,8 +240,12 @@ def test_the_energy_error_is_estimated(solver, law, dim):
     result = am.solve(grids(law, dim), solver, throw=False)
     true = energy(discrete, result.displacement - exact(law, dim).displacement) / energy(
         discrete, exact(law, dim).displacement)
-    assert 0.5 * true <= result.certificate().energy_error <= 1.5 * true
-    assert 0.8 * true <= result.certificate(discrete, bound=True).energy_error <= 1.2 * true
+    # where the solver ends far below its tolerance, both are rounding
+    estimate, bound = (max(found.energy_error, ROUNDING)
+                       for found in (result.certificate(), result.certificate(discrete, bound=True)))
+    true = max(true, ROUNDING)
+    assert 0.5 * true <= estimate <= 1.5 * true
+    assert 0.8 * true <= bound <= 1.2 * true
 
 
 def test_one_step_sees_what_is_smooth(monkeypatch):

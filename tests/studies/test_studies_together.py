@@ -41,7 +41,7 @@ def test_timed_runs_wait_for_all_others_and_go_one_by_one():
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(10)
+        thread.join(60)
         assert not thread.is_alive()
     kinds = [kind for kind, _ in runs.seen]
     assert kinds.count("timed") == 8 and kinds.count("run") == 10
@@ -67,7 +67,7 @@ def test_a_thread_has_its_turn_alone():
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(10)
+        thread.join(60)
         assert not thread.is_alive()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import sqlite3
 import subprocess
@@ -15,6 +16,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import adaptmg as am
+from adaptmg.cli import app
 from adaptmg.study import Study
 from adaptmg.study import store as study_store
 from adaptmg.study.record import Record, bounded, canonical
@@ -32,11 +34,17 @@ def _rescued(error: pytest.ExceptionInfo) -> Path:
     return found
 
 
-def _taken_back(store: Path, rescued: Path) -> dict[str, Record]:
-    target = Store(store)
-    target.take_in(rescued)
+def _taken_back(store: Path, error: pytest.ExceptionInfo) -> dict[str, Record]:
+    """Runs after the advice of the error was followed, command and all."""
+    rescued, command = _rescued(error), shlex.split(str(error.value).split("bring them back with: ")[1])
+    assert command == ["adaptmg", "runs", str(store), "--take-in", str(rescued)]
+    if "Move the damaged file away" in str(error.value):
+        store.rename(store.with_suffix(".damaged"))
+    with pytest.raises(SystemExit) as end:
+        app(command[1:], prog_name="adaptmg")
+    assert not end.value.code
     rescued.unlink()
-    return target.get("squares")
+    return Store(store).get("squares")
 
 
 def _sweep(path: Path, change) -> pytest.ExceptionInfo:
@@ -68,7 +76,7 @@ def test_a_store_that_is_removed_or_replaced_while_in_use(tmp_path, how):
 
     error = _sweep(path, change)
     assert ("replaced by another file" if how == "replaced" else "was removed") in str(error.value)
-    back = _taken_back(path, _rescued(error))
+    back = _taken_back(path, error)
     assert [r.results["square"] for r in back.values()] == [k * k for k in range(7)]
 
 
@@ -81,9 +89,7 @@ def test_a_store_that_is_damaged_while_in_use(tmp_path):
 
     error = _sweep(path, change)
     assert "damaged" in str(error.value)
-    rescued = _rescued(error)
-    path.unlink()
-    back = _taken_back(path, rescued)
+    back = _taken_back(path, error)
     # what this process computed; the rest was damaged
     assert {n for n in range(4, 7)} <= {r.parameters["n"] for r in back.values()}
 
@@ -100,7 +106,7 @@ def test_a_store_that_is_locked_while_in_use(tmp_path, monkeypatch):
     error = _sweep(path, change)
     assert "another process holds it" in str(error.value)
     others[0].close()
-    assert len(_taken_back(path, _rescued(error))) == 7
+    assert len(_taken_back(path, error)) == 7
 
 
 @pytest.mark.parametrize(("pragma", "words"), [("PRAGMA query_only = ON", "write-protected"),
@@ -119,7 +125,7 @@ def test_a_disk_that_is_full_or_a_store_that_is_read_only(tmp_path, pragma, word
     with pytest.raises(OSError, match=words) as error:
         study.run(progress=False)
     assert study.table()["status"].tolist()[:4] != []  # it can be read all the same
-    assert len(_taken_back(path, _rescued(error))) >= 4
+    assert len(_taken_back(path, error)) >= 4
 
 
 def test_two_sweeps_on_one_store_do_not_disturb_each_other(tmp_path):
@@ -206,12 +212,18 @@ def test_arrays_meshes_results_and_figures_are_kept_and_given_back(tmp_path, whe
         study.load(0, "arrey")
 
 
-def test_a_kept_file_that_is_gone_or_damaged_is_named(tmp_path):
-    study = Study(lambda n: {"a": np.arange(3)}, {"n": [1]}, tmp_path / "s.sqlite")
-    (file,) = (tmp_path / "s.sqlite.files" / path for path in study.run(progress=False)["a"])
-    file.write_bytes(b"junk")
-    with pytest.raises(ValueError, match=r"\.npy is damaged"):
-        study.load(0)
+def test_a_kept_file_that_is_gone_or_damaged_is_named_and_made_again(tmp_path):
+    study = Study(lambda n: {"a": np.arange(3), "t": "x" * 20_000, "f": Figure()}, {"n": [1]}, tmp_path / "s.sqlite")
+    table = study.run(progress=False)
+    for name in "atf":
+        file = tmp_path / "s.sqlite.files" / table[name][0]
+        content = file.read_bytes()
+        for damage in (b"junk", content[:-1] + bytes([content[-1] ^ 1])):
+            file.write_bytes(damage)
+            with pytest.raises(ValueError, match=rf"{re.escape(str(file))} is damaged.*rerun=True"):
+                study.load(0, name)
+        study.run(progress=False, rerun=True)
+        assert study.load(0, name) is not None
     file.unlink()
     with pytest.raises(FileNotFoundError, match="no longer there"):
         study.load(0)

@@ -233,6 +233,12 @@ def test_a_progress_bar_goes_to_standard_error(capsys):
     assert out == "" and "2/2" in err
 
 
+@pytest.mark.parametrize("progress", [None, True])
+def test_a_process_without_standard_error_runs_a_study(progress, monkeypatch):
+    monkeypatch.setattr("sys.stderr", None)
+    assert Study(case, {"sweeps": [1]}).run(progress=progress)["status"].tolist() == ["done"]
+
+
 def test_two_processes_may_write_to_one_store(tmp_path):
     path = tmp_path / "s.sqlite"
     first, second = Study(case, {"sweeps": [1]}, path), Study(case, {"sweeps": [2]}, path)

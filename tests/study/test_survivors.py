@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import sqlite3
+import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -78,6 +81,8 @@ def test_runs_of_which_nothing_is_known_go_first():
     assert [point["n"] for point in in_order(points, "n", stored)] == [3, 2, 1, 0]
     with pytest.raises(TypeError, match="cost must be"):
         in_order(points, 3, stored)
+    table = Study(lambda n: {"began": time.monotonic_ns()}, {"n": range(4)}).run(progress=False, cost="n")
+    assert table["began"].is_monotonic_decreasing
 
 
 def test_failed_runs_are_tried_again_unless_one_says_no():
@@ -168,12 +173,23 @@ def test_kept_files_are_written_whole_or_not_at_all(tmp_path, monkeypatch):
     assert not [path for path in folder.path.rglob("*") if path.is_file()]
 
 
-def test_files_outside_the_folder_of_a_store_are_not_read(tmp_path):
-    (tmp_path / "secret.txt").write_text("x", encoding="utf-8")
+@pytest.mark.skipif(os.name != "posix", reason="symbolic links and pipes")
+@pytest.mark.parametrize("kind", ["..", "absolute", "link", "linked folder", "pipe"])
+def test_what_a_row_from_elsewhere_names_is_neither_read_nor_removed(tmp_path, kind):
+    secret, folder = tmp_path / "secret.txt", tmp_path / "s.sqlite.files"
+    secret.write_text("x", encoding="utf-8")
+    folder.mkdir()
+    (folder / "link.txt").symlink_to(secret)
+    (folder / "linked").symlink_to(tmp_path)
+    os.mkfifo(folder / "pipe.txt")
+    path = {"..": "../secret.txt", "absolute": str(secret), "link": "link.txt", "linked folder": "linked/secret.txt",
+            "pipe": "pipe.txt"}[kind]
     study = Study(squares, {"n": [1]}, tmp_path / "s.sqlite")
-    study._store.put("squares", Record(parameters={"n": 1}, status="done", files={"a": "../secret.txt"}))
+    study._store.put("squares", Record(parameters={"n": 1}, status="done", files={"a": path}))
     with pytest.raises(ValueError, match="is no file of this store"):
         study.load(0)
+    assert study.run(progress=False)["status"].tolist() == ["done"]
+    assert secret.exists() and (folder / "link.txt").is_symlink() and (folder / "pipe.txt").exists()
 
 
 def test_rows_are_safe_in_the_next_folder_where_the_first_cannot_be_written(tmp_path, monkeypatch):
@@ -208,7 +224,6 @@ def test_rows_that_adaptmg_cannot_have_written_are_told(tmp_path):
 
 def test_limits_are_refused_where_nobody_starts_a_worker_again():
     pytest.importorskip("distributed")
-    from types import SimpleNamespace
 
     from adaptmg.study.cluster.fitness import check_workers
 
@@ -222,7 +237,6 @@ def test_limits_are_refused_where_nobody_starts_a_worker_again():
 
 def test_a_worker_that_leaves_while_it_is_looked_at_is_no_unfit_one(caplog):
     pytest.importorskip("distributed")
-    from types import SimpleNamespace
 
     from distributed.comm import CommClosedError
 
@@ -260,6 +274,55 @@ def test_no_more_processes_are_started_than_there_are_runs(monkeypatch):
     assert asked == [3, 2, 1]
 
 
+class _Processes:
+    """Stands for dask's cluster: ends while it starts as often as it is said, or hears Ctrl-C meanwhile."""
+
+    def __init__(self, fails=0, signals=False):
+        self.fails, self.signals, self.workers, self.closed = fails, signals, {}, []
+
+    def __call__(self, **options):
+        if self.signals:
+            signal.raise_signal(signal.SIGINT)
+        self.fails -= 1
+        if self.fails >= 0:
+            raise RuntimeError("Nanny failed to start.")
+        return self
+
+    def close(self, timeout=None):
+        self.closed.append(timeout)
+
+
+@pytest.mark.parametrize("fails", [2, 3])
+def test_processes_that_end_while_they_start_are_started_again(fails, monkeypatch):
+    local = pytest.importorskip("adaptmg.study.cluster.local")
+    processes = _Processes(fails)
+    monkeypatch.setattr(local, "LocalCluster", processes)
+    monkeypatch.setattr(local, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
+    if fails < 3:
+        with local.local_cluster(2):
+            assert not processes.closed
+        assert processes.closed
+    else:
+        with pytest.raises(OSError, match=r"workers: 2 processes could not be started.*fewer workers"), \
+                local.local_cluster(2):
+            pass
+
+
+@pytest.mark.parametrize("fails", [0, 1])
+def test_ctrl_c_while_processes_start_ends_them(fails, monkeypatch):
+    local = pytest.importorskip("adaptmg.study.cluster.local")
+    processes, heard = _Processes(fails, signals=True), signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(local, "LocalCluster", processes)
+    monkeypatch.setattr(local, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # in a shell's background it comes ignored
+    try:
+        with pytest.raises(KeyboardInterrupt), local.local_cluster(2):
+            pytest.fail("the block is not reached")
+    finally:
+        signal.signal(signal.SIGINT, heard)
+    assert bool(processes.closed) == (fails == 0)
+
+
 def test_runs_are_sent_ahead_only_while_no_worker_has_died_and_they_are_short():
     executor = pytest.importorskip("adaptmg.study.cluster.executor")
     runs = object.__new__(executor._Runs)
@@ -273,12 +336,13 @@ def test_runs_are_sent_ahead_only_while_no_worker_has_died_and_they_are_short():
 
 
 @pytest.mark.parametrize(("since", "told"), [(3.2, None), (4.8, "TimeLimit: stopped after limit_s=3 s")])
-def test_a_death_that_is_told_of_late_is_no_time_limit(since, told):
+def test_a_death_that_is_told_of_late_is_no_time_limit(since, told, monkeypatch):
     """Code that holds Python's lock is ended two seconds after its limit, without a word."""
     executor = pytest.importorskip("adaptmg.study.cluster.executor")
     runs = object.__new__(executor._Runs)
     runs._limit_s, runs._over, runs._left, runs._alone = 3.0, {}, executor.deque(), executor.deque()
-    now = executor.time.monotonic()
+    now = 100.0
+    monkeypatch.setattr(executor, "time", SimpleNamespace(monotonic=lambda: now))
     run = executor._Run({"n": 6}, 1, now - since, None, False, now - since)
     runs._out = {"run": run}
     found = runs._outcome("run", executor.KilledWorker("run", None, 0))
@@ -289,7 +353,6 @@ def test_a_death_that_is_told_of_late_is_no_time_limit(since, told):
 @pytest.mark.parametrize("local", [True, False])
 def test_a_study_does_not_wait_for_ever_for_processes_of_this_machine(local, monkeypatch, caplog):
     executor = pytest.importorskip("adaptmg.study.cluster.executor")
-    from types import SimpleNamespace
 
     monkeypatch.setattr(executor, "_PATIENCE_S", 0.02)
     monkeypatch.setattr(executor, "_LOOK_S", 0.01)

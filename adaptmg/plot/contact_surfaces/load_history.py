@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -16,7 +15,7 @@ from adaptmg.plot.contact_surfaces.line import lines_of
 from adaptmg.plot.contact_surfaces.maps import draw_map
 from adaptmg.plot.contact_surfaces.panels import cells, chosen_boundaries, described, keep_open
 from adaptmg.plot.states import state_lines, stated_curve
-from adaptmg.plot.style import BLUE, label_text, number, plain, styled
+from adaptmg.plot.style import BLUE, label_text, new_figure, number, plain, styled
 from adaptmg.problem import check_arrays, checks
 from adaptmg.solver.result import Result
 
@@ -66,7 +65,7 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     columns, curve_columns = min(_COLUMNS, max(len(shown), 1)), min(3, max(len(rows), 1))
     curve_rows, map_rows = -(-len(rows) // curve_columns), -(-len(shown) // columns)
     heights = [2.7 * curve_rows] * bool(rows) + [2.1 * map_rows + 0.5] * len(names)
-    figure = plt.figure(figsize=(max(3.2 * curve_columns * bool(rows), 2.4 * columns, 5.0), sum(heights) + 0.4))
+    figure = new_figure((max(3.2 * curve_columns * bool(rows), 2.4 * columns, 5.0), sum(heights) + 0.4))
     parts = iter(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0])
     if rows:
         axes = cells(next(parts), len(rows), curve_columns)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 
-from adaptmg.plot.style import quoted
+from adaptmg.plot.style import new_figure, quoted
 from adaptmg.problem import checks
 from adaptmg.solver.result import ContactResult, Result
 
@@ -36,7 +35,7 @@ def blocks(count: int, size: tuple[float, float], columns: int) -> list[SubFigur
     """Parts of ``size`` inches of a new figure, at most ``columns`` side by side."""
     columns = min(count, columns)
     rows = -(-count // columns)
-    figure = plt.figure(figsize=(size[0] * columns, size[1] * rows))
+    figure = new_figure((size[0] * columns, size[1] * rows))
     return list(figure.subfigures(rows, columns, squeeze=False).ravel())[:count]
 
 

@@ -8,6 +8,7 @@ import multiprocessing
 import multiprocessing.spawn
 import os
 import signal
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -19,6 +20,11 @@ from distributed.core import Status
 from adaptmg.problem import checks
 
 __all__ = ["local_cluster", "revive"]
+
+_log = logging.getLogger(__name__)
+
+#: how often the processes are started until the system is called unfit
+_STARTS = 3
 
 #: set before a worker imports anything: one thread everywhere
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
@@ -59,17 +65,35 @@ def local_cluster(workers: int) -> Iterator[Client]:
                            "run")
     # tells at length, and late, of connections to processes that were ended
     logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
-    with _scripts_not_run_again(), _environment_kept(), dask.config.set(_CONFIG):
-        cluster = LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
-                               memory_limit=0, silence_logs=logging.CRITICAL, host="127.0.0.1",
-                               worker_dashboard_address=None, env=_ONE_THREAD,
-                               preload=["adaptmg.study.cluster.bound"])
-        client = None
+    with _scripts_not_run_again(), _environment_kept(), \
+            tempfile.TemporaryDirectory(prefix="adaptmg-workers-", ignore_cleanup_errors=True) as folder, \
+            dask.config.set(_CONFIG | {"temporary-directory": folder}):
+        cluster = client = None
         try:
-            client = Client(cluster, set_as_default=False)
+            with _interrupt_held_back() as interrupted:
+                cluster = _started(count, interrupted)
+                client = Client(cluster, set_as_default=False)
             yield client
         finally:
-            _end(cluster, client)
+            if cluster is not None:
+                _end(cluster, client)
+
+
+def _started(count: int, interrupted: list[Any]) -> LocalCluster:
+    """All processes: dask gives up where one ends while it starts, killed as memory is short, or by Ctrl-C."""
+    tries = 1
+    while True:
+        try:
+            return LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+                                memory_limit=0, silence_logs=logging.CRITICAL, host="127.0.0.1",
+                                worker_dashboard_address=None, env=_ONE_THREAD,
+                                preload=["adaptmg.study.cluster.bound"])
+        except (RuntimeError, OSError) as error:
+            if tries == _STARTS or interrupted:
+                raise OSError(f"workers: {count} processes could not be started ({error.__cause__ or error}): give "
+                              "fewer workers, or make memory free") from error
+            _log.warning("a process that computes runs ended while it started: starting %d again", count)
+            tries += 1
 
 
 def revive(cluster: LocalCluster) -> None:
@@ -86,7 +110,7 @@ def revive(cluster: LocalCluster) -> None:
 
 def _end(cluster: LocalCluster, client: Client | None) -> None:
     """At once, whatever runs still go on; a second Ctrl-C does not get in between."""
-    with _deaf():
+    with _interrupt_held_back():
         for nanny in list(cluster.workers.values()):
             process = getattr(nanny, "process", None)
             # no longer started anew when it ends
@@ -102,17 +126,20 @@ def _end(cluster: LocalCluster, client: Client | None) -> None:
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
-    """Leave Ctrl-C for later, where this is the main thread."""
+def _interrupt_held_back() -> Iterator[list[Any]]:
+    """Let Ctrl-C wait for the end of the block, where this is the main thread; what came so far."""
+    came: list[Any] = []
     try:
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        before = signal.signal(signal.SIGINT, lambda *signalled: came.append(signalled))
     except ValueError:
-        yield
+        yield came
         return
     try:
-        yield
+        yield came
     finally:
         signal.signal(signal.SIGINT, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)
 
 
 @contextmanager

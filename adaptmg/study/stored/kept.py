@@ -103,23 +103,31 @@ def _saved(result: Any) -> bytes:
 def _unpack(file: Path) -> Any:
     """What is in a file; ValueError that names it if it is damaged."""
     try:
+        content = file.read_bytes()
+        if f"-{_digest(content)}." not in file.name:
+            raise ValueError("its content is not what was written")
         if file.name.endswith(".svg"):
             return file
         if file.name.endswith(".txt"):
-            return file.read_bytes().decode("utf-8", "surrogatepass")
+            return content.decode("utf-8", "surrogatepass")
         if file.name.endswith(".npy"):
-            return np.load(file, allow_pickle=False)
+            return np.load(io.BytesIO(content), allow_pickle=False)
         if file.name.endswith(".mesh.npz"):
-            with np.load(file, allow_pickle=False) as arrays:
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
                 return MeshArrays(**{name: arrays[name] for name in _MESH},
                                   **{name: tuple(arrays[name].tolist()) for name in ("boundaries", "bodies")})
     except FileNotFoundError:
         raise FileNotFoundError(f"{file} is no longer there: run that point again (rerun=True)") from None
-    except (ValueError, KeyError, TypeError, EOFError, OSError) as error:
+    except Exception as error:  # of zip files and numpy too, as a store may come from elsewhere
         raise ValueError(f"{file} is damaged ({error}): run that point again (rerun=True)") from error
     from adaptmg.solver.result.result import Result
 
     return Result.load(file)
+
+
+def _digest(content: bytes) -> str:
+    """What the name of a file says of its content."""
+    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def _write_all(base: Path, contents: Mapping[str, bytes]) -> None:
@@ -127,8 +135,9 @@ def _write_all(base: Path, contents: Mapping[str, bytes]) -> None:
     for path, content in contents.items():
         target = base / path
         make_folder("the folder of the store's files", target.parent)
-        if not target.exists():
-            write_bytes(target, content)
+        if target.is_symlink() or not target.is_file():
+            target.unlink(missing_ok=True)  # a link or a pipe would be followed
+        write_bytes(target, content)
 
 
 class Folder:
@@ -161,9 +170,8 @@ class Folder:
         folder = hashlib.sha256(f"{study}\0{key}".encode()).hexdigest()[:24]
         written = {}
         for name, item in packed.items():
-            digest = hashlib.sha256(item.content).hexdigest()[:12]
             plain = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:60]
-            written[name] = f"{folder}/{plain}-{digest}{item.ending}"
+            written[name] = f"{folder}/{plain}-{_digest(item.content)}{item.ending}"
         contents = {written[name]: item.content for name, item in packed.items()}
         try:
             _write_all(self.path, contents)
@@ -189,13 +197,20 @@ class Folder:
         return trouble
 
     def remove(self, old: Mapping[str, str], new: Mapping[str, str]) -> None:
-        """Remove files of a run that its new row does not name."""
+        """Remove files of a run that its new row does not name; what is not a file of this store stays."""
         for path in set(old.values()) - set(new.values()):
-            (self.path / path).unlink(missing_ok=True)
+            with contextlib.suppress(ValueError, OSError):
+                self._file(path).unlink(missing_ok=True)
 
     def read(self, path: str) -> Any:
         """What is in a file: an array, a mesh, a result, a text; of a figure the path of its SVG file."""
-        target = Path(os.path.normpath(self.path / path))
-        if self.path not in target.parents:
+        return _unpack(self._file(path))
+
+    def _file(self, path: str) -> Path:
+        """A path of a row, which may come from elsewhere: of a plain file in this folder, or of none yet."""
+        base = Path(os.path.realpath(self.path))
+        target = base / path
+        if base not in target.parents or os.path.realpath(target) != str(target) \
+                or (os.path.exists(target) and not os.path.isfile(target)):
             raise ValueError(f"{checks.shown(path)} is no file of this store")
-        return _unpack(target)
+        return target

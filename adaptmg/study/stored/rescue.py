@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import sqlite3
 import tempfile
 from collections.abc import Sequence
@@ -46,9 +47,9 @@ def save(store: Path, connection: sqlite3.Connection | None, rows: Sequence[tupl
             with contextlib.suppress(OSError):
                 target.unlink()
             continue
-        name = printable(os.fspath(target))
-        return (f"The {len(rows)} runs of this process are safe in {name}: bring them back with 'adaptmg runs "
-                f"{printable(os.fspath(store))} --take-in {name}'")
+        words = [printable(os.fspath(path)) for path in (store, target)]
+        command = shlex.join(["adaptmg", "runs", words[0], "--take-in", words[1]])
+        return f"The {len(rows)} runs of this process are safe in {words[1]}: bring them back with: {command}"
     return f"The {len(rows)} runs of this process could not be written elsewhere either ({'; '.join(failed)})"
 
 
