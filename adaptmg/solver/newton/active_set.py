@@ -59,7 +59,7 @@ class ActiveSet:
     linear: LinearSolver = field(default_factory=Direct)
     condensed: bool | None = None
     rtol: float = 1e-10
-    max_steps: int = 60
+    max_steps: int = 200
     linear_rtol: float = 1e-2
     nested_start: bool = False
 
