@@ -39,18 +39,18 @@ def grids(friction, load, square=False):
     problem = am.ContactProblem(material=am.PlaneStrain(young=2.1e11, poisson=0.3), law=am.Coulomb(friction),
                                 contact=am.ContactPair("surface", "bore"), loads=loads[load],
                                 supports=am.Support("outer", x=0.0, y=0.0))
-    return am.Hierarchy.from_meshes(problem, [bush_mesh(size, square) for size in (4e-3, 2e-3, 1e-3)])
+    return am.Hierarchy.from_meshes(problem, [bush_mesh(size, square) for size in (4e-3, 2e-3)])
 
 
-@pytest.mark.parametrize("friction, load, square", [(0.3, "shaft", False), (0.3, "torque", False), (0.1, "weight", False),
-                                                    (0.6, "shaft", True)])
+@pytest.mark.parametrize("friction, load, square", [
+    (0.3, "shaft", False), (0.3, "torque", False), (0.1, "weight", False), (0.6, "shaft", True)])
 def test_the_default_and_the_active_set_find_a_pin_that_contact_alone_holds(friction, load, square):
     bush = grids(friction, load, square)
-    for solver in (None, am.ActiveSet()):
+    discrete = bush.finest.discrete
+    for solver, rtol in ((None, 1e-8), (am.ActiveSet(), 1e-10)):
         result = am.solve(bush, solver)
-        rtol = 1e-8 if solver is None else 1e-10
-        assert result.certificate(bound=True).energy_error <= 3 * rtol
+        assert result.certificate(discrete, bound=True).energy_error <= 3 * rtol
         assert (result.contact.state != am.OPEN).sum() > 2
-        # the bush carries what acts on the pin
-        force = bush.finest.discrete.load.reshape(-1, 2).sum(axis=0)
-        np.testing.assert_allclose(result.reaction.sum(axis=0), -force, atol=1e-6 * np.linalg.norm(force))
+        # friction and pressure of the bush carry what acts on the pin
+        force = discrete.coupling.physical_forces(discrete.load).reshape(-1, 2).sum(axis=0)
+        np.testing.assert_allclose(result.resultant("contact").force, -force, atol=1e-6 * np.linalg.norm(force))
