@@ -40,7 +40,8 @@ def told(frame: pd.DataFrame) -> str:
     best = singles.loc[singles["work_at"].idxmin()]
     counts = listed([COUNT[n].split()[0] for n in sorted(set(frame["levels"].dropna().astype(int)) - {1})])
     return (f"{counts.capitalize()} grids need {span(default, '.0f')} work units to a true error of {TARGET:g} by "
-            f"default (truncated, coarsest level factorised), {span(monotone, '.0f')} in the monotone mode, the best "
+            f"default (truncated, coarsest level factorised; its passes use each entry twice, "
+            f"others once), {span(monotone, '.0f')} in the monotone mode, the best "
             f"run on one grid ({best['label'].removeprefix('one grid, ').removesuffix(' (best tried)')}) "
             f"{best['work_at']:.0f}.")
 

@@ -31,7 +31,9 @@ LARGE = ("hertz", "estimator_effectivity", "goal_greco", "kernels", "benchmark",
 TITLE = "adaptmg: multigrid for frictional contact"
 SUMMARY = "'Multigrid in Structure Assembling Problem' recomputed: its tables beside ours, and what they leave open."
 TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,
-inside coarse solves and in nested starts too. Direct factorisations are reported in seconds only.
+inside coarse solves and in nested starts too. It counts matrix read, not operations: a pass of the default method's
+half sweeps uses each entry twice, a sweep of the other methods once. Direct factorisations are reported in seconds
+only.
 
 True error: ||u - u_h||_A / ||u_h||_A against the exact discrete solution, found by an independent method (semismooth
 Newton with direct solves).

@@ -37,7 +37,8 @@ class Multigrid:
         cycles of its own, ``method(options, hierarchy, run)`` (:mod:`adaptmg.solver.method`).
         :class:`~adaptmg.Truncated` brings its own cycle, smoother and coarse solve and takes ``cycle``,
         ``smoother``, ``coarse``, ``coarse_matrices`` and ``stop`` at their defaults only. Default: Truncated() if these
-        are at their defaults, else Monotone(). Its linear coarse solve and coarse smoother are options of its own.
+        are at their defaults, else Monotone(); a smoother is refused unless a correction that takes it is named. Its
+        linear coarse solve and coarse smoother are options of its own.
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
         iteration first, and starts from zero all the same; the work is counted.
     coarse : CoarseSolve
@@ -67,11 +68,15 @@ class Multigrid:
     start: ClassVar[NestedStart | None] = None
 
     def __post_init__(self) -> None:
-        if self.correction is None:
-            object.__setattr__(self, "correction", Monotone() if Truncated.not_taken(self) else Truncated())
         checks.instance("cycle", self.cycle, Cycle, "a Cycle")
         checks.offers("smoother", self.smoother, "smooth",
                       "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes")
+        if self.correction is None:
+            if self.smoother != ProjectedGaussSeidel():
+                raise ValueError(f"smoother must be left at its default where no correction is named, got "
+                                 f"{checks.shown(self.smoother)}: Truncated(), the default correction, has its own; "
+                                 "say correction=Monotone()")
+            object.__setattr__(self, "correction", Monotone() if Truncated.not_taken(self) else Truncated())
         if isinstance(self.correction, type):
             raise TypeError(f"correction must be an instance, got {checks.described(self.correction)}")
         if own(self.correction, "method") is None:

@@ -80,7 +80,8 @@ def _by(**parts):
 def _smoothers():
     for label, work in {"negative": -1.0, "nan": np.nan, "None": None, "text": "1", "True": True, "complex": 1j,
                         "array": np.ones(3), "infinite": np.inf, "huge": 10**400}.items():
-        yield Hostile(f"smoother work {label}", lambda w=work: _by(smoother=_Smoother(w)), "smoother")
+        yield Hostile(f"smoother work {label}",
+                      lambda w=work: _by(smoother=_Smoother(w), correction=am.Monotone()), "smoother")
     yield Hostile("smoother class", lambda: am.Multigrid(smoother=am.ProjectedGaussSeidel), "smoother")
     yield Hostile("smoother None", lambda: am.Multigrid(smoother=None), "smoother")
     yield Hostile("smoother text", lambda: am.Multigrid(smoother="jacobi"), "smoother")

@@ -8,6 +8,7 @@ import pytest
 from scipy import sparse
 
 import adaptmg as am
+from adaptmg.solver.run import Outcome
 
 PROBLEMS = {
     "coulomb 0.2": lambda: am.cases.greco_bar(law=am.Coulomb(0.2)),
@@ -300,6 +301,37 @@ def test_ones_own_transfer_and_smoother_plug_in():
     solver = am.Multigrid(correction=am.Monotone(), smoother=Jacobi(), max_cycles=300, rtol=1e-9)
     result = am.solve(own, solver, reference=reference)
     assert energy_error(grids, result, reference) < 1e-8
+
+
+@dataclass(frozen=True)
+class Claims:
+    """A user-defined solver that returns a multiple of a displacement and says that it is exact."""
+
+    displacement: np.ndarray
+    rtol: float
+
+    def run(self, hierarchy, run, start):
+        return Outcome(self.displacement, am.Status.CONVERGED, 1, self.rtol, 1e-12)
+
+
+def test_no_error_estimate_is_better_than_the_certificate_and_nothing_solved_is_not_converged():
+    bar = grids_of("coulomb 1")
+    solution = am.solve(bar, am.ActiveSet()).displacement
+    for factor, rtol, status in ((0.0, 0.5, "STALLED"), (0.9, 0.5, "CONVERGED"), (0.9, 1e-2, "STALLED")):
+        result = am.solve(bar, Claims(factor * solution, rtol), throw=False)
+        assert result.error_estimate >= result.checked.energy_error > 0.05
+        assert result.status is am.Status[status]
+    # unconverged, where the rate of the cycles promises much
+    for cycles in (2, 5):
+        result = am.solve(bar, am.Multigrid(max_cycles=cycles), throw=False)
+        assert result.error_estimate >= result.checked.energy_error
+
+
+def test_a_smoother_is_refused_where_the_correction_has_its_own():
+    for method in (am.Multigrid, am.FullMultigrid):
+        with pytest.raises(ValueError, match=r"smoother must be left at its default.*say correction=Monotone"):
+            method(smoother=Jacobi())
+        assert method(smoother=Jacobi(), correction=am.Monotone()).correction == am.Monotone()
 
 
 def test_large_friction_warns():

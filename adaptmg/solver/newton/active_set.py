@@ -9,7 +9,7 @@ import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import checks
-from adaptmg.smoother.residuals import residual
+from adaptmg.smoother.residuals import natural_residual, residual
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.iterate import iterate
 from adaptmg.solver.linear import Direct, LinearSolver
@@ -49,14 +49,17 @@ class ActiveSet:
     -----
     Without a start all nodes touch and, under friction, stick: a state that is not singular where the problem is well
     posed. If a later one is (a body that only contact holds and that has lost it), the iteration goes back to that
-    state; if it happens again, the step is taken with weak springs at the contact nodes. If a status comes back, the
-    iteration may be cycling: the step is halved, and gaps weigh less against forces.
+    state. If a status comes back, the iteration may be cycling: the step is halved, and gaps weigh less against forces.
+    If either happens again, springs tie the contact nodes to the last iterate that is trusted (a proximal point
+    method): each problem with springs is solved until its residual is a tenth of that of its centre, which then moves
+    to its solution. The springs become weaker with every problem that is solved and stiffer with every other one, and
+    nothing is left of them at the end.
     """
 
     linear: LinearSolver = field(default_factory=Direct)
     condensed: bool | None = None
     rtol: float = 1e-10
-    max_steps: int = 60
+    max_steps: int = 200
     linear_rtol: float = 1e-2
     nested_start: bool = False
 
@@ -136,10 +139,11 @@ class _NewtonSteps:
         Local components.
     """
 
-    #: relative stiffness of the springs that make a singular step regular
-    SPRING = 1e-2
-    #: repeated states after which the iteration counts as cycling
-    PATIENCE = 12
+    #: springs, relative to the diagonal: the first ones, the stiffest, those that count as none; the factors by which
+    #: they become weaker and stiffer; to what a problem with them reduces the residual, and in how many steps
+    SPRING, STIFFEST, NONE, WEAKER, STIFFER, REDUCED, TRIES = 1e-2, 1e2, 1e-6, 0.3, 10.0, 0.1, 7
+    #: repeated states before springs are set
+    PATIENCE = 3
     #: every so many steps the iteration is taken to repeat itself
     LONG = 15
     #: augmentation c over the diagonal of the matrix; it weighs gaps against forces where a status is decided: small
@@ -156,6 +160,8 @@ class _NewtonSteps:
         self._factor, self._repeats, self._last = self.FACTOR, 0, b""
         self._seen: set[bytes] = set()
         self._forces, self._equations = np.empty(0), None
+        # springs, what they tie the contact nodes to, its residual, and the steps since
+        self._spring, self._stiffness, self._centre, self._size, self._tries = 0.0, self.SPRING, None, np.inf, 0
 
     def start(self) -> None:
         """Nothing: the start is measured."""
@@ -164,10 +170,48 @@ class _NewtonSteps:
         """Residual, and the contact status that it decides."""
         defect = residual(self.local.system, self.local.load, self.unknowns)
         self.run.count(1, self.local.system.nonzeros)
-        self._forces = self.methods.contact_residual(defect)
-        self._equations = self._linearised(self._factor, hold=self._hold_first and self.cycles == 0)
-        stop.settled = self._equations.key == self._last
+        tied = defect if self._centre is None else self._tied(defect)
+        self._decide(tied, hold=self._hold_first and self.cycles == 0)
+        # with springs a short step does not bound the error
+        stop.settled = not self._spring and self._equations.key == self._last
         stop.take(self.unknowns, defect)
+
+    def _decide(self, defect: np.ndarray, hold: bool = False) -> None:
+        self._forces = self.methods.contact_residual(defect)
+        self._equations = self._linearised(self._factor, hold)
+
+    def _tied(self, defect: np.ndarray) -> np.ndarray:
+        """The residual with springs; where it is small enough their centre moves to the present iterate."""
+        tied, system = defect.copy(), self.local.system
+        pull = (self.unknowns - self._centre).reshape(-1, system.dim)[system.nodes]
+        tied.reshape(-1, system.dim)[system.nodes] -= self._spring * self.methods.stiffness * pull
+        if not self._tries or self._natural(tied) > self.REDUCED * self._size:
+            return tied
+        self._stiffness *= self.WEAKER
+        self._tie(defect, self._stiffness if self._stiffness > self.NONE else 0.0)
+        return defect
+
+    def _natural(self, defect: np.ndarray) -> float:
+        vector = natural_residual(self.local.system, self.local.contact, self.local.load, self.unknowns, defect)
+        return float(np.linalg.norm(vector))
+
+    def _tie(self, defect: np.ndarray, spring: float) -> None:
+        """Springs to the present iterate with the residual ``defect``."""
+        self._centre, self._size = self.unknowns, self._natural(defect)
+        self._spring, self._tries, self._factor, self._last = spring, 0, self.FACTOR, b""
+        self._seen.clear()
+
+    def _stiffen(self) -> None:
+        """Springs; where there are some already, stiffer ones, and back to their centre."""
+        if self._centre is not None:
+            self.unknowns = self._centre
+            # without any, those that were the last
+            self._stiffness = max(self._stiffness, self.NONE) * (self.STIFFER if self._spring else 1.0)
+        _LOG.info("step %d: springs of %.1e at contact", self.cycles, self._stiffness)
+        defect = residual(self.local.system, self.local.load, self.unknowns)
+        self.run.count(1, self.local.system.nonzeros)
+        self._tie(defect, self._stiffness)
+        self._decide(defect)
 
     def row(self, stop: IterateTest) -> dict[str, float]:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
@@ -175,20 +219,29 @@ class _NewtonSteps:
         return {"active": int(active.sum()), "slip": int((active & self._equations.slip).sum()), **stop.measures()}
 
     def step(self, stop: IterateTest) -> Status | None:
-        """A step, shorter where a status comes back."""
+        """A step, shorter where a status comes back; with springs where it does so again."""
         key = self._equations.key
         # in 3D the direction of a slip may go round while no status comes back
         repeated = (key in self._seen and key != self._last) or self.cycles % self.LONG == self.LONG - 1
-        if repeated:
+        if self._centre is not None:
+            if repeated or self._tries >= self.TRIES:
+                self._stiffen()
+                repeated = False
+        elif repeated:
             self._repeats += 1
             self._factor = min(self._factor, max(0.1 * self._factor, self.SMALLEST_FACTOR))
             _LOG.info("step %d: the contact status comes back (%d times); halving the step", self.cycles, self._repeats)
             if self._repeats > self.PATIENCE:
-                return Status.CYCLING
-        self._last = key
-        self._seen.add(key)
-        self.unknowns = self.unknowns + (0.5 if repeated else 1.0) * self._solved(self._equations)
+                self._stiffen()
+                repeated = False
+        if self._stiffness > self.STIFFEST:
+            return Status.CYCLING
+        change = self._solved()
+        self._last = self._equations.key
+        self._seen.add(self._last)
+        self.unknowns = self.unknowns + (0.5 if repeated else 1.0) * change
         self.cycles += 1
+        self._tries += 1
         self.run.visit(self.level, "solve")
         return None
 
@@ -200,11 +253,16 @@ class _NewtonSteps:
             return hold_all(contact, at_contact, self._forces)
         return linearise(contact, at_contact, self._forces, self.methods.stiffness, factor)
 
-    def _solved(self, equations: Linearised) -> np.ndarray:
-        try:
-            return self.methods.solve(equations, self.options.linear_rtol, 0.0)
-        except np.linalg.LinAlgError as error:
-            _LOG.info("step %d: %s", self.cycles, error)
+    def _solved(self) -> np.ndarray:
+        """The change of a step; where it is singular, from the safe state, then with springs."""
+        while True:
+            try:
+                return self.methods.solve(self._equations, self.options.linear_rtol, self._spring)
+            except np.linalg.LinAlgError as error:
+                _LOG.info("step %d: %s", self.cycles, error)
+                if self._stiffness > self.STIFFEST:
+                    raise
             if self.held:
-                return self.methods.solve(equations, self.options.linear_rtol, self.SPRING)
-        return self._solved(self._linearised(0.0, hold=True))
+                self._stiffen()
+            else:
+                self._equations = self._linearised(0.0, hold=True)

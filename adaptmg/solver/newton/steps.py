@@ -45,8 +45,7 @@ class Steps(Protocol):
         rtol : float
             Of an iterative linear solver.
         spring : float
-            Springs of this stiffness, relative to the diagonal, at the contact dofs that are not prescribed. They
-            resist the change of one step only and so do not alter the solution.
+            Springs of this stiffness, relative to the diagonal, at the contact dofs.
 
         Raises
         ------
@@ -112,7 +111,9 @@ class CondensedSteps:
         """See :class:`Steps`."""
         with self.run.phase("solve"):
             n, dim = equations.force.shape
-            matrix = self.condensed.matrix.reshape(n, dim, n, dim).copy()
+            matrix = self.condensed.matrix.copy()
+            matrix[np.diag_indices(n * dim)] += spring * self.condensed.matrix.diagonal()
+            matrix = matrix.reshape(n, dim, n, dim)
             node = np.arange(n)
             pull = equations.coupling[:, None] * equations.direction
             for k in range(1, dim):
@@ -120,7 +121,6 @@ class CondensedSteps:
                 for j in range(1, dim):
                     matrix[node, k, node, j] += equations.curvature[:, k - 1, j - 1]
             matrix = matrix.reshape(n * dim, n * dim)
-            matrix[np.diag_indices(n * dim)] += spring * self.condensed.matrix.diagonal()
             change = equations.change.reshape(-1).copy()
             free = np.flatnonzero(~equations.prescribed.reshape(-1))
             rhs = equations.force.reshape(-1)[free] - matrix[free] @ change
@@ -223,13 +223,14 @@ class SparseSteps:
         system = self.local.system
         data = self._matrix.data.copy()
         contact = system.contact_of[self._rows]
+        if spring:
+            at = np.flatnonzero((contact >= 0) & (self._rows == self._matrix.indices))
+            data[at] += spring * self.stiffness[contact[at]][:, :, None] * np.eye(system.dim)
         if coupled and not equations.symmetric:
             at = np.flatnonzero(contact >= 0)
             pull = (equations.coupling[:, None] * equations.direction)[contact[at]]
-            data[at, 1:] -= pull[:, :, None] * self._matrix.data[at, :1]
+            data[at, 1:] -= pull[:, :, None] * data[at, :1]
         at = np.flatnonzero((contact >= 0) & (self._rows == self._matrix.indices))
         node = contact[at]
         data[at, 1:, 1:] += equations.curvature[node]
-        if spring:
-            data[at] += spring * self.stiffness[node][:, :, None] * np.eye(system.dim)
         return sparse.bsr_array((data, self._matrix.indices, self._matrix.indptr), shape=self._matrix.shape)

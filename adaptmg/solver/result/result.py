@@ -37,13 +37,15 @@ class Result:
     cycles : int
         Cycles, sweeps or Newton steps on the finest level.
     work_units : float
-        Passes over matrices weighted by nonzeros over those of the finest.
+        Passes over matrices weighted by nonzeros over those of the finest. What is counted is matrix read, not
+        operations: the half sweeps of Truncated use each entry twice in a pass, the sweeps of SingleGrid once.
     residual : float
         Natural residual |D (prox_D(u - D^-1 (A u - b)) - u)| of this displacement, over
         the largest of loads, contact forces and (with prescribed displacements) reactions, Euclidean norms of nodal
         forces.
     error_estimate : float
-        Estimated ||u - u_h||_A / ||u_h||_A against the exact discrete solution; NaN if the solver has none.
+        Estimated ||u - u_h||_A / ||u_h||_A against the exact discrete solution: the larger of what the solver and the
+        certificate find.
     rate : float
         Asymptotic convergence rate per cycle (geometric mean of the last cycles); NaN if unknown, and where the active
         set method took over (``solver_name``).

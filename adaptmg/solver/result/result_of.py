@@ -47,7 +47,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   status=_confirmed(outcome, found.residual, found.checked, getattr(solver, "stop", "error")),
                   cycles=outcome.cycles,
                   contact=found.contact, work_units=run.work_units, residual=found.residual,
-                  error_estimate=outcome.error_estimate, rate=outcome.rate, rtol=outcome.rtol, history=history,
+                  error_estimate=float(np.fmax(outcome.error_estimate, found.checked.energy_error)),
+                  rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
                   problem_name=problem_name(grids), solver_name=solver_name(solver, run), mesh=grids.finest.mesh,
                   start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data,
@@ -67,6 +68,8 @@ def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: st
         return Status.DIVERGED if not residual < 1 else Status.STALLED
     factor = StopTest.RESIDUAL_FACTOR if stop == "change" else checked.ENERGY_FACTOR
     found = checked.contradictions(outcome.rtol, factor)
+    if not checked.energy_error < 1:
+        found = *found, "energy error of the size of the solution"
     if outcome.status.ok and found:
         _LOG.info("said to be converged, contradicted by %s", ", ".join(found))
         _LOG.debug("%s", checked)

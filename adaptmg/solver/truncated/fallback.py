@@ -78,7 +78,7 @@ class Fallback:
         if left < 1:
             return before
         self._take_over(before.cycles, "ActiveSet")
-        solver = ActiveSet(rtol=self.rtol, max_steps=min(left, ActiveSet.max_steps),
+        solver = ActiveSet(rtol=self.rtol, max_steps=left,
                            condensed=self.problem.dim * len(self.problem.contact.nodes) <= self.CONDENSED)
         start_work_units = self.run.start_work_units
         try:
