@@ -64,7 +64,7 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
         _replace(target, content, None if there is None else stat.S_IMODE(there.st_mode))
     except OSError as error:
         # of a file that is open the system does not say which one it is
-        raise OSError(error.errno, error.strerror, str(given)) from error
+        raise OSError(error.errno, error.strerror or str(error), str(given)) from error
 
 
 def make_folder(name: str, path: Path) -> None:
