@@ -141,7 +141,7 @@ class _NewtonSteps:
 
     #: springs, relative to the diagonal: the first ones, the stiffest, those that count as none; the factors by which
     #: they become weaker and stiffer; to what a problem with them reduces the residual, and in how many steps
-    SPRING, STIFFEST, NONE, WEAKER, STIFFER, REDUCED, TRIES = 1e-2, 1e2, 1e-6, 0.3, 10.0, 0.1, 7
+    SPRING, STIFFEST, NONE, WEAKER, STIFFER, REDUCED, TRIES = 1e-2, 1e2, 1e-6, 0.5, 10.0, 0.1, 5
     #: repeated states before springs are set
     PATIENCE = 3
     #: every so many steps the iteration is taken to repeat itself
