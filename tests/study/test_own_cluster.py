@@ -76,6 +76,8 @@ def test_a_run_that_ends_its_worker(address):
 
 
 def test_runs_that_are_given_up_do_not_go_on(address, tmp_path):
+    from distributed import Client
+
     mark = str(tmp_path / "pid")
 
     def run(n):
@@ -84,10 +86,13 @@ def test_runs_that_are_given_up_do_not_go_on(address, tmp_path):
                 file.write(str(os.getpid()))
             os.rename(f"{mark}.part", mark)
             time.sleep(600)
-        while not os.path.exists(mark):
+        end = time.monotonic() + 240
+        while not os.path.exists(mark) and time.monotonic() < end:
             time.sleep(0.05)
         raise ValueError("so")
 
+    with Client(address, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=240)  # after the test before
     with pytest.raises(ValueError, match="so"):
         Study(run, {"n": [0, 1]}).run(progress=False, scheduler=address, throw=True)
     given_up = int(Path(mark).read_text(encoding="ascii"))
