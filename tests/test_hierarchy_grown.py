@@ -120,3 +120,24 @@ def test_what_cannot_grow_says_why(bar):
     aggregated = am.Hierarchy.algebraic(am.discretise(problem, meshes[-1]), max_coarse=20)
     with pytest.raises(ValueError, match="from_meshes"):
         aggregated.without(1) if len(aggregated) > 2 else aggregated.append(meshes[-1])
+
+
+def test_small_elements_far_from_the_origin_stay_nested():
+    """At a corner where elements have 1e-7 of the size of the body, midpoints of edges lie off them by rounding."""
+    a = 0.0193
+    shape = am.Polygon(vertices=((0, 0), (a, 0), (a, a / 2), (2 * a, a / 2), (2 * a, 1.5 * a), (0, 1.5 * a)),
+                       boundaries=("foot", "side", "ledge", "flank", "top", "symmetry"))
+    problem = am.ContactProblem(
+        name="corner", domain=shape, material=am.PlaneStrain(young=5e10, poisson=0.2), law=am.Coulomb(0.3),
+        contact=am.Contact("foot", am.Plane((0, 0), (0, 1))), supports=(am.Support("symmetry", x=0.0),),
+        loads=(am.Pressure("top", 1e6),))
+    hierarchy = am.Hierarchy.graded(problem, (a / 1.5,))
+    for _ in range(22):
+        mesh = hierarchy.finest.mesh
+        here = np.linalg.norm(mesh.points - [a, 0], axis=1) < 1e-12
+        every = am.Estimate(squares=np.ones(len(mesh.elements)), norm=1.0)
+        hierarchy = hierarchy.append(am.Bisect().refine(problem, mesh, every, here[mesh.elements].any(axis=1)))
+    assert hierarchy.finest.mesh.element_sizes.min() < 3e-7 * a
+    assert all(level.prolongation.data.min() > 0.49 for level in hierarchy.levels[1:])
+    result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6))
+    assert not result.certificate().contradictions(1e-6)

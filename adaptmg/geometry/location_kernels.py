@@ -16,6 +16,7 @@ __all__ = ["INSIDE", "affine_maps", "locate"]
 
 INSIDE = 1e-12
 """A point counts as inside an element when no barycentric weight is below minus this."""
+_ROUNDING = 4 * np.finfo(np.float64).eps
 
 
 @kernel
@@ -134,9 +135,15 @@ def locate(queries, sequence, points, elements, maps, boxes, found, weights, dis
 
 @inner_kernel
 def _take_clipped(maps, e, x, y, z, dim, q, weights):
-    """Row q of the weights, clipped at zero and normalised."""
+    """Row q of the weights, normalised; those that the rounding of coordinates explains are zero."""
+    # a point on an edge of a small element has a weight of about eps |x| / h at the corner opposite
+    steepest = 0.0
+    for m in range(dim, dim + dim * dim):
+        steepest += abs(maps[e, m])
+    least = _ROUNDING * (abs(x) + abs(y) + abs(z)) * steepest
     first, second, third, rest = _coordinates(maps, e, x, y, z, dim)
-    first, second, third, rest = max(first, 0.0), max(second, 0.0), max(third, 0.0), max(rest, 0.0)
+    first, second = first if first > least else 0.0, second if second > least else 0.0
+    third, rest = third if third > least else 0.0, rest if rest > least else 0.0
     total = rest + first + second + third
     weights[q, 0], weights[q, 1], weights[q, 2] = rest / total, first / total, second / total
     if dim == 3:
