@@ -19,7 +19,7 @@ CONTACT = "contact"
 """Name of all contact boundaries together."""
 
 #: between the Young's moduli of two bodies
-_MOST_STIFFER = 1e11
+_MOST_STIFFER = 1e15
 _LOADS = (Pressure, Traction, BodyForce, InitialStrain)
 
 
