@@ -117,6 +117,8 @@ class StopTest:
         ratio, self._asked = self._certificate(self.rtol), cycles
         if ratio > 0.0:
             self._caution *= max(2.0, 1.5 * ratio)
+        else:
+            self.error_estimate = min(self.error_estimate, self.rtol)  # caution was too large
         return ratio > 0.0
 
     def measures(self) -> dict[str, float]:
