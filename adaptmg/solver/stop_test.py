@@ -115,7 +115,9 @@ class StopTest:
         if self.error_estimate > self.rtol and cycles < 1.5 * self._asked:
             return True
         ratio, self._asked = self._certificate(self.rtol), cycles
-        if ratio > 0.0:
+        if ratio == 0.0:
+            self.error_estimate = min(self.error_estimate, self.rtol)  # caution was too large
+        elif self.error_estimate < 1.5 * ratio * self.rtol:
             self._caution *= max(2.0, 1.5 * ratio)
         return ratio > 0.0
 

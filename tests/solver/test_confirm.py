@@ -9,6 +9,7 @@ import pytest
 from study_scripts import load
 
 import adaptmg as am
+from adaptmg.solver.run import Run
 from adaptmg.solver.stop_test import IterateTest, StopTest
 from adaptmg.solver.truncated.energy_test import EnergyTest
 
@@ -36,6 +37,14 @@ def test_it_goes_on(solver, monkeypatch):
     assert np.sqrt(error @ (matrix @ error) / (u @ (matrix @ u))) <= 3 * RTOL
 
 
+def test_an_estimate_that_the_certificate_refutes_is_not_told(monkeypatch):
+    answers = iter([1e6])
+    monkeypatch.setattr(Run, "shortfall", lambda self, solved, rtol: next(answers, 0.0))
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
+    result = am.solve(grids, am.Multigrid(correction=am.Monotone(), rtol=1e-3))
+    assert result.status.ok and result.error_estimate <= 1e-3
+
+
 @cache
 def folded():
     """A serpentine of eight arms, 40 : 1, on a plane, its top pressed down and moved aside; and its solution."""
@@ -57,6 +66,15 @@ def test_on_a_folded_body(solver):
     true = np.sqrt(error @ (matrix @ error) / (u @ (matrix @ u)))
     assert true <= 3 * solver.rtol
     assert 0.5 * true <= result.certificate().energy_error <= 1.5 * true
+
+
+def test_contact_nodes_that_open_one_after_the_other():
+    # Newton steps shrink while the contact zone does; the certificate, which holds the status, sees a twelfth of it
+    grids, rtol = slender.random_slender(71012)[1], 5.5e-3
+    exact, result = (am.solve(grids, am.ActiveSet(rtol=value)) for value in (1e-10, rtol))
+    u, v = (grids.finest.discrete.relative(found.displacement).reshape(-1) for found in (exact, result))
+    matrix = grids.finest.discrete.matrix
+    assert np.sqrt((v - u) @ (matrix @ (v - u)) / (u @ (matrix @ u))) <= 3 * rtol
 
 
 def test_a_patch_test_to_the_discretisation_error():
