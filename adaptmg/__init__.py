@@ -9,7 +9,7 @@ import importlib
 import sys
 from typing import Any
 
-from adaptmg.runtime import kernel_cache
+from adaptmg import _files as files
 
 __version__ = "0.1.0"
 
@@ -17,44 +17,42 @@ if sys.flags.optimize > 1:
     raise ImportError("adaptmg cannot run under 'python -OO' (PYTHONOPTIMIZE=2), which removes the docstrings that "
                       "pyamg and the command line read: use 'python -O'")
 
-kernel_cache.install()
+files.install()
 
-_SUBMODULES = ("cases", "discretisation", "estimate", "export", "mesh", "multigrid", "plot", "problem", "smoother",
+_SUBMODULES = ("cases", "discrete", "estimate", "export", "mesh", "multigrid", "plot", "problem", "smoother",
                "solver", "study", "transfer")
 
 _WHERE = {
-    "adaptmg.problem": ("Assembly", "Axisymmetric", "BodyForce", "Box", "Contact", "ContactPair", "ContactProblem",
-                        "Coulomb", "Frictionless", "GapFunction", "InitialStrain", "LoadPath", "Outline", "Plane",
-                        "PlaneStrain", "PlaneStress", "Polygon", "Pressure", "Rectangle", "Solid", "Support",
+    "adaptmg.problem": ("Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Common", "Contact", "ContactPair",
+                        "ContactProblem", "Coulomb", "Cut", "Cylinder", "Extrusion", "Frictionless", "Fuse",
+                        "GapFunction", "InitialStrain", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",
+                        "PlaneStress", "Polygon", "Pressure", "Rectangle", "Revolution", "Solid", "StepFile", "Support",
                         "Traction", "Tresca"),
-    "adaptmg.problem.domains": ("Ball", "Common", "Cut", "Cylinder", "Extrusion", "Fuse", "Moved", "Revolution",
-                               "StepFile"),
-    "adaptmg.discrete": ("ContactNodes", "DiscreteProblem"),
+    "adaptmg.discrete.problem": ("ContactNodes", "DiscreteProblem"),
     "adaptmg.mesh": ("MeshArrays", "SizeNear"),
-    "adaptmg.discretisation.discretise": ("discretise",),
+    "adaptmg.discrete.discretise": ("discretise",),
     "adaptmg.transfer": ("Interpolation", "L2", "LumpedL2", "PseudoL2", "QuasiInterpolation"),
     "adaptmg.hierarchy": ("Hierarchy", "Level"),
     "adaptmg.smoother.gauss_seidel": ("ProjectedGaussSeidel",),
-    "adaptmg.smoother.state": ("OPEN", "SLIP", "STICK"),
+    "adaptmg.smoother.system": ("OPEN", "SLIP", "STICK"),
     "adaptmg.multigrid": ("CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection"),
     "adaptmg.solver.single_grid": ("SingleGrid",),
-    "adaptmg.solver.multigrid": ("FullMultigrid", "Multigrid"),
-    "adaptmg.solver.truncated.options": ("Truncated",),
-    "adaptmg.solver.newton.active_set": ("ActiveSet",),
+    "adaptmg.solver.multigrid": ("FullMultigrid", "Multigrid", "Truncated"),
+    "adaptmg.solver.active_set": ("ActiveSet",),
     "adaptmg.solver.linear": ("AMG", "Direct"),
     "adaptmg.solver.solve": ("solve",),
-    "adaptmg.solver.history.load_path": ("PathResult", "solve_path"),
+    "adaptmg.solver.load_path": ("PathResult", "solve_path"),
     "adaptmg.solver.certificate": ("Certificate",),
-    "adaptmg.solver.result": ("Result",),
-    "adaptmg.solver.result.not_converged": ("NotConverged",),
-    "adaptmg.solver.result.status": ("Status",),
-    "adaptmg.estimate.bisect_engine": ("Bisect",),
-    "adaptmg.estimate.estimate": ("Estimate",),
-    "adaptmg.estimate.loop.adapt": ("adapt",),
-    "adaptmg.estimate.loop.step": ("Step",),
-    "adaptmg.estimate.remesh_engine": ("Remesh",),
-    "adaptmg.estimate.goals": ("ContactForce", "Displacement", "Goal", "GoalEstimate", "MeanDisplacement", "Opening"),
-    "adaptmg.estimate.marking": ("Doerfler", "Maximum"),
+    "adaptmg.solver.result": ("NotConverged", "Result"),
+    "adaptmg.solver.status": ("Status",),
+    "adaptmg.estimate.bisect": ("Bisect",),
+    "adaptmg.estimate.estimate": ("Doerfler", "Estimate", "Maximum"),
+    "adaptmg.estimate.adapt": ("adapt",),
+    "adaptmg.estimate.step": ("Step",),
+    "adaptmg.estimate.remesh": ("Remesh",),
+    "adaptmg.estimate.goal": ("Goal",),
+    "adaptmg.estimate.goal_view": ("GoalEstimate",),
+    "adaptmg.estimate.quantities": ("ContactForce", "Displacement", "MeanDisplacement", "Opening"),
     "adaptmg.estimate.recovery": ("Recovery",),
     "adaptmg.estimate.residual": ("Residual",),
     "adaptmg.study.study": ("Study",),

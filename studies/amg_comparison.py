@@ -30,8 +30,8 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg.plot.style import CYCLE, styled
+from adaptmg.solver.active_set import glued_system
 from adaptmg.solver.linear import LinearSolution, Prepared
-from adaptmg.solver.linear.glued import glued_system
 
 RTOL = 1e-8
 MAX_CYCLES = 400

@@ -25,8 +25,8 @@ import pandas as pd
 import waiting
 
 import adaptmg as am
-from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.truncated.multigrid import TruncatedMultigrid
+from adaptmg.solver.record import Outcome, Run
+from adaptmg.solver.truncated import TruncatedMultigrid
 
 TOLERANCE = 1e-8
 

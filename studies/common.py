@@ -29,9 +29,9 @@ import pandas as pd
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 import adaptmg as am
-from adaptmg.export.report.figures import small_png
+from adaptmg._files import make_folder, write_bytes
+from adaptmg.export.report import small_png
 from adaptmg.mesh import refine_near, structured
-from adaptmg.runtime.atomic import make_folder, write_bytes
 
 # sections that are made at once hold their figures until they are drawn
 matplotlib.rcParams["figure.max_open_warning"] = 0

@@ -15,8 +15,7 @@ from matplotlib.patches import Patch
 from paper_runs import RTOL, TARGET, draw_error
 
 import adaptmg as am
-from adaptmg.plot.states import STATE_COLORS, STATE_NAMES
-from adaptmg.plot.style import BLUE, GREEN, GREY, INK, ORANGE, styled
+from adaptmg.plot.style import BLUE, GREEN, GREY, INK, ORANGE, STATE_COLORS, STATE_NAMES, styled
 
 #: of the paper's Fig. 3
 AMPLIFY = 20

@@ -21,8 +21,8 @@ from adaptive_runs import first_mesh, known
 
 import adaptmg as am
 from adaptmg.estimate import energy_error
-from adaptmg.estimate.loop.levels import carried
-from adaptmg.solver.truncated.warm import WarmMultigrid
+from adaptmg.estimate.loop import carried
+from adaptmg.solver.multigrid import WarmMultigrid
 from adaptmg.transfer import size_ratio
 
 ENGINES = {"remeshed": am.Remesh(), "bisected": am.Bisect()}

@@ -21,7 +21,7 @@ from matplotlib import pyplot as plt
 from paper_runs import span
 
 import adaptmg as am
-from adaptmg.cases.hertz_cylinder import SLAVE_REACH, quarter_cylinder
+from adaptmg.cases.hertz import SLAVE_REACH, quarter_cylinder
 from adaptmg.mesh import MeshArrays, graded
 from adaptmg.plot.style import CYCLE, INK, styled
 

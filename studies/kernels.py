@@ -21,11 +21,11 @@ from numba import njit
 from paper_runs import listed, span
 
 import adaptmg as am
-from adaptmg.discretisation.elasticity import stiffness
+from adaptmg.discrete.elasticity import stiffness
 from adaptmg.mesh import MeshArrays, structured
-from adaptmg.multigrid.linear.split_matrix import split
-from adaptmg.multigrid.truncated import projected_sweeps as sweeps
-from adaptmg.multigrid.truncated.contact import TruncatedContact
+from adaptmg.multigrid import projected_sweeps as sweeps
+from adaptmg.multigrid.split_matrix import split
+from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.smoother import kernels
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import LocalSystem

@@ -17,9 +17,9 @@ from pyamg.relaxation.smoothing import change_smoothers
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.multigrid.linear.linear_cycle import LinearCycle
-from adaptmg.multigrid.linear.split_matrix import nodal_prolongations, split
-from adaptmg.solver.run import Run
+from adaptmg.multigrid.linear_cycle import LinearCycle
+from adaptmg.multigrid.split_matrix import nodal_prolongations, split
+from adaptmg.solver.record import Run
 from adaptmg.transfer import without_fixed
 
 TOLERANCE = 1e-8

@@ -21,7 +21,7 @@ from watching import Watching
 
 if TYPE_CHECKING:
     from adaptmg.export import Report
-    from adaptmg.export.report.figures import Picture
+    from adaptmg.export.report import Picture
 
 STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "adaptive_vs_uniform",
            "transfer_operators", "amg_comparison")

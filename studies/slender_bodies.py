@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import adaptmg as am
-from adaptmg.mesh.topology import facet_table
+from adaptmg.mesh.arrays import facet_table
 
 __all__ = ["cut_out", "random_gaps", "random_slender", "spring"]
 

@@ -22,7 +22,7 @@ import pandas as pd
 from common import Context, Figure, Section
 
 import adaptmg as am
-from adaptmg.export.report.figures import Picture, picture_of
+from adaptmg.export.report import Picture, picture_of
 
 
 class Turns:

@@ -31,7 +31,7 @@ from transfer_adaptive import adaptive_items
 
 import adaptmg as am
 from adaptmg.mesh import MeshArrays, graded, structured
-from adaptmg.multigrid.correction_levels import contact_weights, correction_levels
+from adaptmg.multigrid.corrections import contact_weights, correction_levels
 from adaptmg.plot.style import CYCLE, styled
 from adaptmg.smoother.system import local_system
 from adaptmg.transfer import mesh_ratio

@@ -14,7 +14,7 @@ import pandas as pd
 from common import Context, Table
 
 import adaptmg as am
-from adaptmg.solver.linear.glued import glued_system
+from adaptmg.solver.active_set import glued_system
 
 SIZES, QUICK = {"2D": (256, 512, 1024), "3D": (32, 64)}, {"2D": (32,), "3D": (4,)}
 MESH, SOLVE = ("mesh", "assembly", "transfer"), ("statics", "setup", "start", "cycles", "certificate", "result")

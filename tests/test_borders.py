@@ -9,8 +9,9 @@ import pytest
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.problem import check_arrays, checks
-from adaptmg.solver.run import Outcome
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.solver.record import Outcome
 
 
 def bar(**changes):

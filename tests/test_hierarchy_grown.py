@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import adaptmg as am
-from adaptmg import meshed_levels
+from adaptmg import level as meshed_levels
 from adaptmg.mesh import structured
 
 SIZES = (3, 4, 6, 9, 14)
@@ -71,8 +71,8 @@ def test_nothing_is_discretised_or_located_twice(bar, monkeypatch):
     problem, meshes = bar
     grids = am.Hierarchy.from_meshes(problem, meshes[:3])
     made, joins = [], []
-    monkeypatch.setattr("adaptmg.levels.level_of", lambda *a: made.append(a) or meshed_levels.level_of(*a))
-    monkeypatch.setattr("adaptmg.levels.joined", lambda *a: joins.append(a) or meshed_levels.joined(*a))
+    monkeypatch.setattr("adaptmg.hierarchy.level_of", lambda *a: made.append(a) or meshed_levels.level_of(*a))
+    monkeypatch.setattr("adaptmg.hierarchy.joined", lambda *a: joins.append(a) or meshed_levels.joined(*a))
     grown = grids.append(meshes[3])
     assert (len(made), len(joins)) == (1, 1)
     assert all(a is b for a, b in zip(grown.levels, grids.levels, strict=False))
@@ -99,7 +99,7 @@ def test_timings_add_up_and_the_origin_says_it(bar):
 def test_a_sound_mesh_is_not_checked_again(bar, monkeypatch):
     problem, meshes = bar
     grids = am.Hierarchy.from_meshes(problem, meshes[:2])
-    monkeypatch.setattr("adaptmg.mesh.checks.check._check_closed", lambda *a: pytest.fail("checked again"))
+    monkeypatch.setattr("adaptmg.mesh.soundness._check_closed", lambda *a: pytest.fail("checked again"))
     grids.append(meshes[2])
 
 

@@ -1,27 +1,94 @@
-"""Benchmark problems as functions that return a ContactProblem, with their reference values and sources."""
+"""Benchmark problems as functions that return a ContactProblem, with their reference values and sources.
 
-from adaptmg.cases.block import greco_block
-from adaptmg.cases.bolted_junction import bolted_junction
-from adaptmg.cases.bolted_measures import bolt_force, joint_opening, junction_path, open_to, sealing_pressure
+The cases by name, for the command line and for studies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from adaptmg import _checks as checks
+from adaptmg.cases.blocks import incline, leaning_strut, patch_mesh, two_block_patch
+from adaptmg.cases.bolted_junction import (
+    Flanges,
+    bolt_force,
+    bolted_junction,
+    joint_opening,
+    junction_path,
+    open_to,
+    sealing_pressure,
+)
 from adaptmg.cases.cattaneo import PartialSlip, cattaneo, cattaneo_path
-from adaptmg.cases.coulomb_field import TransitionField
-from adaptmg.cases.coulomb_transition import coulomb_transition
-from adaptmg.cases.curved import curved_obstacle
+from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
 from adaptmg.cases.dovetail import dovetail
-from adaptmg.cases.flanges import Flanges
 from adaptmg.cases.flat_punch import PunchPressure, flat_punch, flat_punch_meshes
-from adaptmg.cases.greco import greco_bar
-from adaptmg.cases.hertz_cylinder import LineContact, hertz_cylinder, line_contact_meshes, pressure_fit
-from adaptmg.cases.hertz_sphere import PointContact, hertz_sphere
-from adaptmg.cases.incline import incline
-from adaptmg.cases.leaning_strut import leaning_strut
-from adaptmg.cases.registry import CASES, Case, get, names
-from adaptmg.cases.two_blocks import patch_mesh, two_block_patch
-from adaptmg.cases.upset import upset_block
+from adaptmg.cases.greco import curved_obstacle, greco_bar, greco_block, upset_block
+from adaptmg.cases.hertz import (
+    LineContact,
+    PointContact,
+    hertz_cylinder,
+    hertz_sphere,
+    line_contact_meshes,
+    pressure_fit,
+)
+from adaptmg.problem import ContactProblem
 
-__all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointContact", "PunchPressure",
-           "TransitionField", "bolt_force", "bolted_junction", "cattaneo", "cattaneo_path", "coulomb_transition",
-           "curved_obstacle", "dovetail", "flat_punch", "flat_punch_meshes", "get", "greco_bar", "greco_block",
-           "hertz_cylinder", "hertz_sphere", "incline", "joint_opening", "junction_path", "leaning_strut",
-           "line_contact_meshes", "names", "open_to", "patch_mesh", "pressure_fit", "sealing_pressure",
-           "two_block_patch", "upset_block"]
+__all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointContact", "PunchPressure", "TransitionField",
+           "bolt_force", "bolted_junction", "cattaneo", "cattaneo_path", "coulomb_transition", "curved_obstacle",
+           "dovetail", "flat_punch", "flat_punch_meshes", "get", "greco_bar", "greco_block", "hertz_cylinder",
+           "hertz_sphere", "incline", "joint_opening", "junction_path", "leaning_strut", "line_contact_meshes", "names",
+           "open_to", "patch_mesh", "pressure_fit", "sealing_pressure", "two_block_patch", "upset_block"]
+
+@dataclass(frozen=True)
+class Case:
+    """A benchmark case.
+
+    Parameters
+    ----------
+    function : callable
+        Keyword arguments, all with defaults, -> ContactProblem.
+    description : str
+        One line.
+    """
+
+    function: Callable[..., ContactProblem]
+    description: str
+
+
+CASES: Mapping[str, Case] = MappingProxyType({
+    "greco_bar": Case(greco_bar, "square pressed on a plane and pushed along it, Coulomb friction 1 (2D)"),
+    "curved_obstacle": Case(curved_obstacle, "the same square in front of a curved obstacle, frictionless (2D)"),
+    "upset_block": Case(upset_block, "square squeezed on a plane, friction 0.5: singular foot (2D)"),
+    "greco_block": Case(greco_block, "the GRECO bar as a solid (3D)"),
+    "dovetail": Case(dovetail, "a tongue pulled out of its notch, Coulomb friction 0.2: two bodies (2D)"),
+    "bolted_junction": Case(bolted_junction, "two bolted flanges under internal pressure (axisymmetric; 3D sector)"),
+    "hertz_cylinder": Case(hertz_cylinder, "a cylinder on a block or another cylinder, closed form of Hertz (2D)"),
+    "hertz_sphere": Case(hertz_sphere, "a ball on a block or another ball, closed form of Hertz (axisymmetric, 3D)"),
+    "cattaneo": Case(cattaneo, "a cylinder pressed on a block, then pulled sideways: partial slip (2D)"),
+    "coulomb_transition": Case(coulomb_transition, "the end of a slip zone, with its exact field r^lambda (2D)"),
+    "flat_punch": Case(flat_punch, "a flat rigid punch on a block, frictionless: singular edge (2D)"),
+    "incline": Case(incline, "a block on a tilted slab, held by friction alone: two bodies (2D)"),
+    "leaning_strut": Case(leaning_strut, "a strut that leans on its foot, friction 0.6: three solutions (2D)"),
+    "two_block_patch": Case(two_block_patch, "two blocks under uniform stress: the patch test of contact (2D, 3D)"),
+})
+
+
+def names() -> tuple[str, ...]:
+    """Names of all cases."""
+    return tuple(CASES)
+
+
+def get(name: str) -> Case:
+    """The case of that name; ValueError lists the names if there is none.
+
+    Examples
+    --------
+    >>> get("greco_bar").function(poisson=0.3).material.poisson
+    0.3
+    """
+    if name not in CASES:
+        raise ValueError(f"there is no case {name!r}{checks.suggestion(str(name), CASES)}; the cases are "
+                         f"{', '.join(CASES)}")
+    return CASES[name]

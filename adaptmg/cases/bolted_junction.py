@@ -19,18 +19,29 @@ nodes: only the undersides of its heads touch them. The section of its shank is 
 stiffness and stress. Its Poisson number is 0: a ring under tension would shrink towards the axis of the vessels, which
 bolts do not. It also resists hoop strain, which single bolts do not; without friction under the heads (the default in
 2D) that does not reach the flanges.
+
+Flanges with their bolts: dimensions, sections and solids of the bolted junction.
+
+The joint is the plane z = 0, the axis of the vessels the z axis. Sections are polygons in r and z.
+
+What an engineer reads off a solved bolted junction: bolt force, opening, tightness; and its load path.
+
+The fluid is not followed into the joint. An axisymmetric joint is called tight as long as somewhere between the bore
+and the bolt holes the contact pressure exceeds that of the fluid: :func:`sealing_pressure` > p. At a higher pressure it
+is open as far as the bolts: :func:`open_to` reaches the bolt circle.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from adaptmg.cases.flanges import Flanges, bolt_places, bolt_solid, drilled, flange_section, mirrored, ring_section
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
 from adaptmg.problem import (
     Assembly,
     Axisymmetric,
@@ -41,16 +52,21 @@ from adaptmg.problem import (
     Frictionless,
     InitialStrain,
     Law,
+    LoadPath,
     Polygon,
     Pressure,
     Solid,
     Support,
     Traction,
-    checks,
 )
-from adaptmg.problem.domains import SolidDomain
+from adaptmg.problem.solid_domains import Cut, Cylinder, Fuse, Revolution, SolidDomain
+from adaptmg.smoother.system import OPEN
+from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.result import Result
 
-__all__ = ["BOLTS", "bolted_junction"]
+__all__ = ["BOLTS", "Flanges", "bolt_force", "bolt_places", "bolt_solid", "bolted_junction", "drilled",
+           "flange_section", "joint_opening", "junction_path", "mirrored", "open_to", "ring_section",
+           "sealing_pressure"]
 
 BOLTS = ("ring", "traction", "solid")
 _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
@@ -117,11 +133,11 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
 
     See Also
     --------
-    adaptmg.cases.bolted_measures : the load path, bolt force, opening, tightness.
+    adaptmg.cases.bolted_junction : the load path, bolt force, opening, tightness.
 
     Notes
     -----
-    Tightening first and the pressure afterwards (:func:`~adaptmg.cases.bolted_measures.junction_path`), or both at
+    Tightening first and the pressure afterwards (:func:`~adaptmg.cases.bolted_junction.junction_path`), or both at
     once: with the default parameters the answer is the same to the digits of ``values``.
     """
     checks.choice("dim", dim, (2, 3))
@@ -241,3 +257,284 @@ class _Model:
         planes = [Support(f"{side}.{name}", **{axis: 0.0}) for side in ("upper", "lower")
                   for name, axis in (("start", "y"), ("end", "x"))]
         return (Support("lower.pipe", z=0.0), *planes)
+
+
+# effective section A_m of what the bolts clamp, m^2, from solutions of the default geometry without pressure
+_CLAMPED = {2: 0.0341, 3: 0.0124}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flanges:
+    """Dimensions of the junction, m.
+
+    Parameters
+    ----------
+    bore : float
+        Inner radius of the vessels.
+    wall : float
+        Thickness of their walls.
+    length : float
+        From the joint to the end of each pipe.
+    outer : float
+        Outer radius of the flanges.
+    upper, lower : float
+        Thickness of the flanges.
+    bolt_circle : float
+        Radius on which the bolts stand.
+    n_bolts : int
+    diameter : float
+        Of a bolt's shank. Heads are 1.6 times as wide and 0.7 times as high, holes 1.1 times as wide.
+    seat : float
+        Radial width of the equivalent ring's heads, and of the ring on which bolts act as a traction.
+    """
+
+    bore: float = 0.200
+    wall: float = 0.012
+    length: float = 0.120
+    outer: float = 0.270
+    upper: float = 0.040
+    lower: float = 0.050
+    bolt_circle: float = 0.240
+    n_bolts: int = 16
+    diameter: float = 0.024
+    seat: float = 0.020
+
+    def __post_init__(self) -> None:
+        for name in ("bore", "wall", "length", "outer", "upper", "lower", "bolt_circle", "diameter", "seat"):
+            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+        checks.integer("n_bolts", self.n_bolts, 1)
+        wide = 0.5 * max(1.2 * self.seat, self.head_diameter)
+        if not self.bore + self.wall < self.bolt_circle - wide < self.bolt_circle + wide < self.outer:
+            raise ValueError(f"bolt_circle must leave room for heads and seats, {wide:g} m to each side, between the "
+                             f"wall (r = {self.bore + self.wall:g}) and outer (r = {self.outer:g}), "
+                             f"got {self.bolt_circle!r}")
+        if not max(self.upper, self.lower) < self.length:
+            raise ValueError(f"length must exceed the thickness of the flanges, got {self.length!r}")
+        if not self.shank < 0.8 * self.seat:
+            raise ValueError(f"seat must be wider than 1.25 times the shank of a ring of the bolts' section, "
+                             f"{self.shank:g} m, got {self.seat!r}")
+        if not self.n_bolts * self.head_diameter < 2 * math.pi * self.bolt_circle:
+            raise ValueError(f"n_bolts: {self.n_bolts} heads of {self.head_diameter:g} m do not fit on the bolt circle")
+
+    @property
+    def head_diameter(self) -> float:
+        """m."""
+        return 1.6 * self.diameter
+
+    @property
+    def head_height(self) -> float:
+        """m."""
+        return 0.7 * self.diameter
+
+    @property
+    def hole(self) -> float:
+        """Radius of the bolt holes, m."""
+        return 0.55 * self.diameter
+
+    @property
+    def clamped(self) -> float:
+        """Clamped length of the bolts, m."""
+        return self.upper + self.lower
+
+    @property
+    def bolt_area(self) -> float:
+        """Section of all shanks together, m^2."""
+        return self.n_bolts * 0.25 * math.pi * self.diameter**2
+
+    @property
+    def shank(self) -> float:
+        """Radial width of the equivalent ring's shank, m: its section is that of all bolts."""
+        return self.bolt_area / (2 * math.pi * self.bolt_circle)
+
+    @property
+    def inside_bolts(self) -> float:
+        """Radius of the circle that touches the bolt holes from inside, m: a joint that lets the fluid get there
+        leaks through them."""
+        return self.bolt_circle - self.hole
+
+    def thrust(self, pressure: float) -> float:
+        """Force of the closed ends, N, under a pressure in Pa."""
+        return pressure * math.pi * self.bore**2
+
+    def shortening(self, preload: float, young: float, dim: int) -> float:
+        r"""Shortening of the bolts without pressure.
+
+        Parameters
+        ----------
+        preload : float
+            Force F of all bolts, N.
+        young : float
+            Pa.
+        dim : {2, 3}
+            The equivalent ring, or bolts.
+
+        Returns
+        -------
+        float
+            :math:`\delta = F (c_b + c_m)`, m, with the compliances of :mod:`adaptmg.cases.bolted_junction`.
+        """
+        return preload * self.clamped / young * (1 / self.bolt_area + 1 / _CLAMPED[dim])
+
+
+def flange_section(flanges: Flanges, thickness: float, bolt: str) -> Polygon:
+    """Section of the upper flange, the joint at z = 0.
+
+    Parameters
+    ----------
+    flanges : Flanges
+    thickness : float
+        Of the flange, m.
+    bolt : {"ring", "traction", "solid"}
+        A solid bolt stands on the face, a ring and a traction act on the boundary ``seat``.
+    """
+    f, wall = flanges, flanges.bore + flanges.wall
+    # the seat of a ring that is a body of its own is a little wider than its heads
+    half = 0.5 * f.seat * (1.0 if bolt == "traction" else 1.2)
+    seat = [] if bolt == "solid" else [((f.bolt_circle + half, thickness), "seat"),
+                                       ((f.bolt_circle - half, thickness), "face")]
+    corners = [((f.bore, 0.0), "joint"), ((f.outer, 0.0), "rim"), ((f.outer, thickness), "face"), *seat,
+               ((wall, thickness), "wall"), ((wall, f.length), "pipe"), ((f.bore, f.length), "bore")]
+    return Polygon(vertices=tuple(point for point, _ in corners), boundaries=tuple(name for _, name in corners))
+
+
+def mirrored(profile: Polygon) -> Polygon:
+    """The section on the other side of z = 0, counter-clockwise again."""
+    vertices = tuple((r, -z) for r, z in reversed(profile.vertices))
+    names = tuple(reversed(profile.boundaries))
+    return Polygon(vertices=vertices, boundaries=names[1:] + names[:1])
+
+
+def ring_section(flanges: Flanges) -> Polygon:
+    """I-shaped section of the equivalent ring."""
+    f, head, shank = flanges, 0.5 * flanges.seat, 0.5 * flanges.shank
+    tip, top, low, end = f.upper + f.head_height, f.upper, -f.lower, -f.lower - f.head_height
+    corners = [((-head, end), "tip"), ((head, end), "side"), ((head, low), "lower_head"), ((shank, low), "side"),
+               ((shank, top), "upper_head"), ((head, top), "side"), ((head, tip), "tip"), ((-head, tip), "side"),
+               ((-head, top), "upper_head"), ((-shank, top), "side"), ((-shank, low), "lower_head"),
+               ((-head, low), "side")]
+    return Polygon(vertices=tuple((f.bolt_circle + r, z) for (r, z), _ in corners),
+                   boundaries=tuple(name for _, name in corners))
+
+
+def bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
+    """Axes of the bolts in the sector of 90 degrees, m."""
+    n = flanges.n_bolts
+    if n % 4:
+        raise ValueError(f"n_bolts must be a multiple of 4 in 3D: a sector of 90 degrees holds a quarter, got {n}")
+    angles = (np.arange(n // 4) + 0.5) * 2 * math.pi / n
+    return [(flanges.bolt_circle * math.cos(a), flanges.bolt_circle * math.sin(a)) for a in angles]
+
+
+def drilled(profile: Polygon, flanges: Flanges, places: list[tuple[float, float]]) -> SolidDomain:
+    """A flange as a solid with its holes."""
+    solid: SolidDomain = Revolution(profile, angle=90.0)
+    reach = 2 * flanges.clamped
+    for x, y in places:
+        solid = Cut(solid, Cylinder((x, y, -reach), (0.0, 0.0, 1.0), flanges.hole, 2 * reach), {"b.side": "hole"})
+    return solid
+
+
+def bolt_solid(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
+    """A bolt: the shank reaches half into both heads, so that their undersides stay whole."""
+    f, (x, y) = flanges, place
+    inside = 0.5 * f.head_height
+    solid: SolidDomain = Cylinder((x, y, -f.lower - inside), (0.0, 0.0, 1.0), 0.5 * f.diameter, f.clamped + 2 * inside)
+    for name, z, axis in (("upper_head", f.upper, 1.0), ("lower_head", -f.lower, -1.0)):
+        head = Cylinder((x, y, z), (0.0, 0.0, axis), 0.5 * f.head_diameter, f.head_height)
+        solid = Fuse(solid, head, {"b.bottom": name, "b.top": "tip"})
+    return solid
+
+
+_JOINT = "upper.joint"
+_HEAD = ".upper_head"
+# of a sector of 90 degrees in a whole
+_SECTORS = {2: 1, 3: 4}
+# nodes whose radii differ by less than this share of the largest lie on one circle
+_CIRCLE = 1e-6
+
+
+def junction_path(problem: ContactProblem, pressures: Sequence[float]) -> LoadPath:
+    """The load history of a junction: the bolts are tightened in the first step, then the pressure changes.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+        From :func:`~adaptmg.cases.bolted_junction.bolted_junction`, with a pressure other than zero.
+    pressures : sequence of float
+        Internal pressure of each step after the first, Pa.
+
+    Returns
+    -------
+    LoadPath
+        Of ``len(pressures) + 1`` steps.
+
+    Examples
+    --------
+    >>> am.solve_path(grids, am.cases.junction_path(problem, [1e6, 2e6, 4e6]))
+    """
+    full = problem.reference.get("pressure") if isinstance(problem, ContactProblem) else None
+    if full is None:
+        raise TypeError(f"problem must be one from bolted_junction, got {problem!r}")
+    if full == 0:
+        raise ValueError("problem has no pressure that a path could scale: give bolted_junction one other than 0")
+    values = np.append(0.0, check_arrays.vector("pressures", pressures)) / full
+    return LoadPath(dict.fromkeys(("upper.bore", "lower.bore", "upper.pipe"), values))
+
+
+def bolt_force(result: Result) -> float:
+    """Force of all bolts around the circumference, N: what their upper heads press on the flange.
+
+    ValueError if the bolts are given as a traction.
+    """
+    c = _contact(result)
+    heads = [k for k, name in enumerate(c.names) if name.endswith(_HEAD)]
+    if not heads:
+        raise ValueError("this junction has no bolts (bolt='traction'): their force is what was given as preload")
+    return _SECTORS[result.dim] * float(c.force_n[np.isin(c.boundary, heads)].sum())
+
+
+def joint_opening(result: Result) -> float:
+    """Opening of the joint at the bore, m: the mean normal gap of the contact nodes there."""
+    radii, joint = _joint(result)
+    at_bore = radii <= radii.min() + _CIRCLE * radii.max()
+    return float(result.contact.gap[joint][at_bore].mean())
+
+
+def open_to(result: Result) -> float:
+    """Radius up to which an axisymmetric joint is open, m.
+
+    It lies half-way between the innermost node that touches and the next node further in; it is the bore's where the
+    joint is closed there, and that of the rim where nothing touches.
+    """
+    radii, joint = _joint(result, axisymmetric="open_to")
+    touching = radii[result.contact.state[joint] != OPEN]
+    if not touching.size:
+        return float(radii.max())
+    first = touching.min()
+    further_in = radii[radii < first * (1 - _CIRCLE)]
+    return float(0.5 * (first + further_in.max())) if further_in.size else float(first)
+
+
+def sealing_pressure(result: Result, flanges: Flanges) -> float:
+    """Largest contact pressure of an axisymmetric joint between the bore and the bolt holes, Pa."""
+    radii, joint = _joint(result, axisymmetric="sealing_pressure")
+    inside = joint[radii <= flanges.inside_bolts]
+    return float(result.contact.pressure[inside].max())
+
+
+def _contact(result: Result) -> ContactResult:
+    if not isinstance(result, Result):
+        raise TypeError(f"result must be a Result, got {type(result).__name__}")
+    if _JOINT not in result.contact.names:
+        raise ValueError(f"result is not one of a bolted junction: its contact boundaries are {result.contact.names}")
+    return result.contact
+
+
+def _joint(result: Result, axisymmetric: str = "") -> tuple[np.ndarray, np.ndarray]:
+    """Radii (n,), m, and positions (n,) of the contact nodes of the joint; the name of a measure for 2D only."""
+    c = _contact(result)
+    if axisymmetric and result.dim != 2:
+        raise ValueError(f"{axisymmetric} is for the axisymmetric junction; in 3D it changes along the circumference")
+    joint = np.flatnonzero(c.boundary == c.names.index(_JOINT))
+    x = c.x[joint]
+    return (x[:, 0] if result.dim == 2 else np.hypot(x[:, 0], x[:, 1])), joint

@@ -22,7 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptmg.cases.hertz_cylinder import MASTER_REACH, SLAVE_REACH, LineContact, closed_form, hertz_reference
+from adaptmg import _checks as checks
+from adaptmg.cases.hertz import MASTER_REACH, SLAVE_REACH, LineContact, closed_form, hertz_reference
 from adaptmg.problem import (
     Assembly,
     ContactPair,
@@ -36,7 +37,6 @@ from adaptmg.problem import (
     Pressure,
     Support,
     Traction,
-    checks,
 )
 
 __all__ = ["PartialSlip", "cattaneo", "cattaneo_path"]
@@ -101,13 +101,13 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
     -------
     ContactProblem
         Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds that of
-        :func:`~adaptmg.cases.hertz_cylinder.hertz_cylinder` and, with a constant coefficient of friction, ``stick``
+        :func:`~adaptmg.cases.hertz.hertz_cylinder` and, with a constant coefficient of friction, ``stick``
         (c, m) and ``partial_slip`` (:class:`PartialSlip`).
 
     See Also
     --------
     cattaneo_path : the load history, first P, then Q.
-    adaptmg.cases.hertz_cylinder.line_contact_meshes : meshes.
+    adaptmg.cases.hertz.line_contact_meshes : meshes.
 
     Notes
     -----

@@ -2,39 +2,53 @@ r"""The end of a slip zone under Coulomb friction, with its exact solution: slip
 
 Rectangle (-1, 1) x (0, 1) m in plane strain on the rigid plane y = 0: slip at x > 0, open or stick at x < 0, and
 around x = 0 a field :math:`r^\lambda`, :math:`\lambda = 3/2 \pm \arctan(f \beta)/\pi`
-(:mod:`adaptmg.cases.coulomb_field`). The top has the exact displacement. So have the sides along x; along y they have
+(:mod:`adaptmg.cases.coulomb_transition`). The top has the exact displacement. So have the sides along x; along y they
+have
 the exact shear traction, because a support may not fix the normal displacement of the contact nodes at which they end.
 The energy error of linear elements falls like h on uniform meshes, and the discrete transition lies within one cell of
 x = 0.
+
+Exact plane-strain fields at the end of a slip zone under Coulomb friction, in a half plane.
+
+Body y > 0, contact along y = 0 with a rigid plane, slip in the direction s on x > 0, open or stick on x < 0. With the
+complex potentials :math:`\varphi = a z^\lambda,\ \psi = b z^\lambda,\ z = x + i y,\ \kappa = 3 - 4\nu` (N. I.
+Muskhelishvili, Some basic problems of the mathematical theory of elasticity, 1953, section 32)
+
+.. math:: 2\mu (u_x + i u_y) &= \kappa\varphi - z \overline{\varphi'} - \overline{\psi},\\
+   \sigma_{xx} + \sigma_{yy} &= 4\,\mathrm{Re}\,\varphi',\qquad
+   \sigma_{yy} - \sigma_{xx} + 2 i\,\sigma_{xy} = 2 (\bar z \varphi'' + \psi')
+
+equilibrium holds for any a, b. The four conditions
+
+.. math:: u_y = 0,\ \sigma_{xy} + s f \sigma_{yy} = 0 \text{ on } x > 0;\qquad
+   \sigma_{yy} = \sigma_{xy} = 0 \text{ or } u_x = u_y = 0 \text{ on } x < 0
+
+are linear and homogeneous in the real and imaginary parts of a and b, and have a solution if
+
+.. math:: \lambda = \frac32 \pm \frac1\pi \arctan(f \beta),\qquad \beta = \frac{1 - 2\nu}{2 (1 - \nu)} ,
+
+found here as the null vector of their matrix. Both signs belong to f > 0: with slip away from the transition or
+towards it (:math:`\lambda > 1` rules the singular roots out). To it come a rigid shift along the plane, so that an open
+zone's neighbour slips in the direction s all along, or uniform compression and shear at the limit of friction, so that
+sticking is pressed.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.cases.coulomb_field import (
-    DisplacementComponent,
-    TractionComponent,
-    TransitionField,
-    transition_exponent,
-    transition_mode,
-)
-from adaptmg.problem import (
-    Contact,
-    ContactProblem,
-    Coulomb,
-    Plane,
-    PlaneStrain,
-    Rectangle,
-    Support,
-    Traction,
-    checks,
-)
+from adaptmg import _checks as checks
+from adaptmg.discrete.stress import element_strain
+from adaptmg.estimate.reference_error import EnergyError
+from adaptmg.geometry.quadrature import quadrature_points, simplex_rule
+from adaptmg.problem import Contact, ContactProblem, Coulomb, Plane, PlaneStrain, Rectangle, Support, Traction
+from adaptmg.solver.result import Result
 
-__all__ = ["coulomb_transition"]
-
+__all__ = ["DisplacementComponent", "TractionComponent", "TransitionField", "coulomb_transition", "transition_exponent",
+           "transition_mode"]
 
 def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign: str = "+",  # noqa: B008
                        pressure: float = 1e8, young: float = 1.3e11, poisson: float = 0.2) -> ContactProblem:
@@ -56,7 +70,7 @@ def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign:
     Returns
     -------
     ContactProblem
-        ``reference`` holds ``field`` (:class:`~adaptmg.cases.coulomb_field.TransitionField`: ``displacement``,
+        ``reference`` holds ``field`` (:class:`~adaptmg.cases.coulomb_transition.TransitionField`: ``displacement``,
         ``gradient``, ``stress``, ``energy_error(result)``), ``exponent``, ``transition`` (0.0, m) and ``uniform_rate``
         (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).
     """
@@ -101,3 +115,179 @@ def _field(kind: str, away: bool, friction: float, pressure: float, material: Pl
     slip = abs(float(made.displacement(np.array([[1.0, 0.0]]))[0, 0]))
     return TransitionField(material=material, exponent=exponent, a=made.a, b=made.b,
                            shift=direction * math.ceil(2e6 * slip) * 1e-6)
+
+
+def transition_exponent(friction: float, poisson: float, away: bool) -> float:
+    """Lambda: 3/2 plus (slip away from the transition) or minus atan(f beta) / pi."""
+    beta = (1 - 2 * poisson) / (2 * (1 - poisson))
+    return 1.5 + (1 if away else -1) * math.atan(friction * beta) / math.pi
+
+
+def transition_mode(kind: str, friction: float, poisson: float, away: bool) -> tuple[complex, complex, float]:
+    """The mode of the conditions at r = 1.
+
+    Parameters
+    ----------
+    kind : {"open", "stick"}
+        What lies at x < 0.
+    friction, poisson : float
+    away : bool
+        Slip in the direction of +x, away from the transition, or towards it.
+
+    Returns
+    -------
+    a, b : complex
+        Coefficients of the potentials, |a|^2 + |b|^2 = 1.
+    defect : float
+        The least singular value of the conditions over the largest: rounding where lambda is an eigenvalue.
+    """
+    exponent, sign = transition_exponent(friction, poisson, away), 1.0 if away else -1.0
+    ends = np.array([1.0 + 0.0j, -1.0 + 0.0j])
+    columns = []
+    for a, b in ((1, 0), (1j, 0), (0, 1), (0, 1j)):
+        u = _displacement(ends, exponent, a, b, poisson)
+        s = _stress(ends, exponent, a, b)
+        left = (s[1, 1], s[1, 2]) if kind == "open" else (u[1].real, u[1].imag)
+        columns.append([u[0].imag, s[0, 2] + sign * friction * s[0, 1], *left])
+    _, sizes, rows = np.linalg.svd(np.array(columns, dtype=float).T)
+    null = rows[-1]
+    return complex(null[0], null[1]), complex(null[2], null[3]), float(sizes[-1] / sizes[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransitionField:
+    """Displacement, its gradient and stress of one field; functions of position (n, 2), m, y >= 0.
+
+    Parameters
+    ----------
+    material : PlaneStrain
+    exponent : float
+        Lambda.
+    a, b : complex
+        Coefficients of the potentials, Pa m^(1 - lambda).
+    shift : float
+        Rigid displacement along x, m.
+    pressure, shear : float
+        Uniform compression -sigma_yy and shear sigma_xy with no strain along x, Pa.
+    """
+
+    material: PlaneStrain
+    exponent: float
+    a: complex
+    b: complex
+    shift: float = 0.0
+    pressure: float = 0.0
+    shear: float = 0.0
+
+    def displacement(self, points: np.ndarray) -> np.ndarray:
+        """u (n, 2), m."""
+        z, mu = _complex(points), self.material.shear_modulus
+        u = _displacement(z, self.exponent, self.a, self.b, self.material.poisson) / (2 * mu)
+        stretch = -self.pressure / (self.material.lame + 2 * mu)
+        return np.column_stack([u.real + self.shift + self.shear / mu * z.imag, u.imag + stretch * z.imag])
+
+    def gradient(self, points: np.ndarray) -> np.ndarray:
+        """d u_i / d x_j (n, 2, 2)."""
+        z, mu = _complex(points), self.material.shear_modulus
+        kappa = 3 - 4 * self.material.poisson
+        first, second, other = _derivatives(z, self.exponent, self.a, self.b)
+        common = np.conj(first)
+        # z conj(phi'') + conj(psi'), with z conj(z^(lambda - 2)) written so that it is 0 at z = 0
+        rest = np.conj(second) + np.conj(other)
+        along_x = (kappa * first - common - rest) / (2 * mu)
+        along_y = 1j * (kappa * first - common + rest) / (2 * mu)
+        result = np.stack([np.stack([along_x.real, along_y.real], -1), np.stack([along_x.imag, along_y.imag], -1)], -2)
+        result[:, 0, 1] += self.shear / mu
+        result[:, 1, 1] -= self.pressure / (self.material.lame + 2 * mu)
+        return result
+
+    def stress(self, points: np.ndarray) -> np.ndarray:
+        """xx, yy, xy (n, 3), Pa."""
+        result = _stress(_complex(points), self.exponent, self.a, self.b)
+        lame, mu = self.material.lame, self.material.shear_modulus
+        return result + np.array([-self.pressure * lame / (lame + 2 * mu), -self.pressure, self.shear])
+
+    def energy_error(self, result: Result, points: int = 6) -> EnergyError:
+        """The exact error of a discrete solution in the energy norm.
+
+        Parameters
+        ----------
+        result : Result
+            Of the case with this field.
+        points : int
+            Of the quadrature along each direction of an element; the strain varies like r^(lambda - 1).
+        """
+        mesh = result.mesh
+        if mesh is None:
+            raise ValueError("result has no mesh: solve on a Hierarchy of the case")
+        rule, weights = simplex_rule(2, points)
+        at = quadrature_points(mesh.points, mesh.elements, rule)
+        gradient = self.gradient(at.reshape(-1, 2)).reshape(*at.shape, 2)
+        exact = 0.5 * (gradient + np.swapaxes(gradient, -1, -2))
+        wrong = exact - element_strain(mesh, result.displacement)[:, None]
+        error, energy = (float(np.sum(mesh.volumes[:, None] * weights * self._density(strain)))
+                         for strain in (wrong, exact))
+        return EnergyError(math.sqrt(error), math.sqrt(error / energy), math.sqrt(energy), 0.0)
+
+    def _density(self, strain: np.ndarray) -> np.ndarray:
+        """Epsilon : C epsilon."""
+        trace = strain[..., 0, 0] + strain[..., 1, 1]
+        return (self.material.lame * trace**2
+                + 2 * self.material.shear_modulus * np.einsum("...ij,...ij->...", strain, strain))
+
+
+@dataclass(frozen=True)
+class DisplacementComponent:
+    """A component of a field's displacement, for a Support."""
+
+    field: TransitionField
+    component: int
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Values (n,), m."""
+        return self.field.displacement(points)[:, self.component]
+
+
+@dataclass(frozen=True)
+class TractionComponent:
+    """A component of sigma n on a side with the normal (normal, 0), for a Traction."""
+
+    field: TransitionField
+    normal: float
+    component: int
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Values (n,), Pa."""
+        return self.normal * self.field.stress(points)[:, (0, 2)[self.component]]
+
+
+def _complex(points: np.ndarray) -> np.ndarray:
+    """Z (n,); what lies below the plane by rounding lies on it: the fields have their cut there."""
+    points = np.asarray(points, dtype=np.float64)
+    return points[:, 0] + 1j * np.maximum(points[:, 1], 0.0)
+
+
+def _power(z: np.ndarray, exponent: float) -> np.ndarray:
+    """Z^exponent with angles 0 .. pi."""
+    return np.abs(z)**exponent * np.exp(1j * exponent * np.arctan2(np.maximum(z.imag, 0.0) + 0.0, z.real))
+
+
+def _derivatives(z: np.ndarray, exponent: float, a: complex, b: complex) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Phi', conj(z) phi'' and psi'."""
+    slope = exponent * _power(z, exponent - 1)
+    # conj(z) z^(lambda - 2) = z^(lambda - 1) (conj(z) / z): of size r^(lambda - 1), 0 at z = 0
+    turned = np.abs(z)**(exponent - 1) * np.exp(1j * (exponent - 3) * np.arctan2(np.maximum(z.imag, 0.0), z.real))
+    return a * slope, a * exponent * (exponent - 1) * turned, b * slope
+
+
+def _displacement(z: np.ndarray, exponent: float, a: complex, b: complex, poisson: float) -> np.ndarray:
+    """2 mu (u_x + i u_y)."""
+    power = _power(z, exponent)
+    return ((3 - 4 * poisson) * a * power - z * np.conj(a * exponent * _power(z, exponent - 1)) - np.conj(b * power))
+
+
+def _stress(z: np.ndarray, exponent: float, a: complex, b: complex) -> np.ndarray:
+    """xx, yy, xy (n, 3)."""
+    first, second, other = _derivatives(z, exponent, a, b)
+    mean, rest = 2 * first.real, second + other
+    return np.column_stack([mean - rest.real, mean + rest.real, rest.imag])

@@ -26,6 +26,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from adaptmg import _checks as checks
 from adaptmg.problem import (
     Assembly,
     ContactPair,
@@ -37,7 +38,6 @@ from adaptmg.problem import (
     Pressure,
     Support,
     Traction,
-    checks,
 )
 
 __all__ = ["dovetail"]

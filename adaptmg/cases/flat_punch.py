@@ -8,20 +8,30 @@ below by the load P per length; what the punch feels is the same. For the half-p
 
 (K. L. Johnson, Contact Mechanics, 1985, section 2.8), singular at the edge: u ~ r^(1/2), so that uniform meshes
 converge like N^(-1/4) in the energy norm, and meshes graded towards the edge pay.
+
+Families of independent meshes around a point where bodies touch or a punch ends.
+
+On the finest mesh the edges have the length s within a radius of the point and grow by g per distance beyond, up to
+.65 g times the largest extent of a body; on the mesh l levels below all of this is multiplied by :math:`f^l`. The
+growth is not cut off before it reaches 1, because a coarse mesh that is nowhere finer than the next one is what a
+hierarchy of independent meshes needs: where it is not, some coarse functions are seen by no fine node.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.cases.point_meshes import point_meshes
-from adaptmg.mesh import MeshArrays
+from adaptmg import _checks as checks
+from adaptmg.mesh import MeshArrays, SizeNear
 from adaptmg.problem import (
+    Assembly,
     Contact,
     ContactProblem,
+    Domain,
     Frictionless,
     Law,
     Plane,
@@ -29,10 +39,9 @@ from adaptmg.problem import (
     Polygon,
     Pressure,
     Support,
-    checks,
 )
 
-__all__ = ["PunchPressure", "flat_punch", "flat_punch_meshes"]
+__all__ = ["PunchPressure", "flat_punch", "flat_punch_meshes", "point_meshes"]
 
 # depth and half the width of the block, in half-widths of the punch
 _SIZE = 40.0
@@ -130,3 +139,64 @@ def flat_punch_meshes(problem: ContactProblem, *, finest: float = 1 / 200, level
     a = problem.domain.vertices[3][0]
     return point_meshes(problem.domain, [(a, 0.0)], size=finest * a, radius=0.0, levels=levels, factor=factor,
                         grading=grading)
+
+
+# rounds of Netgen on the finest mesh beyond those that reach its smallest size, and the most on coarser ones
+_CLOSER, _MOST = 1, 8
+# largest edge over grading and extent
+_LARGEST = 0.65
+
+
+def point_meshes(domain: Domain, points: Sequence[Sequence[float]], *, size: float, radius: float, levels: int,
+                 factor: float, grading: float) -> list[MeshArrays]:
+    """Meshes of a domain, coarse to fine.
+
+    Parameters
+    ----------
+    domain : Domain
+    points : sequence of points
+        m.
+    size : float
+        Edge length at the points on the finest mesh, m.
+    radius : float
+        Up to which distance from a point it stays the same, m.
+    levels : int
+        >= 1.
+    factor : float
+        By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
+    grading : float
+        Growth of the edge length per distance on the finest mesh.
+
+    Returns
+    -------
+    list of MeshArrays
+
+    Raises
+    ------
+    ValueError
+        If ``grading`` times ``factor`` to the number of coarser meshes is above 1.
+    """
+    from adaptmg.mesh import sized
+
+    grading = checks.positive("grading", grading)
+    levels, factor = checks.integer("levels", levels, 1), checks.number("factor", factor)
+    if not 1 < factor <= 3:
+        raise ValueError(f"factor must be above 1 and at most 3, got {factor!r}")
+    steepest = grading * factor**(levels - 1)
+    if not steepest <= 1 + 1e-9:
+        raise ValueError(f"grading {grading:g} times factor {factor:g} to the number of coarser meshes is "
+                         f"{steepest:.3g}, more than 1: no mesh can grow so fast; take fewer levels or a smaller "
+                         "grading")
+    parts = domain.parts.values() if isinstance(domain, Assembly) else (domain,)
+    extent = float(max(np.max(part.upper - part.lower) for part in parts))
+    meshes = []
+    for level in reversed(range(levels)):
+        scale = factor**level
+        steep = min(1.0, grading * scale)
+        near, most = size * scale, _LARGEST * steep * extent
+        deep = max(0, math.ceil(math.log(most / near / 16, 8)))
+        # rounds on coarse meshes cost next to nothing, and their few elements follow the field less closely
+        rounds = min(2 + deep + _CLOSER + 2 * level, max(_MOST, 2 + deep))
+        meshes.append(sized(domain, SizeNear(points, size=near, radius=radius, grading=steep), most, rounds,
+                            grading=steep))
+    return meshes

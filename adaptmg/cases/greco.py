@@ -13,30 +13,51 @@ Without friction the case is a patch test: full contact under the uniform stress
 
 .. math:: u_x = -(a - x)\,\varepsilon_{xx},\quad u_y = y\,\varepsilon_{yy},\quad
    E\,\varepsilon_{xx} = (1-\nu^2)\,\sigma_{xx} - \nu(1+\nu)\,\sigma_{yy}.
+
+The GRECO bar in three dimensions: a box pressed on the plane z = 0 and pushed along x.
+
+With u_y = 0 on the front and the back the solution tends to that of the bar in plane strain; with a free back face the
+front is a plane of symmetry and the body, 2 x depth thick, bulges in y too.
+
+The square of the GRECO bar in front of a curved obstacle: a frictionless case in which the contact zone is unknown.
+
+The gap under the bottom is (a - x)^2 / (2 R), the parabola of a cylinder of radius R that touches at x = a. With the
+default parameters the right half of the bottom comes into contact (17 of the 33 contact nodes of the uniform mesh of
+32 x 32 cells), unlike in the frictionless GRECO bar, which is a patch test.
+
+The upset block: the GRECO bar without its side pressure, friction 0.5.
+
+The block is squeezed against the plane and bulges outwards; friction holds its foot, so that sticking contact meets
+the free 90 degree corner at x = 0. There u ~ r^lambda with lambda < 1 and uniform meshes converge at a reduced rate:
+this is where adaptive meshes pay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg.problem import (
+    Box,
     Contact,
     ContactProblem,
     Coulomb,
     Frictionless,
+    GapFunction,
     Law,
     Plane,
     PlaneStrain,
     Pressure,
     Rectangle,
+    Solid,
     Support,
-    checks,
 )
 
-__all__ = ["greco_bar"]
+__all__ = ["ParabolicGap", "curved_obstacle", "greco_bar", "greco_block", "upset_block"]
 
 _POINTS = {"A": (0.0, 0.0), "B": (1.25e-3, 0.0), "C": (5e-3, 0.0), "D": (7.5e-3, 0.0), "E": (11.25e-3, 0.0)}
 _SSNV128 = {"A": 2.86e-5, "B": 2.72e-5, "C": 2.28e-5, "D": 1.98e-5, "E": 1.50e-5}
@@ -113,3 +134,126 @@ def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float
                   "the convergence of a solver.",
         "zones": {"slip": (0.0, size)},
     }
+
+
+def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
+                young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3, depth: float = 40e-3,
+                plane_strain: bool = True) -> ContactProblem:
+    """The GRECO bar as a solid.
+
+    Parameters
+    ----------
+    law, top_pressure, side_pressure, young, poisson : see :func:`~adaptmg.cases.greco.greco_bar`
+    size : float
+        Length along x and height along z, m.
+    depth : float
+        Length along y, m.
+    plane_strain : bool
+        Fix u_y on front and back (True), or on the front only and leave the back free (False).
+
+    Returns
+    -------
+    ContactProblem
+        With ``plane_strain``, ``reference`` holds that of :func:`~adaptmg.cases.greco.greco_bar` with points
+        (x, depth / 2, 0) and the remark that these are values of the plane problem.
+    """
+    if not isinstance(plane_strain, bool):
+        raise TypeError(f"plane_strain must be True or False, got {plane_strain!r}")
+    depth = checks.quantity("depth", depth, positive=True)
+    bar = greco_bar(law=law, top_pressure=top_pressure, side_pressure=side_pressure, young=young, poisson=poisson,
+                    size=size)
+    reference = {}
+    if plane_strain and bar.reference:
+        points = {name: (x, depth / 2, z) for name, (x, z) in bar.reference["points"].items()}
+        remark = f"Values of the plane-strain bar. {bar.reference['remark']}"
+        reference = {**bar.reference, "points": points, "remark": remark}
+    held = ("front", "back") if plane_strain else ("front",)
+    return ContactProblem(
+        name="GRECO block" if plane_strain else "GRECO block, free back",
+        material=Solid(young=young, poisson=poisson),
+        domain=Box(width=size, depth=depth, height=size),
+        contact=Contact("bottom", Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))),
+        law=law,
+        loads=(Pressure("top", top_pressure), Pressure("left", side_pressure)),
+        supports=(Support("right", x=0.0), *(Support(face, y=0.0) for face in held)),
+        reference=reference,
+    )
+
+
+@dataclass(frozen=True)
+class ParabolicGap:
+    """The gap (position - x)^2 / (2 radius); a class, so that problems can be pickled.
+
+    Parameters
+    ----------
+    position : float
+        x at which the obstacle touches, m.
+    radius : float
+        Radius of curvature, m.
+    """
+
+    position: float
+    radius: float
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Gaps (n,) at points (n, dim), m."""
+        return (self.position - points[:, 0])**2 / (2 * self.radius)
+
+
+def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pressure: float = 5e7,  # noqa: B008
+                    side_pressure: float = 15e7, young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3
+                    ) -> ContactProblem:
+    """The GRECO bar's body, loads and supports in front of a curved obstacle.
+
+    Parameters
+    ----------
+    law : Law
+        On the bottom.
+    radius : float
+        Radius of curvature of the obstacle, m.
+    top_pressure, side_pressure, young, poisson, size : float
+        As in :func:`~adaptmg.cases.greco.greco_bar`.
+
+    Returns
+    -------
+    ContactProblem
+        ``reference`` holds, for the default parameters, ``touching``: contact nodes that touch, by divisions of the
+        uniform mesh.
+    """
+    bar = greco_bar(law=law, top_pressure=top_pressure, side_pressure=side_pressure, young=young, poisson=poisson,
+                    size=size)
+    default = (isinstance(law, Frictionless) and (radius, top_pressure, side_pressure, young, poisson, size)
+               == (10.0, 5e7, 15e7, 1.3e11, 0.2, 40e-3))
+    reference = {"touching": {32: 17}, "sources": {"touching": "direct active-set solve"}} if default else {}
+    gap = ParabolicGap(position=float(size), radius=checks.quantity("radius", radius, positive=True))
+    return replace(bar, name="curved obstacle", contact=Contact("bottom", GapFunction(gap)), reference=reference)
+
+
+_EXPONENTS = {0.2: 0.781, 0.3: 0.711}
+
+
+def upset_block(*, law: Law = Coulomb(0.5), top_pressure: float = 5e7, young: float = 1.3e11,  # noqa: B008
+                poisson: float = 0.2, size: float = 40e-3) -> ContactProblem:
+    """The upset block.
+
+    Parameters
+    ----------
+    law : Law
+        On the plane y = 0.
+    top_pressure, young, poisson, size : float
+        As in :func:`~adaptmg.cases.greco.greco_bar`.
+
+    Returns
+    -------
+    ContactProblem
+        ``reference`` holds, for friction 0.5 and Poisson's ratio 0.2 or 0.3, ``exponent`` (lambda) and
+        ``uniform_rate``: the energy error falls like N^-uniform_rate on uniform meshes of N nodes, N^-1/2 on
+        adapted ones.
+    """
+    problem = greco_bar(law=law, top_pressure=top_pressure, side_pressure=0.0, young=young, poisson=poisson, size=size)
+    exponent = _EXPONENTS.get(poisson)
+    reference = {}
+    if exponent is not None and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 0.5:
+        reference = {"exponent": exponent, "uniform_rate": exponent / 2,
+                     "sources": {"exponent": "characteristic equation of the clamped-free 90 degree corner"}}
+    return replace(problem, name="upset block", reference=reference)

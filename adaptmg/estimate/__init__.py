@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.marking import Doerfler, Maximum
+from adaptmg.estimate.estimate import Doerfler, Estimate, Maximum
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.estimate.reference_error import EnergyError, Reference, energy_error
-from adaptmg.estimate.remesh_engine import Remesh
+from adaptmg.estimate.remesh import Remesh
 from adaptmg.estimate.residual import Residual
 from adaptmg.estimate.tractions import BoundaryTractions, boundary_tractions
 

@@ -5,6 +5,15 @@ r"""Recovery: an estimate of the energy error by a smoother stress (Zienkiewicz 
 with a continuous, piecewise linear stress :math:`\sigma^*` fitted to that of the elements around each node, body by
 body: it may jump where materials meet and between bodies in contact. Where the solution is smooth the estimate tends to
 the error itself; it knows nothing of loads and contact conditions.
+
+Kernels of the recovered stress: at each node a linear fit to the stresses around it; the energy of what it adds.
+
+Least squares over the patch of elements e at a node, sampled at their centroids :math:`x_e` (O. C. Zienkiewicz and
+J. Z. Zhu, Int. J. Numer. Meth. Engng 33, 1992, doi:10.1002/nme.1620330702):
+
+.. math:: \sum_e \big|\sigma_e - a - B (x_e - x_i)\big|^2 \to \min, \qquad \sigma^*_i = a .
+
+Patches of boundary nodes, which lie on one side, take in the patches of all nodes of their elements.
 """
 
 from __future__ import annotations
@@ -13,25 +22,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptmg._runtime import inner_kernel, kernel, read_only
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.fields.element_stress import ElementStress
-from adaptmg.estimate.fields.posed import posed
-from adaptmg.estimate.recovery_kernels import (
-    axisymmetric_energy,
-    axisymmetric_stresses,
-    difference_energy,
-    elements_of_nodes,
-    mark_boundary,
-    recover,
-)
+from adaptmg.estimate.stress_fields import ElementStress, posed
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.runtime.compiled import read_only
 from adaptmg.solver.result import Result
 
-__all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"]
-
+__all__ = ["RecoveredStress", "Recovery", "axisymmetric_energy", "axisymmetric_stresses", "difference_energy",
+           "elements_of_nodes", "mark_boundary", "recover", "recovered_energy", "recovered_stress"]
 
 @dataclass(frozen=True, eq=False)
 class RecoveredStress:
@@ -42,7 +42,7 @@ class RecoveredStress:
     cells : (n_elements, dim + 1) int32 array
         Rows of ``nodal`` at the corners: the nodes, and more where bodies share some.
     nodal : (n, n_values) array
-        Normal stresses, then shear stresses as of :class:`~adaptmg.estimate.fields.element_stress.ElementStress`;
+        Normal stresses, then shear stresses as of :class:`~adaptmg.estimate.stress_fields.ElementStress`;
         axisymmetric: rr, zz, hoop, rz. Pa.
     sampled : (n_elements, n_values) array
         What it was made from: the stress at the centroids, Pa.
@@ -92,7 +92,7 @@ def recovered_stress(stress: ElementStress, across: np.ndarray) -> RecoveredStre
     ----------
     stress : ElementStress
     across : (n_elements, dim + 1) int32 array
-        See :class:`~adaptmg.estimate.fields.neighbours.Neighbours`.
+        See :class:`~adaptmg.estimate.stress_fields.Neighbours`.
     """
     mesh = stress.mesh
     cells, points = _apart(mesh)
@@ -152,3 +152,201 @@ def recovered_energy(stress: ElementStress, found: RecoveredStress) -> np.ndarra
         difference_energy(found.cells, mesh.volumes, mesh.element_body, data.lame, data.shear, found.sampled,
                           found.nodal, squares)
     return squares
+
+
+_SINGULAR = 1e-5  # pivots below so much of the number of samples: they lie on a line, or in a plane
+
+
+@kernel
+def elements_of_nodes(elements, start, listed):
+    """Elements of each node, ascending: ``listed[start[i]:start[i + 1]]``; ``start`` (n_nodes + 1,) comes as 0."""
+    for e in range(len(elements)):
+        for v in elements[e]:
+            start[v + 1] += 1
+    for i in range(len(start) - 1):
+        start[i + 1] += start[i]
+    for e in range(len(elements)):
+        for v in elements[e]:
+            listed[start[v]] = e
+            start[v] += 1
+    for i in range(len(start) - 1, 0, -1):
+        start[i] = start[i - 1]
+    start[0] = 0
+
+
+@kernel
+def mark_boundary(elements, across, body, boundary):
+    """Set ``boundary`` (n_nodes,) at the nodes of facets with nothing, or another body, on the other side."""
+    k = elements.shape[1]
+    for e in range(len(elements)):
+        for c in range(k):
+            f = across[e, c]
+            if f < 0 or body[f] != body[e]:
+                for j in range(1, k):
+                    boundary[elements[e, (c + j) % k]] = True
+
+
+@inner_kernel
+def _gather(i, elements, start, listed, wide, marker, patch):
+    """Write the elements of the patch of node i; returns their number."""
+    count = 0
+    for at in range(start[i], start[i + 1]):
+        patch[count] = listed[at]
+        marker[listed[at]] = i
+        count += 1
+    if wide:
+        for first in range(count):
+            for v in elements[patch[first]]:
+                for at in range(start[v], start[v + 1]):
+                    if marker[listed[at]] != i:
+                        marker[listed[at]] = i
+                        patch[count] = listed[at]
+                        count += 1
+    return count
+
+
+@inner_kernel
+def _factor(matrix):
+    """Cholesky factor in place, of the lower half; returns whether it is safe to use."""
+    n = len(matrix)
+    limit = _SINGULAR * matrix[0, 0]
+    for j in range(n):
+        for k in range(j):
+            matrix[j, j] -= matrix[j, k] * matrix[j, k]
+        if not matrix[j, j] > limit:
+            return False
+        matrix[j, j] = np.sqrt(matrix[j, j])
+        for i in range(j + 1, n):
+            for k in range(j):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] /= matrix[j, j]
+    return True
+
+
+@inner_kernel
+def _sums(points, i, centroids, patch, count, values, terms, matrix, sides):
+    """Normal equations of the fit at node i, distances over the largest one."""
+    dim, n_values = points.shape[1], values.shape[1]
+    size = 0.0
+    for at in range(count):
+        for d in range(dim):
+            size = max(size, abs(centroids[patch[at], d] - points[i, d]))
+    matrix[:] = 0.0
+    sides[:] = 0.0
+    for at in range(count):
+        e = patch[at]
+        for d in range(dim):
+            terms[d + 1] = (centroids[e, d] - points[i, d]) / size
+        for a in range(dim + 1):
+            for b in range(a + 1):
+                matrix[a, b] += terms[a] * terms[b]
+            for c in range(n_values):
+                sides[a, c] += terms[a] * values[e, c]
+
+
+@kernel
+def recover(points, centroids, elements, start, listed, boundary, values, marker, patch, nodal):
+    """Write the recovered values ``nodal`` (n_nodes, n_values) from those of the elements (n_elements, n_values).
+
+    ``marker`` (n_elements,) comes as -1, ``patch`` (n_elements,) as it is. Where a patch is too small for a fit it is
+    widened, and if that does not help its mean is taken. Nodes without elements keep what ``nodal`` holds.
+    """
+    dim, n_values = points.shape[1], values.shape[1]
+    matrix, sides, terms = np.empty((dim + 1, dim + 1)), np.empty((dim + 1, n_values)), np.ones(dim + 1)
+    for i in range(len(start) - 1):
+        if start[i] == start[i + 1]:
+            continue
+        fits = False
+        for wide in range(2):
+            if not fits and (wide == 1 or not boundary[i]):
+                count = _gather(i, elements, start, listed, wide == 1, marker, patch)
+                _sums(points, i, centroids, patch, count, values, terms, matrix, sides)
+                mean_weight = matrix[0, 0]
+                fits = _factor(matrix)
+        for c in range(n_values):
+            if not fits:
+                nodal[i, c] = sides[0, c] / mean_weight
+            else:
+                for a in range(dim + 1):
+                    for b in range(a):
+                        sides[a, c] -= matrix[a, b] * sides[b, c]
+                    sides[a, c] /= matrix[a, a]
+                for a in range(dim, -1, -1):
+                    for b in range(a + 1, dim + 1):
+                        sides[a, c] -= matrix[b, a] * sides[b, c]
+                    sides[a, c] /= matrix[a, a]
+                nodal[i, c] = sides[0, c]
+
+
+@inner_kernel
+def _complementary(stress, dim, lame, shear):
+    """sigma : C^-1 sigma of normal stresses, then shear stresses."""
+    trace, total = 0.0, 0.0
+    for d in range(dim):
+        trace += stress[d]
+        total += stress[d] * stress[d]
+    for d in range(dim, len(stress)):
+        total += 2.0 * stress[d] * stress[d]
+    return (total - lame / (dim * lame + 2.0 * shear) * trace * trace) / (2.0 * shear)
+
+
+@kernel
+def difference_energy(elements, volumes, body, lame, shear, values, nodal, squares):
+    """Write the energies (n_elements,) of recovered minus constant stresses, exact for the linear difference."""
+    k, n_values = elements.shape[1], values.shape[1]
+    one, whole = np.empty(n_values), np.empty(n_values)
+    for e in range(len(elements)):
+        whole[:] = 0.0
+        total = 0.0
+        for v in elements[e]:
+            for c in range(n_values):
+                one[c] = nodal[v, c] - values[e, c]
+                whole[c] += one[c]
+            total += _complementary(one, k - 1, lame[body[e]], shear[body[e]])
+        total += _complementary(whole, k - 1, lame[body[e]], shear[body[e]])
+        squares[e] = volumes[e] / (k * (k + 1)) * total
+
+
+@inner_kernel
+def _with_hoop(values, hoop, initial, lame, shear, stress):
+    """Write rr, zz, hoop, rz of an axisymmetric element from rr, zz, rz without hoop strain, and that strain."""
+    in_plane = (values[0] + values[1] + 2.0 * lame * initial) / (2.0 * lame + 2.0 * shear)
+    stress[0], stress[1], stress[3] = values[0] + lame * hoop, values[1] + lame * hoop, values[2]
+    stress[2] = lame * (in_plane - initial) - 2.0 * shear * initial + (lame + 2.0 * shear) * hoop
+
+
+@kernel
+def axisymmetric_stresses(points, elements, u, body, lame, shear, initial, values, sampled):
+    """Write rr, zz, hoop, rz (n_elements, 4) at the centroids. ``initial`` (n_elements or 0, 3): initial strains."""
+    for e in range(len(elements)):
+        a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
+        hoop = (u[a, 0] + u[b, 0] + u[c, 0]) / (points[a, 0] + points[b, 0] + points[c, 0])
+        strain = initial[e, 2] if len(initial) > 0 else 0.0
+        _with_hoop(values[e], hoop, strain, lame[body[e]], shear[body[e]], sampled[e])
+
+
+@kernel
+def axisymmetric_energy(points, elements, cells, u, volumes, body, lame, shear, initial, values, nodal, rule, weights,
+                        squares):
+    """Write the energies (n_elements,) of recovered minus element stresses over the full circumference.
+
+    ``rule`` (n_points, 3) and ``weights`` (n_points,): points inside the element; there the element has the hoop
+    strain u_r / r.
+    """
+    stress = np.empty(4)
+    for e in range(len(elements)):
+        k = body[e]
+        strain = initial[e, 2] if len(initial) > 0 else 0.0
+        total = 0.0
+        for q in range(len(weights)):
+            radius, moved = 0.0, 0.0
+            for j in range(3):
+                radius += rule[q, j] * points[elements[e, j], 0]
+                moved += rule[q, j] * u[elements[e, j], 0]
+            _with_hoop(values[e], moved / radius, strain, lame[k], shear[k], stress)
+            for c in range(4):
+                stress[c] = -stress[c]
+                for j in range(3):
+                    stress[c] += rule[q, j] * nodal[cells[e, j], c]
+            total += weights[q] * radius * _complementary(stress, 3, lame[k], shear[k])
+        squares[e] = 2.0 * np.pi * volumes[e] * total

@@ -21,16 +21,16 @@ from typing import Any
 
 import numpy as np
 
-from adaptmg.discretisation.elasticity import stiffness
-from adaptmg.discretisation.loads import load_vector
-from adaptmg.estimate.fields.posed import posed
+from adaptmg import _checks as checks
+from adaptmg.discrete.elasticity import stiffness
+from adaptmg.discrete.loads import load_vector
 from adaptmg.estimate.recovery import Recovery
+from adaptmg.estimate.stress_fields import posed
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import checks
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.result import Result
-from adaptmg.transfer.location import PointLocator, nodes_of_bodies
+from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
 
 __all__ = ["EnergyError", "Reference", "energy_error"]
 

@@ -13,23 +13,72 @@ the error. Where body forces, or the hoop stress of smooth axisymmetric fields, 
 the error (Lame's tube, a column under its own weight; Poisson's ratio .1 to .4): the first term is two thirds of its
 square there. Where a contact zone between curved bodies has one or two nodes it is up to 30 times the error, nearly all
 of it complementarity, until meshes resolve the zone.
+
+Traction defects on the boundary: what loads and contact exert, and the stress inside does not bear.
+
+.. math:: \frac{h_F}{E} \int_F |g + t_h - \sigma_h n|^2, \qquad h_F = |F|,\ \text{in space } \sqrt{2 |F|}
+
+with the load g, a function of position, and the contact traction :math:`t_h`
+(:mod:`adaptmg.estimate.tractions`). Components that a support prescribes on the boundary of F are left
+out: there the support bears whatever comes. Products of linear functions are integrated exactly, in axisymmetry with
+the weight :math:`2 \pi r`.
+
+What the discrete contact conditions leave between the nodes of slaves and of boundaries in front of obstacles.
+
+.. math:: \int p_h (g_0 - u_n), \qquad \int (s_h |d_t| + t_h \cdot d_t)
+
+with the linear interpolants of nodal pressures :math:`p_h`, gaps, limits :math:`s_h` of the tangential traction
+(:math:`\mu p_h` of Coulomb), slips :math:`d_t` and their sizes. Both vanish where the conditions hold all along an
+edge, both are >= 0, and only facets at a transition (and with slip that turns) have a part.
+
+At the nodes themselves the conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere, friction
+at its limit against the slip where there is one. What a solver leaves of them is algebraic error; multiplied by a gap,
+or by a slip, that is far larger than the deformation it would exceed all that the mesh has left.
+
+Jumps: parts of the residual from tractions that differ on the two sides of facets inside the mesh.
+
+With the area vector :math:`a_F = |F| n` the part of facet F in each element E beside it is
+
+.. math:: \frac{1}{2E} h_F \int_F |[\sigma n]|^2 = \frac{h_F}{2 E |F|}\,|[\sigma]\,a_F|^2 ,
+
+:math:`h_F = |F|` in the plane and :math:`\sqrt{2 |F|}` in space. In axisymmetry the weight is :math:`2 \pi r`, and the
+jump varies along F where materials meet: two Gauss points.
+
+Element residuals: body forces that the stress inside an element does not balance.
+
+.. math:: \frac{h_E^2}{E} \int_E |f + \mathrm{div}\,\sigma_h|^2, \qquad h_E \text{ the longest edge of E}.
+
+The stress of linear displacements is constant, its divergence 0; but in axisymmetry
+
+.. math:: (\mathrm{div}\,\sigma)_r = \partial_r \sigma_{rr} + \frac{\sigma_{rr} - \sigma_{\theta\theta}}{r},\qquad
+   (\mathrm{div}\,\sigma)_z = \partial_z \sigma_{zz} + \frac{\sigma_{rz}}{r},
+
+where :math:`\sigma_{rr}` and :math:`\sigma_{zz}` vary by :math:`\lambda\,\varepsilon_\theta`, of which
+:math:`\partial_r \varepsilon_\theta = (\varepsilon_{rr} - \varepsilon_\theta)/r` and
+:math:`\partial_z \varepsilon_\theta = \partial_z u_r / r`. Integrals are weighted with :math:`2 \pi r`.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from adaptmg._runtime import kernel
+from adaptmg.discrete.facets import area_vectors, named_facets
+from adaptmg.discrete.loads import body_elements, load_density
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.fields.posed import posed
-from adaptmg.estimate.terms.boundary import boundary_squares
-from adaptmg.estimate.terms.contact import condition_squares
-from adaptmg.estimate.terms.jumps import jump_squares
-from adaptmg.estimate.terms.volume import volume_squares
+from adaptmg.estimate.stress_fields import ElementStress, Posed, posed
+from adaptmg.estimate.tractions import contact_tractions
+from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_points, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem.loads import BodyForce, Load, Pressure, Traction
+from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
 
-__all__ = ["Residual"]
-
+__all__ = ["Residual", "boundary_squares", "condition_squares", "facet_weights", "jump_squares", "volume_squares"]
 
 @dataclass(frozen=True)
 class Residual:
@@ -54,7 +103,7 @@ class Residual:
         Raises
         ------
         TypeError, ValueError
-            As of :func:`adaptmg.estimate.fields.posed.posed`: without problem, mesh or materials, of a result of
+            As of :func:`adaptmg.estimate.stress_fields.posed`: without problem, mesh or materials, of a result of
             another mesh, or one that is not finite.
         """
         this = posed(hierarchy, result)
@@ -68,3 +117,249 @@ class Residual:
         parts = {name: part for name, part in parts.items() if part is not None}
         return Estimate(squares=sum(parts.values()), norm=this.norm, indicator="residuals",
                         terms={name: part.sum() for name, part in parts.items()})
+
+
+def facet_weights(points: np.ndarray, facets: np.ndarray, axisymmetric: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric points (n_points, dim) and weights (n, n_points), m or m^2, exact for products of linear functions.
+
+    In axisymmetry these products times 2 pi r.
+    """
+    rule, weights = quadrature_rule(facets.shape[1], PLAIN_DEGREE)
+    measure = np.linalg.norm(area_vectors(points, facets), axis=1)
+    result = measure[:, None] * weights
+    if axisymmetric:
+        result = result * (2 * np.pi * (points[facets, 0] @ rule.T))
+    return rule, result
+
+
+def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
+    """Squares (n_elements,) on boundaries without and on those with contact, N m."""
+    mesh, stress, beside = this.mesh, this.stress, this.neighbours
+    touching = contact_tractions(mesh, this.result.contact, stress.axisymmetric)
+    plain, contact = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
+    outer = beside.across[beside.owner, beside.corner] < 0
+    for k, name in enumerate(mesh.boundaries):
+        here = mesh.facet_labels == k
+        outside = outer[here]
+        if not outside.any():
+            continue
+        facets, elements = mesh.facets[here], beside.owner[here]
+        vectors = area_vectors(mesh.points, facets)
+        measure = np.linalg.norm(vectors, axis=1)
+        normals = vectors / measure[:, None]
+        rule, weights = facet_weights(mesh.points, facets, stress.axisymmetric)
+        defect = -stress.tractions(elements, normals, facets, rule)
+        for load in this.problem.loads:
+            if isinstance(load, Pressure | Traction) and load.boundary == name:
+                defect += load_density(load, quadrature_points(mesh.points, facets, rule), normals)
+        if name in touching:
+            defect += np.einsum("qk,fkd->fqd", rule, touching[name].corners)
+        defect[:, :, _held(this, name)] = 0.0
+        sizes = measure if mesh.dim == 2 else np.sqrt(2 * measure)
+        squares = sizes / this.young[elements] * np.einsum("fqd,fqd,fq->f", defect, defect, weights)
+        into = contact if name in touching else plain
+        into += np.bincount(elements, weights=np.where(outside, squares, 0.0), minlength=len(into))
+    return plain, contact
+
+
+def _held(this: Posed, boundary: str) -> np.ndarray:
+    """Components (dim,), bool, that supports prescribe on a boundary."""
+    held = np.zeros(this.mesh.dim, dtype=bool)
+    for support in this.problem.supports:
+        if support.boundary == boundary:
+            held |= [component is not None for component in support.components(this.mesh.dim)]
+    return held
+
+
+#: slips up to this part of the largest displacement are rounding
+_STILL = 1e-12
+
+
+def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
+    """Squares (n_elements,) from complementarity and from friction, N m."""
+    mesh, contact, beside = this.mesh, this.result.contact, this.neighbours
+    complementarity, friction = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
+    opens = contact.state == State.OPEN
+    pressures, gaps = np.where(opens, 0.0, contact.pressure), np.where(opens, np.maximum(contact.gap, 0.0), 0.0)
+    limits, tractions = _friction(this, opens)
+    slips = np.einsum("nk,nkd->nd", contact.slip, contact.frames[:, 1:])
+    for k, name in enumerate(contact.names):
+        facets = named_facets(mesh, name)
+        mine = np.flatnonzero(contact.boundary == k)
+        # a node that carries no condition of this boundary adds nothing: the last entries
+        index = np.full(mesh.n_nodes, len(mine))
+        index[contact.node[mine]] = np.arange(len(mine))
+        pressure, gap, limit, traction, slip = (
+            _padded(values[mine])[index[facets]] for values in (pressures, gaps, limits, tractions, slips))
+        rule, weights = facet_weights(mesh.points, facets, this.stress.axisymmetric)
+        mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
+        open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
+        slip_part = (np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))
+                     + np.einsum("fij,fid,fjd->f", mass, traction, slip))
+        elements = beside.owner[mesh.facet_labels == mesh.boundaries.index(name)]
+        complementarity += np.bincount(elements, weights=open_part, minlength=len(complementarity))
+        # below zero by rounding
+        friction += np.bincount(elements, weights=np.maximum(slip_part, 0.0), minlength=len(friction))
+    return complementarity, friction
+
+
+def _friction(this: Posed, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Limits (n,) of the friction and its tractions (n, dim), Cartesian, which obey the law for the slip, Pa."""
+    contact, exchange = this.result.contact, this.discrete.exchange
+    fixed, _ = this.discrete.law.bounds(len(contact))
+    if exchange is not None:
+        fixed = fixed / np.abs(exchange.sigma)
+    limit, length = np.where(opens, fixed, contact.limit), np.linalg.norm(contact.slip, axis=1)
+    moves = (contact.state != State.STICK) & (length > _STILL * np.abs(this.result.displacement).max(initial=0.0))
+    along = np.where(moves[:, None], -contact.slip, contact.force_t)
+    size = np.linalg.norm(along, axis=1)
+    factor = np.divide(limit, size, out=np.zeros_like(size), where=size > 0)
+    factor = np.where(moves, factor, np.minimum(factor, 1.0)) / contact.weights
+    return limit / contact.weights, np.einsum("nk,nkd->nd", factor[:, None] * along, contact.frames[:, 1:])
+
+
+def _padded(values: np.ndarray) -> np.ndarray:
+    """With one more entry, zero."""
+    return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
+
+
+_GAUSS = 0.5 - 0.5 / math.sqrt(3.0)
+
+
+@kernel
+def _plane(points, elements, across, stress, weight, squares):
+    """Add to ``squares``; ``weight`` (n_elements,) is 1 / (2 E)."""
+    for e in range(len(elements)):
+        for k in range(3):
+            f = across[e, k]
+            if f > e:
+                a, b = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+                nx, ny = points[b, 1] - points[a, 1], points[a, 0] - points[b, 0]
+                xx, yy, xy = (stress[e, 0] - stress[f, 0], stress[e, 1] - stress[f, 1], stress[e, 2] - stress[f, 2])
+                tx, ty = xx * nx + xy * ny, xy * nx + yy * ny
+                size = tx * tx + ty * ty
+                squares[e] += weight[e] * size
+                squares[f] += weight[f] * size
+
+
+@kernel
+def _jumps_axisymmetric(points, elements, across, radial, lame, stress, weight, squares):
+    """As :func:`plane_jumps`; ``radial`` (n_nodes,) is u_r, ``lame`` (n_elements,)."""
+    for e in range(len(elements)):
+        for k in range(3):
+            f = across[e, k]
+            if f > e:
+                a, b = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+                nx, ny = points[b, 1] - points[a, 1], points[a, 0] - points[b, 0]
+                xx, yy, xy = (stress[e, 0] - stress[f, 0], stress[e, 1] - stress[f, 1], stress[e, 2] - stress[f, 2])
+                tx, ty, change = xx * nx + xy * ny, xy * nx + yy * ny, lame[e] - lame[f]
+                for share in (_GAUSS, 1.0 - _GAUSS):
+                    r = share * points[a, 0] + (1.0 - share) * points[b, 0]
+                    if r > 0.0:
+                        more = change * (share * radial[a] + (1.0 - share) * radial[b]) / r
+                        size = math.pi * r * ((tx + more * nx)**2 + (ty + more * ny)**2)
+                        squares[e] += weight[e] * size
+                        squares[f] += weight[f] * size
+
+
+@kernel
+def _solid(points, elements, across, stress, weight, squares):
+    """As :func:`plane_jumps`, in space."""
+    local = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+    for e in range(len(elements)):
+        for k in range(4):
+            f = across[e, k]
+            if f > e:
+                a, b, c = elements[e, local[k, 0]], elements[e, local[k, 1]], elements[e, local[k, 2]]
+                x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+                x2, y2, z2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+                nx, ny, nz = 0.5 * (y1 * z2 - z1 * y2), 0.5 * (z1 * x2 - x1 * z2), 0.5 * (x1 * y2 - y1 * x2)
+                xx, yy, zz = (stress[e, 0] - stress[f, 0], stress[e, 1] - stress[f, 1], stress[e, 2] - stress[f, 2])
+                xy, yz, xz = (stress[e, 3] - stress[f, 3], stress[e, 4] - stress[f, 4], stress[e, 5] - stress[f, 5])
+                tx, ty, tz = (xx * nx + xy * ny + xz * nz, xy * nx + yy * ny + yz * nz, xz * nx + yz * ny + zz * nz)
+                area = math.sqrt(nx * nx + ny * ny + nz * nz)
+                size = math.sqrt(2.0 / area) * (tx * tx + ty * ty + tz * tz)
+                squares[e] += weight[e] * size
+                squares[f] += weight[f] * size
+
+
+def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -> np.ndarray:
+    """Squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus.
+
+    Parameters
+    ----------
+    stress : ElementStress
+    across : (n_elements, dim + 1) int32 array
+        See :class:`~adaptmg.estimate.stress_fields.Neighbours`. Bodies that are glued share nodes and so facets:
+        tractions must agree there too.
+    young : (n_elements,) array
+        Pa.
+    """
+    mesh, squares, weight = stress.mesh, np.zeros(len(stress.values)), 0.5 / young
+    if stress.axisymmetric:
+        radial = np.ascontiguousarray(stress.displacement[:, 0])
+        _jumps_axisymmetric(mesh.points, mesh.elements, across, radial, stress.data.lame[mesh.element_body],
+                            stress.values,                       weight, squares)
+    else:
+        jumps = _plane if mesh.dim == 2 else _solid
+        jumps(mesh.points, mesh.elements, across, stress.values, weight, squares)
+    return squares
+
+
+@kernel
+def _volume_axisymmetric(points, elements, u, body, lame, shear, initial, stress, force, rule, weights, squares):
+    """Write the integrals (n_elements,) of |f + div sigma|^2 over the full circumference.
+
+    ``initial`` (n_elements or 0, 3): initial strains; ``stress`` (n_elements, 3): its last column is rz; ``force``
+    (n_elements or 0, n_points, 2): f at the points of ``rule`` (n_points, 3), which lie inside.
+    """
+    for e in range(len(elements)):
+        a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
+        x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        det = x1 * y2 - y1 * x2
+        first, second = u[b, 0] - u[a, 0], u[c, 0] - u[a, 0]
+        along_r, along_z = (first * y2 - second * y1) / det, (second * x1 - first * x2) / det
+        k = body[e]
+        apart = initial[e, 0] - initial[e, 2] if len(initial) > 0 else 0.0
+        axial = lame[k] * along_z + stress[e, 2]
+        total = 0.0
+        for q in range(len(weights)):
+            r = rule[q, 0] * points[a, 0] + rule[q, 1] * points[b, 0] + rule[q, 2] * points[c, 0]
+            hoop = (rule[q, 0] * u[a, 0] + rule[q, 1] * u[b, 0] + rule[q, 2] * u[c, 0]) / r
+            # sigma_rr - sigma_tt = 2 mu times the difference of the elastic strains
+            fr = (lame[k] * (along_r - hoop) + 2.0 * shear[k] * (along_r - hoop - apart)) / r
+            fz = axial / r
+            if len(force) > 0:
+                fr += force[e, q, 0]
+                fz += force[e, q, 1]
+            total += weights[q] * r * (fr * fr + fz * fz)
+        squares[e] = np.pi * det * total
+
+
+def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarray) -> np.ndarray | None:
+    """Squares (n_elements,), N m; None where there is neither a body force nor axisymmetry.
+
+    Parameters
+    ----------
+    stress : ElementStress
+    loads : sequence of Load
+    young : (n_elements,) array
+        Pa.
+    """
+    forces = [load for load in loads if isinstance(load, BodyForce)]
+    if not forces and not stress.axisymmetric:
+        return None
+    mesh, data = stress.mesh, stress.data
+    rule, weights = quadrature_rule(mesh.dim + 1, AXISYMMETRIC_DEGREE if stress.axisymmetric else PLAIN_DEGREE)
+    density = np.zeros((len(mesh.elements) if forces else 0, len(weights), mesh.dim))
+    for load in forces:
+        here = slice(None) if load.body is None else body_elements(mesh, load.body)
+        density[here] += load_density(load, quadrature_points(mesh.points, mesh.elements[here], rule), None)
+    if stress.axisymmetric:
+        squares = np.empty(len(mesh.elements))
+        _volume_axisymmetric(mesh.points, mesh.elements, stress.displacement, mesh.element_body, data.lame, data.shear,
+                      data.initial_strain, stress.values, density, rule, weights, squares)
+    else:
+        squares = mesh.volumes * np.einsum("eqd,eqd,q->e", density, density, weights)
+    return mesh.element_sizes**2 / young * squares

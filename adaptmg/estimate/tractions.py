@@ -4,24 +4,34 @@ Two answers to the same question, which differ by what the mesh does not resolve
 facet, from the element behind it; and :math:`t_h`, the nodal contact forces over the lumped mass of the surface. The
 second is one order more accurate as a mean, and obeys the contact conditions at the nodes. Both are tractions that act
 on the body whose boundary it is, n points out of it: pressure is :math:`-t \cdot n`, positive in compression.
+
+Contact tractions: what contact exerts on each of the surfaces that touch, node by node.
+
+.. math:: t_{h,i} = F_i \Big/ \sum_F \int_F \varphi_i
+
+with the nodal contact force F, on slaves (and in front of obstacles) that of the contact nodes, on masters what the
+multipliers make of it, and the lumped mass of the surface; linear in between. Pressure is :math:`-t_h \cdot n`.
+
+At a node on two contact boundaries the first one named has the force. Where the second goes on in the same direction
+it has the same traction there; around a corner it has that of its own neighbours.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.discretisation.facets import area_vectors
-from adaptmg.discretisation.mortar.surface_normals import surface_normals
-from adaptmg.estimate.fields.contact_tractions import contact_tractions
-from adaptmg.estimate.fields.element_stress import element_stress
-from adaptmg.estimate.fields.neighbours import neighbours
-from adaptmg.problem import checks
+from adaptmg import _checks as checks
+from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
+from adaptmg.discrete.mortar.interface import surface_normals
+from adaptmg.estimate.stress_fields import element_stress, neighbours
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
 
-__all__ = ["BoundaryTractions", "boundary_tractions"]
-
+__all__ = ["BoundaryTractions", "SurfaceTraction", "boundary_tractions", "contact_tractions"]
 
 @dataclass(frozen=True, eq=False)
 class BoundaryTractions:
@@ -112,3 +122,102 @@ def boundary_tractions(result: Result, boundary: str) -> BoundaryTractions:
     return BoundaryTractions(facets=facets, elements=elements, centres=mesh.points[facets].mean(axis=1),
                              facet_normals=facet_normals, stress=stress, nodes=nodes, points=mesh.points[nodes],
                              normals=surface_normals(mesh.points, facets)[nodes], contact=contact)
+
+
+#: cosine of the angle up to which one surface is the continuation of another
+_SAME_WAY = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTraction:
+    """Contact traction on one boundary.
+
+    Attributes
+    ----------
+    facets : (n, dim) int array
+        Nodes of the facets.
+    nodes : (m,) int array
+        Ascending.
+    values : (m, dim) array
+        On the body of this boundary, Cartesian, Pa.
+    """
+
+    facets: np.ndarray
+    nodes: np.ndarray
+    values: np.ndarray
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Values (n, dim, dim) at the corners of the facets."""
+        return self.values[np.searchsorted(self.nodes, self.facets)]
+
+
+def contact_tractions(mesh: MeshArrays, contact: ContactResult, axisymmetric: bool) -> Mapping[str, SurfaceTraction]:
+    """Contact tractions on all boundaries that may touch something, masters too, by name.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+    contact : ContactResult
+    axisymmetric : bool
+        Forces are those over the full circumference.
+    """
+    masters = contact.masters or ("",) * len(contact.names)
+    on_slave = _on_slaves(mesh, contact)
+    return {name: _on_surface(mesh, contact, masters, name, on_slave, axisymmetric)
+            for name in dict.fromkeys([*contact.names, *filter(None, masters)])}
+
+
+def _on_surface(mesh: MeshArrays, contact: ContactResult, masters: tuple[str, ...], name: str, on_slave: np.ndarray,
+                axisymmetric: bool) -> SurfaceTraction:
+    facets = named_facets(mesh, name)
+    nodes, place = np.unique(facets, return_inverse=True)
+    place = place.reshape(facets.shape)
+    vectors = area_vectors(mesh.points, facets)
+    share = np.linalg.norm(vectors, axis=1)[:, None] * shape_integrals(mesh.points, facets, axisymmetric)
+    mass = np.bincount(place.ravel(), weights=share.ravel(), minlength=len(nodes))
+    force, known = np.zeros((len(nodes), mesh.dim)), np.zeros(len(nodes), dtype=bool)
+    for k, (slave, master) in enumerate(zip(contact.names, masters, strict=True)):
+        if slave == name:
+            mine = contact.boundary == k
+            at = np.searchsorted(nodes, contact.node[mine])
+            force[at] += contact.force[mine]
+            known[at] = True
+            if not master:  # an obstacle: the mass of a neighbouring contact boundary that goes on counts too
+                mass[at] = np.maximum(mass[at], contact.weights[mine])
+        if name in (slave, master):
+            mine = (contact.master_boundary == k) & (on_slave if slave == name else ~on_slave)
+            at = np.searchsorted(nodes, contact.master_node[mine])
+            force[at] += contact.master_force[mine]
+            known[at] = True
+    values = np.divide(force, mass[:, None], out=np.zeros_like(force), where=mass[:, None] > 0)
+    if name in contact.names and not known.all():
+        _continue(contact, nodes, place, vectors, known, values)
+    return SurfaceTraction(facets, nodes, values)
+
+
+def _continue(contact: ContactResult, nodes: np.ndarray, place: np.ndarray, vectors: np.ndarray, known: np.ndarray,
+              values: np.ndarray) -> None:
+    """Fill ``values`` in at nodes that belong to another contact boundary; elsewhere nothing touches."""
+    others = np.flatnonzero(~known & np.isin(nodes, contact.node))
+    for i in others:
+        here = (place == i).any(axis=1)
+        normal = vectors[here].sum(axis=0)
+        j = int(np.argmax(contact.node == nodes[i]))
+        if normal @ contact.normal[j] > _SAME_WAY * np.linalg.norm(normal):
+            values[i] = contact.force[j] / contact.weights[j]
+        else:
+            beside = np.unique(place[here])
+            beside = beside[known[beside]]
+            if len(beside):
+                values[i] = values[beside].mean(axis=0)
+
+
+def _on_slaves(mesh: MeshArrays, contact: ContactResult) -> np.ndarray:
+    """Which of ``contact.master_node`` (m,) lie on the slave of their pair."""
+    result = np.zeros(len(contact.master_node), dtype=bool)
+    for k, name in enumerate(contact.names):
+        mine = contact.master_boundary == k
+        if mine.any():
+            result[mine] = np.isin(contact.master_node[mine], mesh.boundary_nodes(name))
+    return result

@@ -31,9 +31,10 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from adaptmg.problem import check_arrays, checks
-from adaptmg.runtime.atomic import waiting_folder, write_bytes
-from adaptmg.runtime.text import printable
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg._files import waiting_folder, write_bytes
+from adaptmg._text import printable
 from adaptmg.solver.result import Result
 
 __all__ = ["document", "vtk", "vtk_series"]

@@ -1,4 +1,11 @@
-"""Point location: which element holds a point, with which barycentric weights, and how far outside it lies."""
+r"""Point location: which element holds a point, with which barycentric weights, and how far outside it lies.
+
+Kernels of point location: barycentric weights, and the search that climbs the box tree.
+
+The weights of :math:`x` in an element with corners :math:`x_0 \dots x_d` are
+:math:`\lambda_m = G_m\cdot(x - x_0)`, m = 1 .. d, and :math:`\lambda_0 = 1 - \sum_m \lambda_m`, where :math:`G_m` is
+the gradient of the shape function of corner m. ``maps`` holds :math:`x_0, G_1, \dots, G_d` of each element.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.geometry.box_tree import BoxTree, padded
-from adaptmg.geometry.location_kernels import affine_maps, locate
-from adaptmg.geometry.morton import morton_order
-from adaptmg.runtime.compiled import read_only
+from adaptmg._runtime import inner_kernel, kernel, read_only
+from adaptmg.geometry.search import STACK, BoxTree, leaf_range, morton_order, nearest_simplex, padded
 
-__all__ = ["Location", "SimplexLocator"]
-
+__all__ = ["INSIDE", "Location", "SimplexLocator", "affine_maps", "locate"]
 
 @dataclass(frozen=True, eq=False)
 class Location:
@@ -38,7 +42,7 @@ class SimplexLocator:
     """Finds points in a mesh of simplices; build once, then ask as often as you like.
 
     Every point is found. The cost of a point is nearly the same for any number of elements and any grading, see
-    :mod:`adaptmg.geometry.box_tree`. A point on a node or an edge belongs to one of the elements there: its
+    :mod:`adaptmg.geometry.search`. A point on a node or an edge belongs to one of the elements there: its
     interpolation weights do not depend on which.
 
     Parameters
@@ -97,3 +101,139 @@ class SimplexLocator:
         locate(padded(queries), morton_order(queries), self.tree.points, self.tree.simplices, self.maps,
                self.tree.boxes, found, weights, distance)
         return Location(element=self.element_of[found], weights=weights, distance=distance)
+
+
+INSIDE = 1e-12
+"""A point counts as inside an element when no barycentric weight is below minus this."""
+_ROUNDING = 4 * np.finfo(np.float64).eps
+
+
+@kernel
+def affine_maps(points, elements, maps):
+    """Origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim).
+
+    Not finite where an element has no volume.
+    """
+    dim = elements.shape[1] - 1
+    # the gradients are cross products of the edges; in 2D the third edge is the unit vector along z
+    edges = np.zeros((3, 3))
+    edges[2, 2] = 1.0
+    for e in range(len(elements)):
+        for m in range(dim):
+            maps[e, m] = points[elements[e, 0], m]
+            for c in range(dim):
+                edges[m, c] = points[elements[e, m + 1], c] - points[elements[e, 0], c]
+        u, v, w = edges[0], edges[1], edges[2]
+        det = (u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2])
+               + u[2] * (v[0] * w[1] - v[1] * w[0]))
+        scale = 1.0 / det if det != 0.0 else np.inf
+        for m in range(dim):
+            v, w = edges[(m + 1) % 3], edges[(m + 2) % 3]
+            for c in range(dim):
+                i, j = (c + 1) % 3, (c + 2) % 3
+                maps[e, dim + m * dim + c] = (v[i] * w[j] - v[j] * w[i]) * scale
+
+
+@inner_kernel
+def _coordinates(maps, e, x, y, z, dim):
+    """Weights of corners 1, 2 and 3 (2D: 0) of element ``e`` at a point, and of corner 0."""
+    if dim == 2:
+        x, y = x - maps[e, 0], y - maps[e, 1]
+        first, second = maps[e, 2] * x + maps[e, 3] * y, maps[e, 4] * x + maps[e, 5] * y
+        return first, second, 0.0, 1.0 - (first + second)
+    x, y, z = x - maps[e, 0], y - maps[e, 1], z - maps[e, 2]
+    first = maps[e, 3] * x + maps[e, 4] * y + maps[e, 5] * z
+    second = maps[e, 6] * x + maps[e, 7] * y + maps[e, 8] * z
+    third = maps[e, 9] * x + maps[e, 10] * y + maps[e, 11] * z
+    return first, second, third, 1.0 - (first + second + third)
+
+
+@inner_kernel
+def _inside(maps, e, x, y, z, dim):
+    first, second, third, rest = _coordinates(maps, e, x, y, z, dim)
+    return min(min(first, second), min(third, rest)) >= -INSIDE
+
+
+@inner_kernel
+def _box_contains(boxes, node, x, y, z, dim):
+    """Whether the closed box of ``node`` contains a point."""
+    return (boxes[node, 0] <= x <= boxes[node, dim] and boxes[node, 1] <= y <= boxes[node, dim + 1]
+            and (dim == 2 or boxes[node, 2] <= z <= boxes[node, 5]))
+
+
+@inner_kernel
+def _inside_below(top, x, y, z, maps, boxes, dim, stack):
+    """(element, leaf) below node ``top`` that contains a point, or (-1, -1)."""
+    n = len(maps)
+    n_leaves = (len(boxes) + 1) // 2
+    stack[0] = top
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        node = stack[depth]
+        if not _box_contains(boxes, node, x, y, z, dim):
+            continue
+        if node < n_leaves - 1:
+            stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
+            depth += 2
+            continue
+        first, last = leaf_range(node, n_leaves, n)
+        for s in range(first, last):
+            if _inside(maps, s, x, y, z, dim):
+                return s, node
+    return -1, -1
+
+
+@inner_kernel
+def _find(x, y, z, start, maps, boxes, dim, stack):
+    """Climb from leaf ``start``: search it, its sibling, its parent's sibling, and so on up to the root."""
+    node = start
+    found, leaf = _inside_below(node, x, y, z, maps, boxes, dim, stack)
+    while found < 0 and node > 0:
+        sibling = node + 1 if node % 2 == 1 else node - 1
+        found, leaf = _inside_below(sibling, x, y, z, maps, boxes, dim, stack)
+        node = (node - 1) // 2
+    return found, leaf
+
+
+@kernel
+def locate(queries, sequence, points, elements, maps, boxes, found, weights, distance):
+    """Locate ``queries`` (n, 3) in the order ``sequence``; points outside get the closest point of the mesh."""
+    k = elements.shape[1]
+    dim = k - 1
+    n_leaves = (len(boxes) + 1) // 2
+    trial, candidate = np.empty(k), np.empty(k)
+    stack = np.empty(STACK, dtype=np.int64)
+    leaf = n_leaves - 1
+    for q in sequence:
+        # numbers, not slices: making a slice costs more than looking into an element
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+        best, at = _find(x, y, z, leaf, maps, boxes, dim, stack)
+        distance[q] = 0.0
+        if best >= 0:
+            leaf = at
+            _take_clipped(maps, best, x, y, z, dim, q, weights)
+        else:
+            best, squared = nearest_simplex(queries[q], points, elements, boxes, dim, weights[q], trial, candidate,
+                                            stack)
+            # rounding may put a point on an edge outside of every box and element around it
+            if not _inside(maps, best, x, y, z, dim):
+                distance[q] = np.sqrt(squared)
+        found[q] = best
+
+
+@inner_kernel
+def _take_clipped(maps, e, x, y, z, dim, q, weights):
+    """Row q of the weights, normalised; those that the rounding of coordinates explains are zero."""
+    # a point on an edge of a small element has a weight of about eps |x| / h at the corner opposite
+    steepest = 0.0
+    for m in range(dim, dim + dim * dim):
+        steepest += abs(maps[e, m])
+    least = _ROUNDING * (abs(x) + abs(y) + abs(z)) * steepest
+    first, second, third, rest = _coordinates(maps, e, x, y, z, dim)
+    first, second = first if first > least else 0.0, second if second > least else 0.0
+    third, rest = third if third > least else 0.0, rest if rest > least else 0.0
+    total = rest + first + second + third
+    weights[q, 0], weights[q, 1], weights[q, 2] = rest / total, first / total, second / total
+    if dim == 3:
+        weights[q, 3] = third / total

@@ -1,17 +1,43 @@
-"""MeshArrays: a simplicial mesh as frozen arrays, the form in which every other layer sees a mesh."""
+"""MeshArrays: a simplicial mesh as frozen arrays, the form in which every other layer sees a mesh.
+
+Facets of a simplicial mesh: who shares them, which lie on the boundary. Arrays only.
+
+A facet (edge of a triangle, face of a tetrahedron) belongs to two elements inside a mesh and to one on its boundary. It
+is identified by its sorted nodes :math:`a < b (< c)`, packed into one integer :math:`(a N + b) N + c`.
+
+Geometry of domains: sides of a box, distance to named boundaries, whether an outline crosses itself.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
-from adaptmg.runtime.on_demand import made_on_demand
+from adaptmg._runtime import made_on_demand
+from adaptmg.problem.plane_domains import Box, Outline, Polygon, Rectangle
 
-__all__ = ["MeshArrays", "longest_edges", "trusted"]
-
+__all__ = [
+    "BOX_SIDES",
+    "MOST_NODES",
+    "FacetTable",
+    "MeshArrays",
+    "components",
+    "distance_of_segments",
+    "distance_to_boundaries",
+    "element_facets",
+    "facet_keys",
+    "facet_table",
+    "longest_edges",
+    "require_simple",
+    "same_orientation",
+    "trusted",
+]
 
 # of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
 _LABELS = ("facet_labels", "element_body")
@@ -58,7 +84,7 @@ class MeshArrays:
     source : ngsolve.Mesh, optional
         A straight ngsolve.Mesh of these arrays, with the same node and element numbers, for work in
         NGSolve. Meshes made by adaptmg build it when it is first read. Neither saved nor pickled:
-        :func:`adaptmg.mesh.build.with_source` makes one anew. Copies share it.
+        :func:`adaptmg.mesh.ngsolve_bridge.with_source` makes one anew. Copies share it.
 
     Attributes
     ----------
@@ -66,7 +92,7 @@ class MeshArrays:
         Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction: the arrays are
         frozen, so that it need not be checked again.
     refinement : Refinement or None
-        Of a bisected mesh its history, see :class:`adaptmg.mesh.bisection.refinement.Refinement`: further bisection
+        Of a bisected mesh its history, see :class:`adaptmg.mesh.bisection.children.Refinement`: further bisection
         goes on from it, coarsening takes it back. Pickled, but not saved in a result; a mesh made by
         ``dataclasses.replace`` has none, and is an initial mesh.
     """
@@ -151,3 +177,230 @@ def trusted(mesh: MeshArrays, source: Any, sound: bool = True) -> MeshArrays:
 
 
 MeshArrays.source = made_on_demand("source", "A straight ngsolve.Mesh of these arrays, or None.")
+
+
+#: by dimension: node numbers are of 32 bits, and the three of a facet must fit into 63
+MOST_NODES = {2: 2**31 - 1, 3: 2**21 - 1}
+
+# facet k lies opposite node k; of a positively oriented element its normal (see MeshArrays.facets) points outwards
+_LOCAL = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])}
+
+
+@dataclass(frozen=True, eq=False)
+class FacetTable:
+    """The distinct facets of a mesh, sorted by key.
+
+    Parameters
+    ----------
+    keys : (n,) array of int64
+        Ascending, see :func:`facet_keys`.
+    counts : (n,) array of int
+        How many elements share the facet.
+    first, second : (n,) array of int
+        Two of those elements; ``second`` is -1 on the boundary.
+    facets : (n, dim) array of int
+        Nodes, oriented outwards as seen from ``first``.
+    folded : (n,) array of bool
+        Whether two elements see the facet in the same sense: of positively oriented ones, both lie on one side of it.
+    """
+
+    keys: np.ndarray
+    counts: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    facets: np.ndarray
+    folded: np.ndarray
+
+    def find(self, keys: np.ndarray) -> np.ndarray:
+        """Rows of this table that hold ``keys``, -1 where there is no such facet."""
+        row = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
+        return np.where(self.keys[row] == keys, row, -1)
+
+
+def element_facets(elements: np.ndarray) -> np.ndarray:
+    """Facets (n_elements, dim + 1, dim) of positively oriented elements, outward, facet k opposite node k."""
+    return elements[:, _LOCAL[elements.shape[1] - 1]]
+
+
+def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
+    """One integer a facet, the same for every order of its nodes.
+
+    Parameters
+    ----------
+    facets : (n, dim) array of int
+        Node numbers below ``n_nodes``.
+    n_nodes : int
+        At most ``MOST_NODES``.
+
+    Returns
+    -------
+    (n,) int64 array
+    """
+    dim = facets.shape[1]
+    if n_nodes > MOST_NODES[dim]:
+        raise ValueError(f"a {dim}D mesh may have at most {MOST_NODES[dim]} nodes, got {n_nodes}")
+    nodes = np.sort(facets.astype(np.int64), axis=1)
+    key = nodes[:, 0]
+    for column in nodes.T[1:]:
+        key = key * n_nodes + column
+    return key
+
+
+def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
+    """All distinct facets of a mesh.
+
+    Parameters
+    ----------
+    elements : (n_elements, dim + 1) array of int
+        At least one, positively oriented.
+    n_nodes : int
+        Number of nodes of the mesh.
+
+    Returns
+    -------
+    FacetTable
+    """
+    dim = elements.shape[1] - 1
+    facets = element_facets(elements).reshape(-1, dim)
+    keys = facet_keys(facets, n_nodes)
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    start = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
+    counts = np.diff(np.r_[start, len(keys)])
+    second = np.full(len(start), -1, dtype=np.int64)
+    shared = counts > 1
+    other = order[start[shared] + 1]
+    second[shared] = other // (dim + 1)
+    first = facets[order[start]]
+    folded = np.zeros(len(start), dtype=bool)
+    folded[shared] = same_orientation(first[shared], facets[other])
+    return FacetTable(keys[start], counts, order[start] // (dim + 1), second, first, folded)
+
+
+def same_orientation(facets: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Whether facets with the same nodes also have the same orientation, (n,) bool."""
+    if facets.shape[1] == 2:
+        return (facets == others).all(axis=1)
+    return np.any([(facets == np.roll(others, k, axis=1)).all(axis=1) for k in range(3)], axis=0)
+
+
+def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
+    """Connected parts of a mesh: elements of one body that hang together through facets.
+
+    Parameters
+    ----------
+    table : FacetTable
+        Facets of the mesh.
+    element_body : (n_elements,) array of int
+        Body of each element.
+
+    Returns
+    -------
+    (n_elements,) int array
+        Number of the part.
+    """
+    inner = table.second >= 0
+    a, b = table.first[inner], table.second[inner]
+    same = element_body[a] == element_body[b]
+    n = len(element_body)
+    graph = sparse.coo_array((np.ones(same.sum(), dtype=np.int8), (a[same], b[same])), shape=(n, n))
+    return connected_components(graph, directed=False)[1]
+
+
+# which side of a box a boundary is: axis, and lower (0) or upper (1) end; a rectangle's vertical axis is its last one
+BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
+
+
+def distance_to_boundaries(domain: Rectangle | Polygon | Outline | Box, boundaries: Sequence[str],
+                           points: np.ndarray) -> np.ndarray:
+    """Distance of points to the nearest of some boundaries of a domain.
+
+    Parameters
+    ----------
+    domain : Rectangle, Polygon, Outline or Box
+        Whose boundaries; arcs count as arcs.
+    boundaries : sequence of str
+        At least one of ``domain.boundaries``.
+    points : (n, dim) array
+        m; in a box, points of the box itself.
+
+    Returns
+    -------
+    (n,) array
+        m.
+    """
+    distance = np.full(len(points), np.inf)
+    if isinstance(domain, Box):
+        for name in boundaries:
+            axis, end = BOX_SIDES[name]
+            distance = np.minimum(distance, np.abs(points[:, axis] - (domain.lower, domain.upper)[end][axis]))
+        return distance
+    curved = isinstance(domain, Outline)
+    start = np.array(domain.vertices if curved else domain.polygon.vertices)
+    end = np.roll(start, -1, axis=0)
+    for i, (name, a, b) in enumerate(zip(domain.boundaries, start, end, strict=True)):
+        if name in boundaries and curved and i in domain.arcs:
+            distance = np.minimum(distance, domain.arc(i).distance(points))
+        elif name in boundaries:
+            along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+            distance = np.minimum(distance, np.linalg.norm(points - a - along[:, None] * (b - a), axis=1))
+    return distance
+
+
+def require_simple(outline: Polygon | Outline) -> None:
+    """Raise ValueError if edges of an outline cross, touch, or have no length (Netgen would not end, or err).
+
+    Arcs are taken as chords of at most 3 degrees.
+    """
+    a, owner = outline.chords() if isinstance(outline, Outline) else (np.array(outline.vertices), None)
+    b = np.roll(a, -1, axis=0)
+    n = len(a)
+    owner = np.arange(n) if owner is None else owner
+    what = type(outline).__name__.lower()
+
+    def edge_name(k: int) -> str:
+        return f"{owner[k]} ({outline.boundaries[owner[k]]!r})"
+
+    lengths = np.linalg.norm(b - a, axis=1)
+    tiny = 1e-12 * np.ptp(a, axis=0).max()
+    if not lengths.min() > tiny:
+        raise ValueError(f"vertices: edge {edge_name(int(np.argmin(lengths)))} of the {what} has no length")
+    edge, following = b - a, np.roll(b - a, -1, axis=0)
+    turn = edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0]
+    folded = (np.abs(turn) <= 1e-12 * lengths * np.roll(lengths, -1)) & ((edge * following).sum(axis=1) < 0)
+    if folded.any():
+        i = int(np.argmax(folded))
+        raise ValueError(f"vertices: edge {edge_name(i)} of the {what} folds back on itself at "
+                         f"{tuple(b[i].tolist())}")
+    i, j = np.triu_indices(n, 2)
+    apart = (i != 0) | (j != n - 1)
+    i, j = i[apart], j[apart]
+    distance = distance_of_segments(a, i, j)
+    crossing = (_side(a[i], b[i], a[j]) * _side(a[i], b[i], b[j]) < 0) & (
+        _side(a[j], b[j], a[i]) * _side(a[j], b[j], b[i]) < 0)
+    bad = crossing | (distance <= tiny) if len(i) else np.zeros(0, dtype=bool)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise ValueError(f"vertices: edges {edge_name(i[k])} and {edge_name(j[k])} of the {what} meet; its boundary "
+                         "must not cross itself")
+
+
+def distance_of_segments(a: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """Distance between edges i and j (m,) of a closed polygon of corners a (n, 2); they must not cross."""
+    b = np.roll(a, -1, axis=0)
+    # it is reached at an end of one of them
+    return np.min([_to_segment(a[j], a[i], b[i]), _to_segment(b[j], a[i], b[i]), _to_segment(a[i], a[j], b[j]),
+                   _to_segment(b[i], a[j], b[j])], axis=0)
+
+
+def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Positive where c lies to the left of the line from a to b."""
+    u, v = b - a, c - a
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+
+def _to_segment(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance of points to segments, pair by pair."""
+    u = b - a
+    along = np.clip(np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1), 0.0, 1.0)
+    return np.linalg.norm(p - a - along[:, None] * u, axis=1)

@@ -12,7 +12,8 @@ from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
-from adaptmg.problem import check_arrays, checks
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
 
 __all__ = ["SizeNear"]
 

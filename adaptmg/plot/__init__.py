@@ -12,18 +12,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from adaptmg.plot.adaptive_loop import adaptation
-    from adaptmg.plot.bodies.deformation import deformation
-    from adaptmg.plot.contact_surfaces.contact import contact
-    from adaptmg.plot.contact_surfaces.load_history import load_history
-    from adaptmg.plot.convergence import history
-    from adaptmg.plot.meshes import grids, mesh
-    from adaptmg.plot.posed.problem import problem
-    from adaptmg.plot.way import path
+    from adaptmg.plot.contact_surfaces import contact
+    from adaptmg.plot.convergence import history, path
+    from adaptmg.plot.deformed import deformation
+    from adaptmg.plot.load_histories import load_history
+    from adaptmg.plot.meshes import adaptation, grids, mesh
+    from adaptmg.plot.posed_problem import problem
 
-_WHERE = {"adaptation": "adaptive_loop", "contact": "contact_surfaces.contact", "deformation": "bodies.deformation",
-          "grids": "meshes", "history": "convergence", "load_history": "contact_surfaces.load_history",
-          "mesh": "meshes", "path": "way", "problem": "posed.problem"}
+_WHERE = {"adaptation": "meshes", "contact": "contact_surfaces", "deformation": "deformed", "grids": "meshes",
+          "history": "convergence", "load_history": "load_histories", "mesh": "meshes", "path": "convergence",
+          "problem": "posed_problem"}
 
 __all__ = ["adaptation", "contact", "deformation", "grids", "history", "load_history", "mesh", "path", "problem"]
 

@@ -1,4 +1,7 @@
-"""mesh and grids: the triangles, or in three dimensions the boundary facets, with the contact boundary marked."""
+"""mesh and grids: the triangles, or in three dimensions the boundary facets, with the contact boundary marked.
+
+adaptation: the meshes of an adaptive loop with their contact states, where the error lies, and how it falls.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,38 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_rgba_array
+from matplotlib.colors import LogNorm, to_rgba_array
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from adaptmg import _checks as checks
+from adaptmg.estimate.step import Step
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.plot.space.axes import finish_axes, view_of
-from adaptmg.plot.space.surface import draw_facets
-from adaptmg.plot.style import BODY_COLORS, INK, ORANGE, PALE, axes_of, bounds, canvas, new_figure, scaled, styled
-from adaptmg.problem import checks
+from adaptmg.plot.style import (
+    BLUE,
+    BODY_COLORS,
+    GREY,
+    INK,
+    ORANGE,
+    PALE,
+    STATE_INKS,
+    axes_of,
+    bounds,
+    canvas,
+    halves,
+    new_figure,
+    plain,
+    scaled,
+    state_lines,
+    styled,
+    walks,
+)
+from adaptmg.plot.surfaces import draw_facets, finish_axes, view_of
 
-__all__ = ["grids", "mesh"]
-
+__all__ = ["adaptation", "grids", "mesh"]
 
 @styled
 def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = ()) -> Figure:
@@ -37,7 +59,7 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
     matplotlib.figure.Figure
     """
     checks.instance("drawn", drawn, MeshArrays, "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or "
-                    "adaptmg.mesh.user.as_mesh)")
+                    "adaptmg.mesh.read.as_mesh)")
     ax = canvas(ax, (5.4, 5.0), drawn.dim)
     _draw(drawn, ax, contact)
     ax.set_title(f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
@@ -111,3 +133,148 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
     ax.spines[:].set_visible(False)
     ax.set_xlabel(f"x [{unit}]")
     ax.set_ylabel(f"y [{unit}]")
+
+
+#: meshes drawn, and decades of the indicator told apart
+_MESHES, _DECADES = 3, 4
+
+
+@styled
+def adaptation(steps: Sequence[Step]) -> Figure:
+    """Draw an adaptive loop: three of its meshes with contact states, a map of the indicator, and how the error falls.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        Of :func:`adaptmg.adapt`, one at least.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Above the first mesh, one in the middle and the last; below the square root of each element's part of the
+        estimate on the last mesh, and the relative estimate against nodes and against seconds (meshes included), with
+        the rate that smooth solutions have.
+    """
+    steps = checks.items("steps", steps, Step, "Steps of am.adapt")
+    if not steps:
+        raise ValueError("steps is empty: give the steps of am.adapt, as in list(am.adapt(...))")
+    dim = steps[0].result.dim
+    figure = new_figure((10.5, 7.2))
+    shown = sorted({0, len(steps) // 2, len(steps) - 1})[:_MESHES]
+    kind = "3d" if dim == 3 else None
+    present: set[int] = set()
+    for k, number in enumerate(shown):
+        ax = figure.add_subplot(2, 3, k + 1, projection=kind)
+        present |= _mesh(ax, steps[number])
+        ax.set_title(f"step {number}: {steps[number].nodes} nodes", fontsize=9.5)
+    figure.legend(handles=state_lines(present), loc="outside upper right", ncols=3, fontsize=8.5)
+    _map(figure, figure.add_subplot(2, 3, 4, projection=kind), steps[-1])
+    nodes = np.array([step.nodes for step in steps], dtype=float)
+    relative = np.array([step.estimate.relative for step in steps])
+    left, right = figure.add_subplot(2, 3, 5), figure.add_subplot(2, 3, 6)
+    _falling(left, nodes, relative, "nodes")
+    if (relative > 0).all() and np.isfinite(relative[-1]) and nodes[-1] > nodes[0]:
+        guide = 1.35 * relative[-1] * (nodes / nodes[-1]) ** (-1 / dim)
+        left.plot(nodes, guide, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
+        middle = len(nodes) // 2
+        left.annotate(f"  nodes$^{{-1/{dim}}}$", (nodes[middle], guide[middle]), color=GREY, fontsize=8.5, va="bottom")
+    _falling(right, np.array([step.total_seconds for step in steps]), relative, "time, meshes included [s]")
+    figure.suptitle(plain(steps[-1].result.problem_name), fontsize=11)
+    return figure
+
+
+def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str) -> None:
+    shown = (x > 0) & (relative > 0) & np.isfinite(relative)
+    ax.loglog(x[shown], relative[shown], marker="o", color=BLUE)
+    ax.set_xlabel(name)
+    ax.set_ylabel(r"estimate / $\|u_h\|_A$ [-]")
+    ax.grid(True, which="both")
+    for axis, values in ((ax.xaxis, x[shown]), (ax.yaxis, relative[shown])):
+        decades = np.log10(values.max() / values.min()) if len(values) else 1.0
+        # labels of long numbers would run into each other, and short ranges would have one or none
+        subs = (1.0,) if decades > 2 else (1.0, 2.0, 5.0) if decades > 0.7 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+        axis.set_major_locator(LogLocator(subs=subs, numticks=20))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _mesh(ax: Axes, step: Step) -> set[int]:
+    """Draw a mesh and its contact surfaces in the colours of their states; returns the states that occur."""
+    mesh, contact = step.hierarchy.finest.mesh, step.result.contact
+    scale, unit = scaled(bounds(mesh.points)[2], "m")
+    points = mesh.points * scale
+    present: set[int] = set()
+    if mesh.dim == 3:
+        colors = to_rgba_array([PALE]).repeat(len(mesh.facets), axis=0)
+        touching = np.zeros(len(mesh.facets), dtype=bool)
+        for number, name in enumerate(contact.names):
+            state = _states(mesh, step, number)
+            here = mesh.facet_labels == mesh.boundaries.index(name)
+            here &= (state[mesh.facets] >= 0).all(axis=1)
+            of_facet = np.median(state[mesh.facets[here]], axis=1).astype(int)
+            colors[here] = to_rgba_array([STATE_INKS[code] for code in of_facet])
+            touching |= here
+            present |= set(of_facet.tolist())
+        draw_facets(ax, points[mesh.facets], colors)
+        _finish_3d(ax, points, unit, mesh.facets[touching])
+        return present
+    width = float(np.clip(14 / np.sqrt(len(mesh.elements)), 0.06, 0.6))
+    ax.add_collection(PolyCollection(points[mesh.elements], facecolor=PALE, edgecolor=INK, linewidth=width,
+                                     rasterized=len(mesh.elements) > 20_000))
+    for number, name in enumerate(contact.names):
+        state = _states(mesh, step, number)
+        facets = mesh.boundary_facets(name)
+        facets = facets[(state[facets] >= 0).all(axis=1)]
+        for ring in walks(facets):
+            segments, colors = halves(points[ring], state[ring])
+            ax.add_collection(LineCollection(segments, colors=colors, linewidths=2.8, capstyle="butt", zorder=4))
+        present |= set(state[facets].ravel().tolist())
+    _finish_2d(ax, unit)
+    return present
+
+
+def _states(mesh: MeshArrays, step: Step, number: int) -> np.ndarray:
+    """State of each node (n_nodes,) on a contact boundary, -1 elsewhere."""
+    contact = step.result.contact
+    state = np.full(mesh.n_nodes, -1)
+    mine = contact.boundary == number
+    state[contact.node[mine]] = contact.state[mine]
+    return state
+
+
+def _map(figure: Figure, ax: Axes, step: Step) -> None:
+    """The indicator of each element of the last mesh, in colours by decades."""
+    mesh, parts = step.hierarchy.finest.mesh, np.sqrt(step.estimate.squares)
+    scale, unit = scaled(bounds(mesh.points)[2], "m")
+    points, largest = mesh.points * scale, parts.max() or 1.0
+    lowest = max(parts.min(initial=largest, where=parts > 0), largest * 10.0**-_DECADES)
+    norm = LogNorm(vmin=min(lowest, 0.5 * largest), vmax=largest, clip=True)
+    colors = ScalarMappable(norm, "viridis")
+    if mesh.dim == 3:
+        at_node = np.zeros(mesh.n_nodes)
+        np.maximum.at(at_node, mesh.elements.ravel(), np.repeat(parts, 4))
+        draw_facets(ax, points[mesh.facets], colors.to_rgba(at_node[mesh.facets].min(axis=1)))
+        _finish_3d(ax, points, unit, mesh.facets[:0])
+    else:
+        ax.add_collection(PolyCollection(points[mesh.elements], facecolor=colors.to_rgba(parts), edgecolor="face",
+                                         linewidth=0.1, rasterized=True))
+        _finish_2d(ax, unit)
+    what = r"$\eta_E$ [$\sqrt{\mathrm{N\,m}}$]" if step.estimate.signed is None else r"$|\eta_E|^{1/2}$ of the goal"
+    figure.colorbar(colors, ax=ax, label=what, shrink=0.8)
+    ax.set_title(f"indicator, step {step.number}", fontsize=9.5)
+
+
+def _finish_2d(ax: Axes, unit: str) -> None:
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    ax.spines[:].set_visible(False)
+    ax.set_xlabel(f"x [{unit}]")
+    ax.set_ylabel(f"y [{unit}]")
+
+
+def _finish_3d(ax: Axes, points: np.ndarray, unit: str, facing: np.ndarray) -> None:
+    finish_axes(ax, points, unit)
+    if len(facing):
+        view_of(ax, points[facing])
+    # small axes would cover each other's labels
+    ax.set_axis_off()

@@ -1,24 +1,36 @@
-"""The look of all pictures: type, colours that the colour-blind can tell apart (Okabe and Ito), units on axes."""
+"""The look of all pictures: type, colours that the colour-blind can tell apart (Okabe and Ito), units on axes.
+
+Open, slip and stick in pictures: the same three colours everywhere, on curves, interfaces and backgrounds.
+
+Edges in a row: oriented boundary edges joined to polylines, and bodies as filled shapes.
+"""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.mathtext import MathTextParser
+from matplotlib.path import Path
 
-from adaptmg.runtime.text import printable
+from adaptmg._text import printable
+from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
 
-__all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "axes_of", "axis_names",
-           "bounds", "canvas", "label_text", "new_figure", "number", "plain", "quoted",
-           "scaled", "styled"]
+__all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "STATE_COLORS",
+           "STATE_INKS", "STATE_NAMES", "axes_of", "axis_names", "bounds", "canvas", "filled_path", "halves",
+           "label_text", "new_figure", "number", "plain", "quoted", "scaled", "shade", "state_colormap", "state_lines",
+           "stated_curve", "styled", "walks"]
 
 INK, GREY, PALE = "#1f2328", "#8a9099", "#eceef1"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
@@ -127,3 +139,115 @@ def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Lower and upper corner of points (n, dim), and the length of the diagonal."""
     lower, upper = points.min(axis=0), points.max(axis=0)
     return lower, upper, float(np.linalg.norm(upper - lower))
+
+
+#: pale enough to draw on
+STATE_COLORS = {OPEN: "#f1f2f4", SLIP: "#fbe3d3", STICK: "#d6e8f5"}
+#: strong enough for lines and marks
+STATE_INKS = {OPEN: "#9aa0a8", SLIP: "#e69f00", STICK: "#0072b2"}
+STATE_NAMES = {OPEN: "open", SLIP: "slip", STICK: "stick"}
+
+
+def state_colormap() -> tuple[ListedColormap, BoundaryNorm]:
+    """Colour map and norm of the codes 0, 1, 2."""
+    return ListedColormap([STATE_INKS[s] for s in (OPEN, SLIP, STICK)]), BoundaryNorm([-0.5, 0.5, 1.5, 2.5], 3)
+
+
+def shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
+    """Shade the background in runs of equal state; they meet half way between nodes.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+    position : (n,) array
+        Increasing, in units of the axis.
+    state : (n,) int array
+    """
+    starts = np.flatnonzero(np.diff(state, prepend=state[0] - 1))
+    ends = np.append(starts[1:], len(state)) - 1
+    for a, b in zip(starts, ends, strict=True):
+        left = position[a] if a == 0 else 0.5 * (position[a - 1] + position[a])
+        right = position[b] if b == len(state) - 1 else 0.5 * (position[b] + position[b + 1])
+        ax.axvspan(left, right, facecolor=STATE_COLORS[int(state[a])], edgecolor="none", linewidth=0, zorder=0)
+
+
+def halves(points: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """A polyline cut half way between its nodes, each half in the colour of its node.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+    state : (n,) int array
+
+    Returns
+    -------
+    segments : (2 (n - 1), 2, 2) array
+    colors : list of str
+    """
+    middle = 0.5 * (points[:-1] + points[1:])
+    segments = np.stack([np.stack([points[:-1], middle], 1), np.stack([middle, points[1:]], 1)], 1).reshape(-1, 2, 2)
+    codes = np.stack([state[:-1], state[1:]], 1).ravel()
+    return segments, [STATE_INKS[int(code)] for code in codes]
+
+
+def stated_curve(ax: Axes, position: np.ndarray, values: np.ndarray, state: np.ndarray, linewidth: float = 1.8) -> None:
+    """Draw values against position as a curve coloured by state; with marks where these can be told apart."""
+    segments, colors = halves(np.stack([position, values], 1), state)
+    ax.add_collection(LineCollection(segments, colors=colors, linewidths=linewidth, capstyle="round", zorder=3))
+    size = 9.0 if len(position) <= 150 else 0.0
+    ax.scatter(position, values, s=size, c=[STATE_INKS[int(code)] for code in state], linewidths=0, zorder=4)
+
+
+def state_lines(states: Iterable[int], linewidth: float = 3.0) -> list[Line2D]:
+    """Legend entries of coloured lines, for the states that occur."""
+    present = set(map(int, states))
+    return [Line2D([], [], color=STATE_INKS[s], linewidth=linewidth, label=STATE_NAMES[s])
+            for s in (OPEN, SLIP, STICK) if int(s) in present]
+
+
+def walks(edges: np.ndarray) -> list[np.ndarray]:
+    """Join oriented edges (n, 2) to walks of nodes, each edge used once.
+
+    Open walks come first, by the number of their first node; then rings, whose last node is their first (rings that
+    touch in a node are one).
+
+    Parameters
+    ----------
+    edges : (n, 2) int array
+        From node to node.
+
+    Returns
+    -------
+    list of int arrays
+    """
+    following: dict[int, list[int]] = defaultdict(list)
+    surplus: dict[int, int] = defaultdict(int)
+    for a, b in np.asarray(edges).tolist():
+        following[a].append(b)
+        surplus[a] += 1
+        surplus[b] -= 1
+
+    def walk_from(start: int) -> np.ndarray:
+        walk = [start]
+        while following[walk[-1]]:
+            walk.append(following[walk[-1]].pop())
+        return np.array(walk)
+
+    nodes = sorted(following)
+    found = [walk_from(node) for node in nodes for _ in range(max(surplus[node], 0))]
+    # what is left enters each node as often as it leaves it: a walk ends only where it began
+    return found + [walk_from(node) for node in nodes if following[node]]
+
+
+def filled_path(points: np.ndarray, rings: list[np.ndarray]) -> Path:
+    """One closed path of rings of nodes; holes run clockwise and stay empty.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+    rings : list of int arrays
+        As :func:`walks` returns them.
+    """
+    vertices = [points[ring] for ring in rings]
+    codes = [np.r_[Path.MOVETO, np.full(len(ring) - 2, Path.LINETO), Path.CLOSEPOLY] for ring in rings]
+    return Path(np.concatenate(vertices), np.concatenate(codes))

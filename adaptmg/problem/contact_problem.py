@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from adaptmg.problem import checks
-from adaptmg.problem.domains import Domain
+from adaptmg import _checks as checks
 from adaptmg.problem.laws import Law
 from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Support, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic
-from adaptmg.problem.obstacles import GapFunction, Plane
-from adaptmg.problem.pairs import ContactPair
+from adaptmg.problem.plane_domains import Domain
+from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
 
 __all__ = ["CONTACT", "Contact", "ContactProblem", "check_law"]
 

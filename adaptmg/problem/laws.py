@@ -17,7 +17,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from adaptmg.problem import checks
+from adaptmg import _checks as checks
 
 __all__ = ["Coulomb", "Frictionless", "Law", "Tresca"]
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.problem import checks
+from adaptmg import _checks as checks
 
 __all__ = ["BodyForce", "InitialStrain", "Load", "Pressure", "Support", "Traction"]
 

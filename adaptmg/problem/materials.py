@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from adaptmg.problem import checks
+from adaptmg import _checks as checks
 
 __all__ = ["Axisymmetric", "Elastic", "PlaneStrain", "PlaneStress", "Solid"]
 

@@ -2,8 +2,16 @@
 
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.residuals import contact_state, energy, natural_residual, normal_force, residual
-from adaptmg.smoother.state import OPEN, SLIP, STICK, ContactState
-from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact, local_system
+from adaptmg.smoother.system import (
+           OPEN,
+           SLIP,
+           STICK,
+           ContactState,
+           LocalProblem,
+           LocalSystem,
+           NodalContact,
+           local_system,
+)
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactState", "LocalProblem", "LocalSystem", "NodalContact",
            "ProjectedGaussSeidel", "Smoother", "contact_state", "energy", "local_system", "natural_residual",

@@ -16,12 +16,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from adaptmg.problem import checks
+from adaptmg import _checks as checks
 from adaptmg.smoother import kernels
-from adaptmg.smoother.arguments import check_contact, check_vector
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.compiling import notice
-from adaptmg.smoother.residuals import contact_share, normal_force
+from adaptmg.smoother.residuals import check_contact, check_vector, contact_share, normal_force
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
 __all__ = ["ProjectedGaussSeidel", "Smoother"]

@@ -11,6 +11,10 @@ All arrays are flat and the loop variables unsigned (no wrap-around tests), whic
 speed of memory. Arguments common to the kernels: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`); with the
 sizes of a :class:`~adaptmg.smoother.system.LocalSystem` ``indptr, indices, data, diagonal, inverse, contact_of``; of a
 NodalContact ``gap, reference`` (slip_reference, flat), ``limit, friction``; ``load`` and ``w`` (n_dofs,).
+
+Rows of a block matrix in kernels: times a vector, and transposed, in the direction in which a sweep goes.
+
+``zero`` and ``r`` tell the block size; see :mod:`adaptmg.smoother.blocks`.
 """
 
 from __future__ import annotations
@@ -19,12 +23,25 @@ import math
 
 import numpy as np
 
-from adaptmg.runtime.compiled import inner_kernel, kernel
-from adaptmg.smoother.blocks import add, in_loop, inner, over, plus_symmetric, read, scale, times, upper, write
+from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.smoother.blocks import (
+    add,
+    in_loop,
+    inner,
+    over,
+    plus_symmetric,
+    read,
+    scale,
+    subtract,
+    times,
+    transposed_times,
+    upper,
+    write,
+)
+from adaptmg.smoother.compiling import AHEAD, prefetch
 from adaptmg.smoother.node_solve import natural_at, read_reference, solve
-from adaptmg.smoother.rows import minus_row
 
-__all__ = ["energy", "natural_residual", "normal_residual", "residual", "sweep"]
+__all__ = ["energy", "minus_row", "minus_transposed_row", "natural_residual", "normal_residual", "residual", "sweep"]
 
 #: lines of the cache that a row fills (2D)
 LINES = 4
@@ -113,3 +130,46 @@ def _distance(w, reference):
     if len(w) == 2:
         return abs(w[1] - reference[0])
     return math.hypot(w[1] - reference[0], w[2] - reference[1])
+
+
+ONE = np.uint64(1)
+
+
+@in_loop
+def minus_row(i, step, indptr, indices, data, w, r, lines):
+    """R minus row i of a matrix (or half of one) times w.
+
+    ``step``, 1 or -1, is the direction in which the matrix is read. ``lines`` is how many lines of the cache a row
+    fills, about: in 1D and 2D they are asked for once a row, in 3D (whose blocks fill a line each) block by block.
+    """
+    dim = np.uint64(len(r))
+    size = dim * dim
+    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    if len(r) < 3:
+        ahead = np.int64(size) * begin + step * AHEAD
+        prefetch(data, ahead)
+        if lines > 1:
+            prefetch(data, ahead + np.int64(8))
+        if lines > 2:
+            prefetch(data, ahead + np.int64(16))
+            prefetch(data, ahead + np.int64(24))
+    first = begin if step > 0 else end - np.int64(1)
+    for entry in range(end - begin):
+        k = np.uint64(first + step * entry)
+        if len(r) == 3:
+            prefetch(data, np.int64(size * k) + step * AHEAD)
+        r = subtract(r, times(data, size * k, read(w, dim * np.uint64(indices[k]), r)))
+    return r
+
+
+@in_loop
+def minus_transposed_row(i, step, indptr, indices, data, d, w):
+    """W minus the transpose of row i of a half times d, in place."""
+    dim = np.uint64(len(d))
+    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    first = begin if step > 0 else end - np.int64(1)
+    for entry in range(end - begin):
+        k = np.uint64(first + step * entry)
+        j = dim * np.uint64(indices[k])
+        # all is read before anything is written: the compiler cannot know that w is none of the other arrays
+        write(w, j, subtract(read(w, j, d), transposed_times(data, dim * dim * k, d)))

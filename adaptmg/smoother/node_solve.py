@@ -41,7 +41,7 @@ import math
 
 import numpy as np
 
-from adaptmg.runtime.compiled import inner_kernel, kernel
+from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.smoother.blocks import in_loop, nothing, plus_symmetric, subtract
 
 __all__ = ["natural_at", "read_reference", "slip_3d", "solve", "solve_2d", "solve_3d"]

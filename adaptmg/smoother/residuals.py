@@ -11,22 +11,23 @@ exactly at the solution, Coulomb's law included; away from contact it is r.
 
 Each function is one pass over the matrix, but for :func:`normal_force` and :func:`contact_state`: these read only the
 rows of the contact nodes, the share :func:`contact_share` of a pass.
+
+The one check of arrays before they reach the kernels, which check nothing; it reads shapes and types only.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from adaptmg.smoother import kernels
-from adaptmg.smoother.arguments import check_contact, check_vector
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.compiling import notice
-from adaptmg.smoother.state import contact_codes, contact_states
-from adaptmg.smoother.system import LocalSystem, NodalContact
+from adaptmg.smoother.system import LocalSystem, NodalContact, contact_codes, contact_states
 
-__all__ = ["contact_share", "contact_state", "energy", "natural_at_nodes", "natural_residual", "normal_force",
-           "residual", "states"]
-
+__all__ = ["check_contact", "check_vector", "contact_share", "contact_state", "energy", "natural_at_nodes",
+           "natural_residual", "normal_force", "residual", "states"]
 
 def residual(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
     """The residual b - A w (dual), contact forces kept.
@@ -108,7 +109,7 @@ def contact_share(system: LocalSystem) -> float:
 
 def contact_state(system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
                   *, tolerance: float = 1e-12) -> np.ndarray:
-    """State of each contact node, as codes of :class:`~adaptmg.smoother.state.ContactState`.
+    """State of each contact node, as codes of :class:`~adaptmg.smoother.system.ContactState`.
 
     OPEN where there is a gap, or no compressive force; otherwise STICK where the slip is zero and the bound
     s + mu p is positive, and SLIP elsewhere (so a frictionless node that touches always slips). The smoother puts
@@ -178,3 +179,31 @@ def energy(system: LocalSystem, contact: NodalContact, load: np.ndarray, unknown
     notice(kernels.energy)
     return float(kernels.energy(ZERO[system.dim], system.indptr, system.indices, system.data, system.nodes,
                                 contact.slip_reference.reshape(-1), contact.limit, load, unknowns))
+
+
+def check_vector(name: str, value: Any, system: LocalSystem, *, changed: bool = False) -> None:
+    """Raise unless ``value`` is a contiguous float64 (n_dofs,) array; ``changed``: it must be writeable too."""
+    _check_array(name, value, (system.n_dofs,), f"one number a dof of the system with {system.n_nodes} nodes")
+    if changed and not value.flags.writeable:
+        raise ValueError(f"{name} is read-only but is changed in place: pass {name}.copy()")
+
+
+def check_contact(system: LocalSystem, contact: Any) -> None:
+    """Raise unless ``contact`` is a NodalContact whose arrays fit the contact nodes of ``system``."""
+    if not isinstance(contact, NodalContact):
+        raise TypeError(f"contact must be a NodalContact, got {type(contact).__name__}")
+    n = len(system.nodes)
+    meaning = f"there are {n} contact nodes"
+    for name in ("gap", "limit", "friction"):
+        _check_array(f"contact.{name}", getattr(contact, name), (n,), meaning)
+    _check_array("contact.slip_reference", contact.slip_reference, (n, system.dim - 1), meaning)
+
+
+def _check_array(name: str, value: Any, shape: tuple[int, ...], meaning: str) -> None:
+    if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+        given = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise TypeError(f"{name} must be a numpy array of float64, got {given}")
+    if value.shape != shape:
+        raise ValueError(f"{name} must have shape {shape} ({meaning}), got {value.shape}")
+    if not value.flags.c_contiguous:
+        raise ValueError(f"{name} must be contiguous: pass numpy.ascontiguousarray({name})")

@@ -3,22 +3,51 @@ r"""LocalSystem: a matrix in contact frames, fixed dofs eliminated, as the flat 
 At contact node i the unknowns are :math:`w = F_i u`, the rows of F_i being n, t (2D: t = n turned by +90 degrees) or
 n, t1, t2 (3D); elsewhere w = u. Fixed dofs are lifted off: :math:`w` counts from the prescribed values, the rows and
 columns of fixed dofs are zero but for the diagonal, so a kernel leaves them at zero.
+
+The state of a contact node: the codes of results, and the finer ones that the solvers keep.
+
+Results hold :class:`ContactState`. While they iterate, the solvers tell more: bit ``CLOSED``, set where the gap is
+closed, and under ``TANGENTIAL`` one of ``FREE`` (no friction acts), ``HELD`` (no slip), ``SLIPS`` (2D: in the direction
+of the tangent) and ``BACKWARDS`` (2D: against it). With the force p a node is OPEN where it is not closed or p = 0,
+elsewhere STICK where it is held and SLIP otherwise: :func:`contact_states`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 from scipy import sparse
 
-from adaptmg.discrete import ContactNodes, DiscreteProblem
-from adaptmg.transfer.aggregation import without_fixed
+from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
+from adaptmg.transfer.galerkin import without_fixed
 
-__all__ = ["LocalProblem", "LocalSystem", "NodalContact", "contact_blocks", "contact_lift",
-           "frames_of", "held_tangents", "inverse_blocks",
-           "local_contact", "local_system", "rotate"]
-
+__all__ = [
+    "BACKWARDS",
+    "CLOSED",
+    "FREE",
+    "HELD",
+    "OPEN",
+    "SLIP",
+    "SLIPS",
+    "STICK",
+    "TANGENTIAL",
+    "ContactState",
+    "LocalProblem",
+    "LocalSystem",
+    "NodalContact",
+    "contact_blocks",
+    "contact_codes",
+    "contact_lift",
+    "contact_states",
+    "frames_of",
+    "held_tangents",
+    "inverse_blocks",
+    "local_contact",
+    "local_system",
+    "rotate",
+]
 
 def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
     """Orthonormal frames at contact nodes.
@@ -315,3 +344,30 @@ def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) ->
     at = np.flatnonzero(in_column >= 0)
     data[at] = np.einsum("nij,nkj->nik", data[at], frames[in_column[at]])
     return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+class ContactState(IntEnum):
+    """State of a contact node: open, touching and slipping, or touching and sticking."""
+
+    OPEN = 0
+    SLIP = 1
+    STICK = 2
+
+
+OPEN, SLIP, STICK = ContactState
+
+CLOSED = 1
+FREE, HELD, SLIPS, BACKWARDS = 0, 2, 4, 6
+TANGENTIAL = 6
+
+
+def contact_codes(closed: np.ndarray, held: np.ndarray, backwards: np.ndarray | bool = False) -> np.ndarray:
+    """Codes (n,) int8 of nodes that are closed or not, and held or else slip; ``backwards`` counts where they slip."""
+    return (np.where(held, HELD, np.where(backwards, BACKWARDS, SLIPS)) + CLOSED * closed).astype(np.int8)
+
+
+def contact_states(codes: np.ndarray, normal_force: np.ndarray) -> np.ndarray:
+    """States (n,) int8 of nodes with these codes and the compressive forces p (n,), N."""
+    state = np.where(codes & TANGENTIAL == HELD, ContactState.STICK, ContactState.SLIP).astype(np.int8)
+    state[(codes & CLOSED == 0) | (normal_force == 0)] = ContactState.OPEN
+    return state

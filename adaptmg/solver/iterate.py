@@ -1,15 +1,30 @@
-"""iterate: the one loop over cycles, sweeps or Newton steps of every method."""
+r"""iterate: the one loop over cycles, sweeps or Newton steps of every method.
+
+When to stop: the algebraic error estimated from the measured rate, and the natural residual.
+
+With :math:`\delta_k` the A-norm of what step k changed, or an estimate of it, the rate is
+:math:`\rho_k = \delta_k/\delta_{k-1}`, and :math:`\rho` the larger of the last ratio and the geometric mean of the last
+three. Where the change itself is known, :math:`\delta_k = \|w_k - w_{k-1}\|_A`, the error that remains is estimated as
+:math:`\delta_k\,\rho/(1-\rho)`. A change alone says nothing: an iteration that creeps has a small change far from the
+solution. What the truncated multigrid estimates from: :mod:`adaptmg.solver.truncated_iteration`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from adaptmg.solver.result.status import Status
-from adaptmg.solver.run import Run
-from adaptmg.solver.stop_test import StopTest
+import numpy as np
+from scipy import sparse
 
-__all__ = ["Iteration", "iterate"]
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.smoother.residuals import natural_residual
+from adaptmg.smoother.system import LocalProblem
+from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
+from adaptmg.solver.record import Run
+from adaptmg.solver.status import Status
 
+__all__ = ["ChangeTest", "IterateTest", "Iteration", "StopTest", "iterate", "true_error"]
 
 class Iteration(Protocol):
     """What a method offers to the loop; it holds its unknowns.
@@ -56,3 +71,254 @@ def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status
             status = method.step(stop)
         if status is not None:
             return status
+
+
+class StopTest:
+    """Judges an iteration by its estimated error and residual.
+
+    Parameters
+    ----------
+    rtol : float
+        For the estimated relative A-norm error; the relative natural residual must be below ``RESIDUAL_FACTOR * rtol``.
+    limit : float
+        Cycles, sweeps or steps at most.
+    sizes : Sizes
+        What errors and residuals refer to.
+    certificate : callable, optional
+        By how many times the present iterate falls short of a tolerance, 0 if it does not; asked before a test that is
+        met is believed. Where it contradicts, the estimate is larger by that factor from then on; it is asked again
+        once that meets the tolerance, or after half as many cycles again.
+
+    Attributes
+    ----------
+    changes : list of float
+        What the steps changed, as far as it is known, A-norms.
+    size : float
+        A-norm of the displacement, as last measured.
+    residual, error_estimate : float
+        Relative, as last measured.
+    met : bool
+        Whether the last iterate is good enough.
+    """
+
+    #: the natural residual must fall below this multiple of rtol
+    RESIDUAL_FACTOR = 10.0
+    #: largest relative residual that rounding excuses
+    ROUNDING_LIMIT = 1e-9
+    #: iterates without a new smallest change, or residual, after which an iteration counts as stalled
+    PATIENCE = 60
+    #: what a stalled iteration is called
+    STALLED = Status.STALLED
+
+    def __init__(self, rtol: float, limit: float, sizes: Sizes,
+                 certificate: Callable[[float], float] | None = None) -> None:
+        self.rtol, self.limit, self.sizes = rtol, limit, sizes
+        self._certificate, self._caution, self._asked, self._rounding = certificate, 1.0, 0, False
+        self.changes: list[float] = []
+        self.size, self.residual, self.error_estimate, self.met = 0.0, np.inf, np.inf, False
+        self._last = np.nan
+
+    def verdict(self, cycles: int) -> Status | None:
+        """How the iteration ends after so many cycles; None if it goes on."""
+        if self.met and not self.doubted(cycles):
+            return Status.CONVERGED
+        if self.diverged:
+            return Status.DIVERGED
+        if self.stalled:
+            return self.STALLED
+        return Status.LIMIT if cycles >= self.limit else None
+
+    def idle(self, forces: float, floor: float, unknowns: np.ndarray) -> bool:
+        """Whether the acting forces (their norm, N) are mere rounding; ``floor`` as of :meth:`at_rounding`."""
+        return self.sizes.nothing_strains(forces, ROUNDING * floor, unknowns)
+
+    def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
+        """Take the norms of the natural residual and of the acting forces, N; estimate the error, and judge.
+
+        A residual at the rounding of ``floor`` (:meth:`at_rounding`) cannot be bettered; ``idle``: nor can the forces.
+        """
+        if idle and residual <= ROUNDING * floor:
+            residual = 0.0
+        self.residual = 0.0 if residual == 0 else residual / (forces or residual)  # an interference fit: no forces yet
+        self._last = residual
+        self._rounding = self.at_rounding(floor)
+        self.error_estimate = self.residual if self._rounding else self._caution * self._estimate()
+        self.met = self._rounding or self._small_enough()
+
+    def at_rounding(self, floor: float) -> bool:
+        """Whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N.
+
+        A large residual at the level of rounding is that of unknowns that have run away.
+        """
+        return self._last <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
+
+    @property
+    def residual_met(self) -> bool:
+        """Whether the last residual is small enough."""
+        return self.residual <= self.RESIDUAL_FACTOR * self.rtol
+
+    def doubted(self, cycles: int) -> bool:
+        """Whether the certificate contradicts a test that is met after so many cycles."""
+        if self._certificate is None or self._rounding:
+            return False
+        if self.error_estimate > self.rtol and cycles < 1.5 * self._asked:
+            return True
+        ratio, self._asked = self._certificate(self.rtol), cycles
+        if ratio == 0.0:
+            self.error_estimate = min(self.error_estimate, self.rtol)  # caution was too large
+        elif self.error_estimate < 1.5 * ratio * self.rtol:
+            self._caution *= max(2.0, 1.5 * ratio)
+        return ratio > 0.0
+
+    def measures(self) -> dict[str, float]:
+        """Relative residual, change and estimate at the last iterate."""
+        return {"residual": self.residual, "change": self.change, "error_estimate": self.error_estimate}
+
+    @property
+    def change(self) -> float:
+        """The last change, relative to the displacement where that has a size."""
+        change = self.changes[-1] if self.changes else np.nan
+        return change / self.size if self.size > 0 else change
+
+    @property
+    def rate(self) -> float:
+        """Geometric mean of the last (at most five) ratios of changes; NaN before the second change."""
+        return self._mean_ratio(5)
+
+    @property
+    def safe_rate(self) -> float:
+        """The larger of the last ratio and the mean of the last three; NaN if unknown."""
+        return max(self._mean_ratio(1), self._mean_ratio(3)) if len(self.changes) > 1 else np.nan
+
+    def _mean_ratio(self, window: int) -> float:
+        window = min(window, len(self.changes) - 1)
+        if window < 1:
+            return np.nan
+        first, last = self.changes[-1 - window], self.changes[-1]
+        if last == 0.0:
+            return 0.0
+        return float((last / first) ** (1 / window)) if first > 0 else np.inf
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the iterates grow without bound or are not finite."""
+        return not np.isfinite(self.residual) or self._ran_away()
+
+    @property
+    def stalled(self) -> bool:
+        """Whether the change has not reached a new minimum for ``PATIENCE`` iterates."""
+        return self._no_new_minimum(self.changes)
+
+    def _no_new_minimum(self, values: Sequence[float]) -> bool:
+        return len(values) > self.PATIENCE and int(np.argmin(values)) < len(values) - self.PATIENCE
+
+    def _small_enough(self) -> bool:
+        return self.error_estimate <= self._caution * self.rtol and self.residual_met
+
+    def _estimate(self) -> float:
+        """The error that remains, relative."""
+        rate = self.safe_rate
+        if not rate < 1:
+            return np.inf
+        return self.changes[-1] * rate / (1 - rate) / self.size if self.size > 0 else np.inf
+
+    def _ran_away(self) -> bool:
+        return len(self.changes) > 3 and not self.changes[-1] <= 1e6 * max(self.changes[:3])
+
+
+def true_error(error: np.ndarray, matrix: sparse.sparray | np.ndarray, problem: DiscreteProblem, run: Run) -> float:
+    """A-norm of an error (n_dofs,) over that of the reference of a run; its time is not counted."""
+    with run.untimed():
+        size = displacement_norm(problem, run.reference)
+        return energy_norm(error, matrix @ error) / size if size > 0 else np.nan
+
+
+class IterateTest(StopTest):
+    """Watches iterates at which the residual is known.
+
+    Parameters
+    ----------
+    local : LocalProblem
+    rtol, limit
+        See :class:`StopTest`.
+    run : Run, optional
+        With a reference, for the true error in :meth:`measures`.
+    reference : (n_dofs,) array, optional
+        The exact discrete solution in local components. Default: that of ``run``.
+    sizes : Sizes, optional
+        Where ``local`` is condensed; by default that of ``local``.
+    displacement : callable, optional
+        Makes the displacement of unknowns, for the certificate; without it that is not asked.
+    """
+
+    def __init__(self, local: LocalProblem, rtol: float, limit: float, run: Run | None = None,
+                 reference: np.ndarray | None = None, sizes: Sizes | None = None,
+                 displacement: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
+        super().__init__(rtol, limit, Sizes(local.discrete, local.frames) if sizes is None else sizes,
+                         None if displacement is None else self._shortfall)
+        self._displacement = displacement
+        if reference is None and run is not None and run.reference is not None:
+            reference = local.to_local(run.reference)
+        self.local, self.run, self.reference = local, run, reference
+        blocks = local.system.diagonal.reshape(-1, local.system.dim, local.system.dim)
+        self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
+        self._unknowns: np.ndarray | None = None
+        self._defect: np.ndarray | None = None
+
+    def _shortfall(self, rtol: float) -> float:
+        return self.run.shortfall(self._displacement(self._unknowns), rtol)
+
+    def take(self, unknowns: np.ndarray, defect: np.ndarray) -> None:
+        """Take an iterate and its residual b - A w (n_dofs,)."""
+        system = self.local.system
+        vector = natural_residual(system, self.local.contact, self.local.load, unknowns, defect)
+        reactions = defect.reshape(-1, system.dim)[system.nodes]
+        scale = self.sizes.forces(unknowns, euclidean_norm(reactions.reshape(-1)))
+        energy = float(np.einsum("i,i->", unknowns, self.local.load - defect))
+        self.size = self.sizes.norm(unknowns, energy)
+        if self._unknowns is not None:
+            self.changes.append(energy_norm(unknowns - self._unknowns, self._defect - defect))
+        self._unknowns, self._defect = unknowns.copy(), defect.copy()
+        floor, size = euclidean_norm(self._diagonal * unknowns), euclidean_norm(vector)
+        self.take_residual(size, scale, floor, size <= ROUNDING * floor and self.idle(scale, floor, unknowns))
+
+    def measures(self) -> dict[str, float]:
+        """Relative residual, change, estimate and (with a reference) true error at the last iterate."""
+        values = super().measures()
+        if self.reference is not None and self._unknowns is not None:
+            values["true_error"] = true_error(self._unknowns - self.reference, self.local.system.matrix,
+                                              self.local.discrete, self.run)
+        return values
+
+
+class ChangeTest(IterateTest):
+    """The paper's test: the Euclidean change in a cycle or sweep, relative to the iterate, and nothing else.
+
+    What it takes for converged is held against the residual at the end (:meth:`confirmed`).
+
+    Attributes
+    ----------
+    relative_change : float
+    finite : bool
+        Whether the last iterate is.
+    """
+
+    relative_change, finite = np.inf, True
+
+    def take_change(self, before: np.ndarray, unknowns: np.ndarray) -> None:
+        """Take two iterates (n_dofs,), one after the other."""
+        size = euclidean_norm(unknowns)
+        self.finite = bool(np.isfinite(size))
+        self.relative_change = euclidean_norm(unknowns - before) / size if size > 0 else 0.0
+
+    def verdict(self, cycles: int) -> Status | None:
+        """See :class:`StopTest`."""
+        if not (self.finite and self.relative_change < np.inf):
+            return Status.DIVERGED
+        if not self.relative_change > self.rtol:
+            return Status.CONVERGED
+        return Status.LIMIT if cycles >= self.limit else None
+
+    def confirmed(self, status: Status) -> Status:
+        """The status, unless the residual of the last iterate taken contradicts it."""
+        return Status.STALLED if status.ok and not self.residual_met else status

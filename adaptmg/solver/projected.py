@@ -1,32 +1,40 @@
-"""ProjectedMultigrid: cycles of contact problems on all levels, with nested start, for corrections that transport."""
+"""ProjectedMultigrid: cycles of contact problems on all levels, with nested start, for corrections that transport.
+
+Method: what runs the cycles of a multigrid method. A correction may bring its own.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.correction import InitialContact
-from adaptmg.multigrid.correction_levels import correction_levels
-from adaptmg.multigrid.cycle import Cycle, MultigridCycle
-from adaptmg.multigrid.nested import NestedStart, initial_contact, project, prolonged_start
+from adaptmg.multigrid.corrections import InitialContact, correction_levels
+from adaptmg.multigrid.cycle import (
+    CoarseSolve,
+    Cycle,
+    MultigridCycle,
+    NestedStart,
+    initial_contact,
+    project,
+    prolonged_start,
+)
+from adaptmg.smoother.gauss_seidel import Smoother
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
-from adaptmg.solver.iterate import iterate
-from adaptmg.solver.linear.condensation import Condensed, condense
-from adaptmg.solver.method import MultigridOptions
-from adaptmg.solver.result.status import Status
-from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.stop_test import ChangeTest, IterateTest
+from adaptmg.solver.factorisation import Condensed, condense
+from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
+from adaptmg.solver.record import Outcome, Run
+from adaptmg.solver.status import Status
 
-__all__ = ["ProjectedMultigrid"]
-
+__all__ = ["Method", "MultigridOptions", "ProjectedMultigrid", "need_levels", "own"]
 
 class ProjectedMultigrid:
     """One run of a multigrid method whose correction transports gap, slip and limit.
 
-    See :class:`~adaptmg.solver.method.Method`.
+    See :class:`~adaptmg.solver.projected.Method`.
 
     Parameters
     ----------
@@ -46,7 +54,7 @@ class ProjectedMultigrid:
         self.initial: list[InitialContact] = []
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
-        """See :class:`~adaptmg.solver.method.Method`."""
+        """See :class:`~adaptmg.solver.projected.Method`."""
         if self.options.correction.needs_initial:
             self.nested_start(NestedStart())
         local = self.problems[-1]
@@ -55,7 +63,7 @@ class ProjectedMultigrid:
         return self.finish(unknowns)
 
     def from_nested(self, start: NestedStart) -> Outcome:
-        """See :class:`~adaptmg.solver.method.Method`."""
+        """See :class:`~adaptmg.solver.projected.Method`."""
         return self.finish(self.nested_start(start))
 
     def runner(self, finest: int) -> MultigridCycle:
@@ -208,3 +216,66 @@ class _WholeCycles:
         self.parts.measure(stop)
         run.record(cycle=self.cycles, **self.row(stop))
         return stop.confirmed(status)
+
+
+class MultigridOptions(Protocol):
+    """What a method is asked for; :class:`adaptmg.Multigrid` says what each means.
+
+    Attributes
+    ----------
+    start : NestedStart or None
+        None where there is no nested start.
+    """
+
+    @property
+    def cycle(self) -> Cycle: ...
+
+    @property
+    def smoother(self) -> Smoother: ...
+
+    @property
+    def correction(self) -> Any: ...
+
+    @property
+    def coarse(self) -> CoarseSolve: ...
+
+    @property
+    def coarse_matrices(self) -> str: ...
+
+    @property
+    def stop(self) -> str: ...
+
+    @property
+    def rtol(self) -> float | str: ...
+
+    @property
+    def max_cycles(self) -> int: ...
+
+    @property
+    def start(self) -> NestedStart | None: ...
+
+
+class Method(Protocol):
+    """One run of a multigrid method."""
+
+    def from_given(self, start: np.ndarray | None) -> Outcome:
+        """Solve on the finest level from a displacement (n_nodes, dim), between bodies relative, or from zero."""
+
+    def from_nested(self, start: NestedStart) -> Outcome:
+        """Solve level by level from the coarsest."""
+
+
+def own(correction: Any, hook: str) -> Any:
+    """A hook of a correction that brings its own method, None where it has none.
+
+    ``method(options, hierarchy, run) -> Method`` makes what runs it, ``check_options(options)`` refuses options that it
+    does not take, ``load_steps(options)`` makes what goes from load step to load step.
+    """
+    found = getattr(correction, hook, None)
+    return found if callable(found) else None
+
+
+def need_levels(hierarchy: Hierarchy) -> None:
+    """Refuse a single level."""
+    if len(hierarchy) < 2:
+        raise ValueError("grids: multigrid needs at least two levels, got one; use SingleGrid or ActiveSet on one grid")

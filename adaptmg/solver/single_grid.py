@@ -9,19 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.correction import sliding_limit
-from adaptmg.multigrid.nested import project
-from adaptmg.problem import checks
+from adaptmg.multigrid.corrections import sliding_limit
+from adaptmg.multigrid.cycle import project
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, NodalContact, local_system
-from adaptmg.solver.iterate import iterate
-from adaptmg.solver.linear.condensation import Condensed, condense
-from adaptmg.solver.result.status import Status
-from adaptmg.solver.run import Outcome, Run
-from adaptmg.solver.sizes import Sizes
-from adaptmg.solver.stop_test import ChangeTest, IterateTest
+from adaptmg.solver.examine import Sizes
+from adaptmg.solver.factorisation import Condensed, condense
+from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
+from adaptmg.solver.record import Outcome, Run
+from adaptmg.solver.status import Status
 
 __all__ = ["SingleGrid"]
 
@@ -72,7 +71,7 @@ class SingleGrid:
         return ProjectedGaussSeidel(omega=self.omega, friction_update=self.friction_update)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level; see :class:`adaptmg.solver.run.Solver`."""
+        """Solve on the finest level; see :class:`adaptmg.solver.record.Solver`."""
         with run.phase("setup"):
             local = local_system(hierarchy.finest.discrete)
         problem, recover = local, None

@@ -1,32 +1,34 @@
-"""solve: one entry for every method."""
+"""solve: one entry for every method.
+
+What solve and solve_path do with their arguments.
+
+result_of: the Result of what a solver returned, its status confirmed.
+"""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.discrete import DiscreteProblem
-from adaptmg.discretisation.measures import StressData
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg._runtime import one_blas_thread
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.problem import checks
-from adaptmg.runtime.threads import one_blas_thread
-from adaptmg.solver.arguments import (
-    checked_outcome,
-    displacement_argument,
-    grids_argument,
-    solver_argument,
-)
-from adaptmg.solver.critical_friction import warn_of_large_friction, warn_of_several_solutions
-from adaptmg.solver.result import Result
-from adaptmg.solver.result.examiner import Examiner
-from adaptmg.solver.result.not_converged import NotConverged
-from adaptmg.solver.result.result_of import result_of
-from adaptmg.solver.run import Run, Solver
-from adaptmg.solver.statics import check_statics_of
+from adaptmg.solver.certificate import Certificate
+from adaptmg.solver.examine import Examiner
+from adaptmg.solver.iterate import StopTest
+from adaptmg.solver.record import Outcome, Run, Solver
+from adaptmg.solver.result import NotConverged, Result, problem_name, solver_name, versions
+from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
+from adaptmg.solver.status import Status
 
-__all__ = ["solve"]
-
+__all__ = ["checked_outcome", "default_solver", "displacement_argument", "grids_argument", "result_of", "solve",
+           "solver_argument"]
 
 @one_blas_thread()
 def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, start: np.ndarray | Result | None = None,
@@ -41,10 +43,10 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or one's own, optional
         Default ``FullMultigrid()``, where coarse levels are only spaces ``Multigrid()``, on one level
         ``SingleGrid()``. One's own offers ``run`` (see
-        :class:`adaptmg.solver.run.Solver`).
+        :class:`adaptmg.solver.record.Solver`).
     start : (n_nodes, dim) array or Result, optional
         Where to start, m; default zero. FullMultigrid makes its own start and refuses one. With Coulomb friction there
-        may be several solutions (:func:`~adaptmg.cases.leaning_strut` has three): starts from other solutions, of the
+        may be several solutions (:func:`~adaptmg.cases.blocks` has three): starts from other solutions, of the
         problem without friction or with more of it, say, show whether there are.
     reference : (n_nodes, dim) array or Result, optional
         The exact discrete solution, m: the history then has the true relative A-norm error (``true_error``).
@@ -86,3 +88,130 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     if throw and not result.status.ok:
         raise NotConverged(result)
     return result
+
+
+def default_solver(grids: Hierarchy) -> Solver:
+    """FullMultigrid, where coarse levels are only spaces Multigrid, on one level SingleGrid."""
+    from adaptmg.solver.multigrid import FullMultigrid, Multigrid
+    from adaptmg.solver.single_grid import SingleGrid
+
+    if len(grids) == 1:
+        return SingleGrid()
+    return FullMultigrid() if grids.discretised else Multigrid()
+
+
+def displacement_argument(name: str, value: np.ndarray | Result | None, discrete: DiscreteProblem) -> np.ndarray | None:
+    """A displacement (n_nodes, dim) or a Result as unknowns of the problem, checked."""
+    if value is None:
+        return None
+    given = value.displacement if isinstance(value, Result) else value
+    wanted = (discrete.n_nodes, discrete.dim)
+    array = check_arrays.array(name, given, wanted)
+    size = np.abs(array).max(initial=0.0)
+    if not size <= checks.VAST:
+        raise ValueError(f"{name} must be at most {checks.VAST:g} m, got {size:.3g}")
+    return np.array(discrete.relative(array))
+
+
+def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:
+    """A hierarchy; a bare DiscreteProblem becomes one of one level."""
+    if isinstance(value, DiscreteProblem):
+        return Hierarchy.single(value)
+    return checks.instance("grids", value, Hierarchy, "a Hierarchy or a DiscreteProblem")
+
+
+def solver_argument(value: Solver | None, grids: Hierarchy) -> Solver:
+    """A solver, the default one for None."""
+    if value is None:
+        return default_solver(grids)
+    words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer run()"
+    return checks.offers("solver", value, "run", words)
+
+
+def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) -> Outcome:
+    """What a solver, a user's own perhaps, returns; where its numbers are not finite the status says so.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is no Outcome, or has a displacement, status, count or tolerance of another type or shape.
+    """
+    name = f"solver: the run of {checks.shown(solver)} must return an Outcome"
+    if not isinstance(outcome, Outcome):
+        raise TypeError(f"{name}, got {checks.described(outcome)}")
+    displacement = outcome.displacement
+    kind = getattr(getattr(displacement, "dtype", None), "kind", "")
+    if kind not in "iuf" or not kind or displacement.size != discrete.n_dofs:
+        given = f"{displacement.dtype} {displacement.shape}" if kind else checks.shown(displacement)
+        raise TypeError(f"{name} whose displacement is a real array {(discrete.n_nodes, discrete.dim)}, got {given}")
+    if not isinstance(outcome.status, Status):
+        raise TypeError(f"{name} whose status is one of am.Status, got {checks.shown(outcome.status)}")
+    cycles = checks.integer(f"{name} whose cycles", outcome.cycles)
+    rtol = checks.nonnegative(f"{name} whose rtol", outcome.rtol)
+    if not rtol < 1:
+        raise ValueError(f"{name} whose rtol is < 1, got {checks.shown(outcome.rtol)}")
+    for what in ("error_estimate", "rate"):
+        value = getattr(outcome, what)
+        if not isinstance(value, (float, int, np.floating)) or isinstance(value, bool) or value < 0:
+            raise TypeError(f"{name} whose {what} is a number >= 0 or NaN, got {checks.shown(value)}")
+    finite = bool(np.isfinite(displacement).all())
+    return replace(outcome, cycles=cycles, rtol=rtol, status=outcome.status if finite else Status.DIVERGED)
+
+
+_LOG = logging.getLogger(__name__)
+
+
+def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, solver: Solver,
+              stress_data: StressData | None) -> Result:
+    """The Result on the finest level; what is examined must confirm the status.
+
+    Parameters
+    ----------
+    grids : Hierarchy
+    examiner : Examiner
+        Of the finest level.
+    run : Run
+        Of the solver.
+    outcome : Outcome
+        What it returned; between bodies relative.
+    solver : Solver
+        For its name.
+    stress_data : StressData or None
+        For the stresses.
+    """
+    with run.phase("certificate"):
+        found = examiner(outcome.displacement)
+    keys = dict.fromkeys(key for row in run.history for key in row)
+    history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
+    return Result(displacement=found.displacement, reaction=found.reaction, checked=found.checked,
+                  status=_confirmed(outcome, found.residual, found.checked, getattr(solver, "stop", "error")),
+                  cycles=outcome.cycles,
+                  contact=found.contact, work_units=run.work_units, residual=found.residual,
+                  error_estimate=float(np.fmax(outcome.error_estimate, found.checked.energy_error)),
+                  rate=outcome.rate, rtol=outcome.rtol, history=history,
+                  timings=run.timings, path=run.path, levels=grids.table(ratios=False),
+                  problem_name=problem_name(grids), solver_name=solver_name(solver, run), mesh=grids.finest.mesh,
+                  start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data,
+                  supports={} if grids.problem is None or grids.finest.mesh is None else grids.problem.held_components)
+
+
+def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
+    """The status of a solver, unless what it returned, examined here anew, contradicts it.
+
+    With the paper's test rtol is that of a change: the error is held against the multiple that the residual has.
+    """
+    if not np.isfinite(residual):
+        return Status.DIVERGED
+    wanted = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, StopTest.ROUNDING_LIMIT)
+    # twice: solvers sum the same numbers in another order
+    if outcome.status.ok and not residual <= 2 * wanted:
+        return Status.DIVERGED if not residual < 1 else Status.STALLED
+    factor = StopTest.RESIDUAL_FACTOR if stop == "change" else checked.ENERGY_FACTOR
+    found = checked.contradictions(outcome.rtol, factor)
+    if not checked.energy_error < 1:
+        found = *found, "energy error of the size of the solution"
+    if outcome.status.ok and found:
+        _LOG.info("said to be converged, contradicted by %s", ", ".join(found))
+        _LOG.debug("%s", checked)
+        return Status.STALLED
+    return outcome.status

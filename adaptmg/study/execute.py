@@ -3,25 +3,32 @@
 An executor takes a task (the run function and its limits) and the points to compute, and yields what is finished as
 lists of ``(point, outcome)``, in any order. The study stores each list when it comes, so what was yielded is never
 lost. :func:`in_turn` computes in this process; :mod:`adaptmg.study.cluster` on the workers of dask.
+
+The most memory that a process held since a moment, as the system counts it.
+
+The commit of adaptmg, where it runs from a git repository; read from its files, as git need not be installed.
 """
 
 from __future__ import annotations
 
 import platform
+import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
 from typing import Any
 
-from adaptmg.runtime.fingerprint import Fingerprint
-from adaptmg.runtime.text import printable
-from adaptmg.study.machine.memory import forget_peak, peak_memory
+from adaptmg._fingerprint import Fingerprint
+from adaptmg._text import printable
+from adaptmg.study.kept_files import Packed, pack
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, check_size, plain_results
-from adaptmg.study.stored.kept import Packed, pack
 
-__all__ = ["Execute", "Finished", "Point", "RunFunction", "Task", "compute", "error_text", "in_turn"]
+__all__ = ["Execute", "Finished", "Point", "RunFunction", "Task", "commit", "compute", "error_text", "forget_peak",
+           "held_memory", "in_turn", "peak_memory"]
 
 Point = dict[str, Value]
 RunFunction = Callable[..., Any]
@@ -142,3 +149,77 @@ def _sorted_out(returned: Any, point: Point) -> tuple[dict[str, Scalar], dict[st
     results = plain_results(returned, point)
     check_size(results)
     return results, packed
+
+
+def forget_peak() -> None:
+    """Count the peak anew from here, where the system can (Linux); elsewhere it stays that of the process."""
+    try:
+        with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
+            file.write("5")
+    except OSError:
+        return
+
+
+def peak_memory() -> int:
+    """The peak, bytes; 0 where the system does not say."""
+    if (told := _told_by_linux("VmHWM")) is not None:
+        return told
+    try:
+        import resource
+    except ImportError:
+        return 0
+    # Linux counts in units of 1024 bytes, macOS in bytes
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def held_memory() -> int:
+    """What the process holds now, bytes; 0 where the system does not say."""
+    if (told := _told_by_linux("VmRSS")) is not None:
+        return told
+    try:
+        import psutil
+    except ImportError:
+        return 0
+    return psutil.Process().memory_info().rss
+
+
+def _told_by_linux(name: str) -> int | None:
+    """A line of the status of this process, bytes; None elsewhere."""
+    try:
+        with open("/proc/self/status", encoding="ascii", errors="replace") as file:
+            for line in file:
+                if line.startswith(f"{name}:"):
+                    return 1024 * int(line.split()[1])
+    except (OSError, ValueError, IndexError):
+        pass
+    return None
+
+
+@cache
+def commit() -> str:
+    """Hexadecimal, empty where there is no repository."""
+    try:
+        return _head(Path(__file__).resolve().parents[2])
+    except (OSError, ValueError):
+        return ""
+
+
+def _head(root: Path) -> str:
+    git = root / ".git"
+    if git.is_file():  # a working tree beside its repository
+        git = root / git.read_text(encoding="utf-8").removeprefix("gitdir:").strip()
+    if not git.is_dir():
+        return ""
+    head = (git / "HEAD").read_text(encoding="utf-8").strip()
+    if not head.startswith("ref:"):
+        return head
+    name = head.removeprefix("ref:").strip()
+    common = git / "commondir"
+    base = git / common.read_text(encoding="utf-8").strip() if common.is_file() else git
+    for place in (git, base):
+        if (place / name).is_file():
+            return (place / name).read_text(encoding="utf-8").strip()
+    for line in (base / "packed-refs").read_text(encoding="utf-8").splitlines():
+        if line.endswith(f" {name}"):
+            return line.split()[0]
+    return ""

@@ -1,9 +1,14 @@
-"""Study: a function and points of its parameters give a table, by way of a durable store."""
+"""Study: a function and points of its parameters give a table, by way of a durable store.
+
+Checks of what a study is given: names, function, and the order in which runs are computed.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import inspect
 import logging
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,22 +16,17 @@ from typing import Any
 
 import pandas as pd
 
-from adaptmg.problem import checks
-from adaptmg.runtime.fingerprint import Fingerprint, environment, fingerprint
-from adaptmg.study import arguments
-from adaptmg.study.designs import Design, as_design
-from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, in_turn, now
-from adaptmg.study.frame import frame
-from adaptmg.study.machine.commit import commit
+from adaptmg import _checks as checks
+from adaptmg._fingerprint import Fingerprint, environment, fingerprint
+from adaptmg.study.designs import Design, as_design, stored_design
+from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, commit, in_turn, now
+from adaptmg.study.kept_files import Folder
 from adaptmg.study.progress import Watch, watched
-from adaptmg.study.record import Record, Value, canonical, parameter_value
-from adaptmg.study.status import StudyStatus, reasons
-from adaptmg.study.store import Store
-from adaptmg.study.stored.design import stored_design
-from adaptmg.study.stored.kept import Folder
-from adaptmg.study.stored.rows import uncollected
+from adaptmg.study.record import DETAILS, RESERVED, Record, StudyStatus, Value, canonical, parameter_value, reasons
+from adaptmg.study.store import Store, uncollected
+from adaptmg.study.tables import frame
 
-__all__ = ["Study"]
+__all__ = ["Study", "check_names", "check_run_function", "in_order"]
 
 _log = logging.getLogger(__name__)
 #: parts of fingerprints as runs of this process left them, and as they were before
@@ -41,7 +41,7 @@ class Study:
     Each run is stored when it ends. A study that is run again takes what is stored and computes the rest: points
     never reached, points that failed, and points that are stale, which means that something changed on which a run
     depends: code and values that the run function reads, the modules of adaptmg it can reach, a version of a package
-    (:mod:`adaptmg.runtime.fingerprint.fingerprint` says what is seen and what is not, such as data files and
+    (:mod:`adaptmg._fingerprint` says what is seen and what is not, such as data files and
     environment variables, which ``depends`` can name; :meth:`status` what changed).
 
     Parameters
@@ -82,19 +82,19 @@ class Study:
     def __init__(self, run: RunFunction, parameters: Mapping[str, Sequence[Value]] | Design | None = None,
                  store: str | os.PathLike[str] | None = None, *, name: str | None = None,
                  fixed: Mapping[str, Value] | None = None, depends: Mapping[str, Any] | None = None) -> None:
-        arguments.check_run_function(run)
+        check_run_function(run)
         self._function, self._depends = run, dict(depends or {})
         self.fixed = {key: parameter_value(key, value) for key, value in (fixed or {}).items()}
         self.name = run.__name__ if name is None else checks.boundary_name("name", name)
         self.design: Design | None = None if parameters is None else as_design("parameters", parameters)
         if self.design is not None:
-            arguments.check_names(run, self.design.names, self.fixed)
+            check_names(run, self.design.names, self.fixed)
         self._fingerprint()
         self._store = Store(store)
         self._files = Folder(self._store.path)
         if self.design is None:
             self.design = stored_design(self._store, self.name, self.fixed)
-            arguments.check_names(run, self.design.names, self.fixed)
+            check_names(run, self.design.names, self.fixed)
 
     def __len__(self) -> int:
         return len(self.design)
@@ -190,7 +190,7 @@ class Study:
         todo = [point for point in points
                 if rerun or self._state(stored.get(canonical(point)), found, versions)
                 not in (("done",) if retry_failed else ("done", "failed"))]
-        todo = arguments.in_order(todo, cost, stored)
+        todo = in_order(todo, cost, stored)
         _log.info("study %s: %d of %d runs to compute", self.name, len(todo), len(points))
         if todo:
             task = Task(self._function, found, tuple(self._depends), **limits)
@@ -336,3 +336,61 @@ def _on_workers(workers: int | None, scheduler: Any, runs: int) -> Iterator[Exec
 
     with opened(workers, scheduler, runs) as execute:
         yield execute
+
+
+Cost = Callable[[Point], float] | str
+
+
+def check_run_function(run: Any) -> None:
+    """TypeError for what is no plain function: of other callables one cannot tell what they depend on."""
+    if not inspect.isfunction(run):
+        raise TypeError(f"run must be a plain function (def), got {run!r}; give constants with fixed={{...}}")
+    if inspect.iscoroutinefunction(run) or inspect.isgeneratorfunction(run) or inspect.isasyncgenfunction(run):
+        raise TypeError(f"run must return a dict, but {run.__name__} is a generator or a coroutine")
+
+
+def check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Any]) -> None:
+    """Names that are taken twice, or that the function does not take."""
+    for name in (*fixed, *names):
+        if not isinstance(name, str):
+            raise TypeError(f"the names of parameters must be strings, got {checks.shown(name)}")
+        if name in RESERVED or name in DETAILS:
+            raise ValueError(f"parameter {name!r} has the name of a column of the study: rename it")
+    if set(names) & set(fixed):
+        raise ValueError(f"{sorted(set(names) & set(fixed))} are both in parameters and in fixed")
+    given = [*fixed, *names]
+    try:
+        inspect.signature(run).bind(**dict.fromkeys(given))
+    except TypeError as error:
+        raise TypeError(f"the run function {run.__name__}{inspect.signature(run)} does not take the parameters "
+                        f"{', '.join(given)}: {error}") from None
+
+
+def in_order(points: list[Point], cost: Cost | None, stored: Mapping[str, Record]) -> list[Point]:
+    """The most expensive runs first, so that none of them is started when the others are done.
+
+    Parameters
+    ----------
+    points : list of dict
+    cost : callable, str or None
+        A function of the point; the name of a parameter; or that of a result or ``"seconds"``, taken from what is
+        stored. None: as they come.
+    stored : mapping
+        Records by :func:`canonical` parameters.
+    """
+    if cost is None or not points:
+        return points
+    if not (callable(cost) or isinstance(cost, str)):
+        raise TypeError(f"cost must be a function of a point, or the name of a column, got {checks.described(cost)}")
+
+    def of(point: Point) -> float:
+        if callable(cost):
+            return checks.number("cost", cost(dict(point)))
+        if cost in point:
+            return checks.number(f"cost: parameter {cost!r}", point[cost])
+        record = stored.get(canonical(point))
+        value = None if record is None else record.seconds if cost == "seconds" else record.results.get(cost)
+        # what is not known may be long
+        return float(value) if isinstance(value, int | float) and not math.isnan(value) else math.inf
+
+    return sorted(points, key=of, reverse=True)

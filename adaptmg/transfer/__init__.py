@@ -4,7 +4,6 @@ Loads no ngsolve.
 """
 
 from adaptmg.geometry.location import Location
-from adaptmg.transfer.aggregation import aggregated_prolongations, without_fixed
 from adaptmg.transfer.constraints import (
     Supports,
     injected_gap,
@@ -17,13 +16,9 @@ from adaptmg.transfer.constraints import (
     supports,
 )
 from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
-from adaptmg.transfer.galerkin import galerkin_product, is_galerkin
-from adaptmg.transfer.interpolation import Interpolation
-from adaptmg.transfer.location import PointLocator
-from adaptmg.transfer.mesh_ratio import mesh_ratio, size_ratio
-from adaptmg.transfer.projections.l2 import L2, LumpedL2, PseudoL2, QuasiInterpolation
-from adaptmg.transfer.protocol import Transfer
-from adaptmg.transfer.rows import CLIP
+from adaptmg.transfer.galerkin import aggregated_prolongations, galerkin_product, is_galerkin, without_fixed
+from adaptmg.transfer.interpolation import CLIP, Interpolation, PointLocator, Transfer, mesh_ratio, size_ratio
+from adaptmg.transfer.projections import L2, LumpedL2, PseudoL2, QuasiInterpolation
 
 __all__ = [
     "CLIP",

@@ -21,6 +21,10 @@ and contact rows that interpolate from coarse contact nodes only (:mod:`adaptmg.
 Source of the setting: the paper's correction problem, steps a-g; its other choices are here too, under the names
 ``largest_gap`` and ``injected_...``, and guarantee nothing. A nodal limit is a force and is summed, never
 interpolated; a pressure is interpolated, from coarse to fine, in nested iteration.
+
+Kernels of the transport of contact data: minima over the supports S_k of the columns of P.
+
+``indptr``, ``nodes`` hold S_k as in a CSC matrix; results are written to the last argument.
 """
 
 from __future__ import annotations
@@ -30,12 +34,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg.problem import checks
-from adaptmg.transfer import constraint_kernels as kernels
+from adaptmg import _checks as checks
+from adaptmg._runtime import kernel
 
-__all__ = ["Supports", "injected_gap", "injected_limit", "injected_slip", "largest_gap",
-           "minmod_slip", "smallest_gap", "summed_limit", "supports"]
-
+__all__ = ["Supports", "injected_gap", "injected_limit", "injected_slip", "largest", "largest_gap", "minmod_line",
+           "minmod_plane", "minmod_slip", "smallest", "smallest_gap", "summed_limit", "supports"]
 
 @dataclass(frozen=True, eq=False)
 class Supports:
@@ -119,7 +122,7 @@ def smallest_gap(P_cc: sparse.csr_array | Supports, opening: np.ndarray) -> np.n
     """
     sets = supports(P_cc)
     result = np.empty(len(sets.main))
-    kernels.smallest(sets.indptr, sets.nodes, _over_fine("opening", opening, sets.n_fine), result)
+    smallest(sets.indptr, sets.nodes, _over_fine("opening", opening, sets.n_fine), result)
     return result
 
 
@@ -127,7 +130,7 @@ def largest_gap(P_cc: sparse.csr_array | Supports, opening: np.ndarray) -> np.nd
     """The paper's bound read literally ('smallest u_n'): max over S_k; as :func:`smallest_gap`. Stalls or cycles."""
     sets = supports(P_cc)
     result = np.empty(len(sets.main))
-    kernels.largest(sets.indptr, sets.nodes, _over_fine("opening", opening, sets.n_fine), result)
+    largest(sets.indptr, sets.nodes, _over_fine("opening", opening, sets.n_fine), result)
     return result
 
 
@@ -167,9 +170,9 @@ def minmod_slip(P_cc: sparse.csr_array | Supports, slip: np.ndarray, stick: np.n
         raise ValueError(f"angle must be >= 0 and below pi/2, got {angle!r}")
     result = np.empty((len(sets.main), slip.shape[1]))
     if slip.shape[1] == 1:
-        kernels.minmod_line(sets.indptr, sets.nodes, slip[:, 0], mask, result[:, 0])
+        minmod_line(sets.indptr, sets.nodes, slip[:, 0], mask, result[:, 0])
     else:
-        kernels.minmod_plane(sets.indptr, sets.nodes, slip, mask, np.sin(angle), result)
+        minmod_plane(sets.indptr, sets.nodes, slip, mask, np.sin(angle), result)
     return result
 
 
@@ -206,3 +209,63 @@ def injected_limit(P_cc: sparse.csr_array | Supports, limit: np.ndarray) -> np.n
     """
     sets = supports(P_cc)
     return sets.injected(_over_fine("limit", limit, sets.n_fine), 0.0)
+
+
+@kernel
+def smallest(indptr, nodes, values, result):
+    """Minimum over S_k, +inf where it is empty."""
+    for k in range(len(indptr) - 1):
+        result[k] = np.inf
+        for at in range(indptr[k], indptr[k + 1]):
+            result[k] = min(result[k], values[nodes[at]])
+
+
+@kernel
+def largest(indptr, nodes, values, result):
+    """Maximum over S_k, +inf where it is empty."""
+    for k in range(len(indptr) - 1):
+        result[k] = np.inf if indptr[k] == indptr[k + 1] else -np.inf
+        for at in range(indptr[k], indptr[k + 1]):
+            result[k] = max(result[k], values[nodes[at]])
+
+
+@kernel
+def minmod_line(indptr, nodes, slip, stick, result):
+    """2D: the slip of smallest magnitude, 0 unless all slips in S_k have one sign and none sticks."""
+    for k in range(len(indptr) - 1):
+        result[k] = 0.0
+        for at in range(indptr[k], indptr[k + 1]):
+            i = nodes[at]
+            value = slip[i]
+            first = at == indptr[k]
+            if stick[i] or value == 0.0 or (not first and (value > 0.0) != (result[k] > 0.0)):
+                result[k] = 0.0
+                break
+            if first or abs(value) < abs(result[k]):
+                result[k] = value
+
+
+@kernel
+def minmod_plane(indptr, nodes, slip, stick, sine, result):
+    """3D: the shortest slip, 0 unless all slips in S_k point its way within an angle below 90 degrees."""
+    for k in range(len(indptr) - 1):
+        result[k, 0], result[k, 1] = 0.0, 0.0
+        shortest, length = -1, np.inf
+        for at in range(indptr[k], indptr[k + 1]):
+            i = nodes[at]
+            norm = 0.0 if stick[i] else np.hypot(slip[i, 0], slip[i, 1])
+            if norm < length:
+                shortest, length = i, norm
+        if shortest < 0 or length == 0.0:
+            continue
+        parallel = True
+        for at in range(indptr[k], indptr[k + 1]):
+            i = nodes[at]
+            scale = length * np.hypot(slip[i, 0], slip[i, 1])
+            dot = slip[i, 0] * slip[shortest, 0] + slip[i, 1] * slip[shortest, 1]
+            cross = slip[i, 0] * slip[shortest, 1] - slip[i, 1] * slip[shortest, 0]
+            if not dot > 0.0 or abs(cross) > sine * scale:
+                parallel = False
+                break
+        if parallel:
+            result[k, 0], result[k, 1] = slip[shortest, 0], slip[shortest, 1]

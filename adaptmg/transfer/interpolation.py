@@ -3,20 +3,184 @@ r"""Point interpolation: the coarse function evaluated at the fine nodes.
 .. math:: P_{ij} = \varphi^c_j(x_i)
 
 A fine node outside the coarse mesh takes the value at the closest point of the coarse mesh.
+
+What a transfer is: an object that builds the prolongation between two meshes.
+
+.. math:: u_f(x_i) \leftarrow \sum_j P_{ij}\, u_c(x_j), \qquad \sum_j P_{ij} = 1
+
+P acts on nodal values (primal), component by component; its transpose restricts residuals (dual).
+
+Points located in a mesh, and the nodes of a fine mesh in a coarse one, body by body.
+
+Rows of a prolongation: made from weights, freed of tiny entries, corrected to keep their sums and moments.
+
+After entries have been dropped, the rest :math:`p_j` of a row is changed by the smallest :math:`\delta_j` (least
+squares) that restores the sum and, where asked for, the first moments :math:`m` the row had before:
+
+.. math:: \min \sum_j \delta_j^2 \quad\text{with}\quad \sum_j (p_j + \delta_j)\, q_j = m, \qquad
+          q_j = (1, (x_j - x_i)/h_i), \qquad \delta_j = q_j \cdot G^{-1} \Big(m - \sum_j p_j q_j\Big),\;
+          G = \sum_j q_j q_j^T ,
+
+where :math:`h_i` is a size of the mesh: a single coarse node that is left may equal the fine node up to rounding, and
+its distance is no scale.
+
+mesh_ratio: how much finer a mesh is than the next coarser one, element by element.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
+import numpy as np
 from scipy import sparse
 
-from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import checks
-from adaptmg.transfer.location import OUTSIDE_TOLERANCE, locate_nodes
-from adaptmg.transfer.rows import csr_from_weights
+from adaptmg import _checks as checks
+from adaptmg._runtime import kernel
+from adaptmg.geometry.location import Location, SimplexLocator
+from adaptmg.mesh.arrays import MeshArrays, longest_edges
 
-__all__ = ["Interpolation"]
+__all__ = [
+    "CLIP",
+    "OUTSIDE_TOLERANCE",
+    "Interpolation",
+    "PointLocator",
+    "Transfer",
+    "body_locators",
+    "clipped_rows",
+    "csr_from_weights",
+    "dropped",
+    "locate_nodes",
+    "mesh_ratio",
+    "nodes_of_bodies",
+    "normalised",
+    "size_ratio",
+]
+
+@runtime_checkable
+class Transfer(Protocol):
+    """Anything with this method can be given as ``transfer=``."""
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse); rows should sum to 1, or rigid translations are not reproduced."""
+
+
+OUTSIDE_TOLERANCE = 0.25
+"""How far outside the coarse mesh a fine node may lie, over the size of the nearest element. A chord of a curved
+boundary misses the arc by less; different units, a shifted body or a missing part do not."""
+
+
+class PointLocator(SimplexLocator):
+    """Finds points in a mesh; see :class:`~adaptmg.geometry.location.SimplexLocator`.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        Triangles or tetrahedra.
+    body : int, optional
+        Look only at the elements of this body (index into ``mesh.bodies``): where two bodies touch, a point lies in
+        both. Default: all elements.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No MeshArrays; no elements (of that body); an element without volume.
+    """
+
+    def __init__(self, mesh: MeshArrays, body: int | None = None) -> None:
+        if not isinstance(mesh, MeshArrays):
+            raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}")
+        chosen = None if body is None else np.flatnonzero(mesh.element_body == body)
+        if len(mesh.elements if chosen is None else chosen) == 0:
+            whose = "mesh has no elements" if body is None else f"body {body} of the mesh has no elements"
+            raise ValueError(f"mesh: {whose}")
+        super().__init__(mesh.points, mesh.elements, chosen)
+        self.mesh = mesh
+
+
+def nodes_of_bodies(mesh: MeshArrays, name: str = "fine") -> np.ndarray:
+    """Body of each node (n_nodes,), the first where bodies share one; ValueError if a node belongs to no element."""
+    body = np.full(mesh.n_nodes, -1, dtype=np.int64)
+    corners = mesh.elements.shape[1]
+    body[mesh.elements.ravel()[::-1]] = np.repeat(mesh.element_body, corners)[::-1]
+    if (body < 0).any():
+        raise ValueError(f"{name}: node {np.argmax(body < 0)} belongs to no element; remove unused nodes")
+    return body
+
+
+def body_locators(coarse: MeshArrays, fine: MeshArrays, names: tuple[str, str] = ("coarse", "fine")
+                  ) -> list[tuple[int | None, PointLocator]]:
+    """Pairs of a body of ``fine`` (None: all of it) and the locator in the coarse mesh of the same body.
+
+    Parameters
+    ----------
+    coarse, fine : MeshArrays
+        The mesh to search and the mesh of the points.
+    names : tuple of str
+        What messages call them.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No meshes; different dimensions; a body that only the fine mesh has.
+    """
+    for name, mesh in zip(names, (coarse, fine), strict=True):
+        if not isinstance(mesh, MeshArrays):
+            raise TypeError(f"{name} must be MeshArrays, got {type(mesh).__name__}")
+    if coarse.dim != fine.dim:
+        raise ValueError(f"{names[0]} and {names[1]} must have the same dimension, got {coarse.dim} and {fine.dim}")
+    if len(fine.bodies) == len(coarse.bodies) == 1:
+        return [(None, PointLocator(coarse))]
+    pairs = []
+    for index in np.unique(fine.element_body):
+        body = fine.bodies[index]
+        if body not in coarse.bodies:
+            raise ValueError(f"{names[0]}: no body {body!r}, which {names[1]} has; its bodies are "
+                             f"{', '.join(coarse.bodies)}")
+        pairs.append((int(index), PointLocator(coarse, coarse.bodies.index(body))))
+    return pairs
+
+
+def locate_nodes(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float,
+                 names: tuple[str, str] = ("coarse", "fine")) -> Location:
+    """Locate every fine node in the coarse elements of its body.
+
+    Parameters
+    ----------
+    coarse, fine : MeshArrays
+        The mesh to search and the mesh of the points.
+    outside_tolerance : float
+        Largest distance from the coarse mesh allowed, over the size (longest edge) of the nearest coarse element.
+    names : tuple of str
+        What messages call the meshes.
+
+    Raises
+    ------
+    ValueError
+        A node lies further outside; names the node, its position and distance.
+    """
+    locators = body_locators(coarse, fine, names)
+    element = np.empty(fine.n_nodes, dtype=np.int32)
+    weights, distance = np.empty((fine.n_nodes, fine.dim + 1)), np.empty(fine.n_nodes)
+    body_of = None if locators[0][0] is None else nodes_of_bodies(fine, names[1])
+    for body, locator in locators:
+        nodes = slice(None) if body is None else np.flatnonzero(body_of == body)
+        found = locator.locate(fine.points[nodes])
+        element[nodes], weights[nodes], distance[nodes] = found.element, found.weights, found.distance
+    outside = np.flatnonzero(distance > 0)
+    if not len(outside):
+        return Location(element=element, weights=weights, distance=distance)
+    relative = distance[outside] / coarse.element_sizes[element[outside]]
+    if (relative > outside_tolerance).any():
+        worst = int(np.argmax(relative))
+        node = outside[worst]
+        raise ValueError(
+            f"{names[1]} node {node} at {tuple(float(c) for c in fine.points[node])} lies {distance[node]:.3g} m "
+            f"outside the {names[0]} mesh, {relative[worst]:.3g} of the element size there (outside_tolerance is "
+            f"{outside_tolerance:g}; {np.count_nonzero(relative > outside_tolerance)} nodes exceed it): do both meshes "
+            f"describe the same body in the same units? If so, refine the {names[0]} mesh at the curved boundary or "
+            "raise outside_tolerance")
+    return Location(element=element, weights=weights, distance=distance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,3 +211,240 @@ class Interpolation:
         """
         found = locate_nodes(coarse, fine, self.outside_tolerance)
         return csr_from_weights(coarse.elements[found.element], found.weights, coarse.n_nodes)
+
+
+CLIP = 1e-10
+"""Weights smaller than this are removed: they would put spurious nodes into minima over the support of P."""
+
+_REACHED = 1e-10
+"""A sum, or a first moment over the size of its row, that differs by less from what is asked for is restored."""
+
+
+@kernel
+def _fill_rows(columns, weights, clip, indptr, indices, data):
+    """Rows in column order without entries below ``clip``, normalised; returns the number of entries."""
+    n, k = columns.shape
+    count = 0
+    for i in range(n):
+        indptr[i] = count
+        total = 0.0
+        for m in range(k):
+            if weights[i, m] < clip:
+                continue
+            at = count
+            while at > indptr[i] and indices[at - 1] > columns[i, m]:
+                indices[at], data[at] = indices[at - 1], data[at - 1]
+                at -= 1
+            indices[at], data[at] = columns[i, m], weights[i, m]
+            total += weights[i, m]
+            count += 1
+        for at in range(indptr[i], count):
+            data[at] /= total
+    indptr[n] = count
+    return count
+
+
+def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -> sparse.csr_array:
+    """Sparse rows from a fixed number of weights each.
+
+    Parameters
+    ----------
+    columns : (n, k) array of int
+        Distinct within a row.
+    weights : (n, k) array
+        >= 0; those below ``CLIP`` are left out and the rest of the row normalised.
+    n_columns : int
+
+    Returns
+    -------
+    (n, n_columns) csr_array
+        Sorted, row sums 1.
+    """
+    n, k = columns.shape
+    indptr = np.empty(n + 1, dtype=np.int32)
+    indices, data = np.empty(n * k, dtype=np.int32), np.empty(n * k)
+    count = _fill_rows(columns, weights, CLIP, indptr, indices, data)
+    return sparse.csr_array((data[:count].copy(), indices[:count].copy(), indptr), shape=(n, n_columns))
+
+
+@kernel
+def _drop(indptr, indices, data, tolerance, new_indptr, new_indices, new_data):
+    count = 0
+    for i in range(len(indptr) - 1):
+        new_indptr[i] = count
+        for at in range(indptr[i], indptr[i + 1]):
+            if abs(data[at]) >= tolerance:
+                new_indices[count], new_data[count] = indices[at], data[at]
+                count += 1
+    new_indptr[-1] = count
+    return count
+
+
+def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
+    """A copy without entries whose magnitude is below ``tolerance``."""
+    indptr, indices, data = np.empty_like(matrix.indptr), np.empty_like(matrix.indices), np.empty_like(matrix.data)
+    count = _drop(matrix.indptr, matrix.indices, matrix.data, tolerance, indptr, indices, data)
+    return sparse.csr_array((data[:count].copy(), indices[:count].copy(), indptr), shape=matrix.shape)
+
+
+def normalised(matrix: sparse.csr_array) -> sparse.csr_array:
+    """A copy with row sums 1; ValueError if a row is empty."""
+    sums = matrix.sum(axis=1)
+    if (sums == 0).any():
+        raise ValueError(f"row {np.argmax(sums == 0)} of the prolongation is empty: the fine node lies in no part of "
+                         "the coarse mesh")
+    data = matrix.data / np.repeat(sums, np.diff(matrix.indptr))
+    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+@kernel
+def _moment_systems(indptr, indices, data, points, centres, target, gram, defect, scale):
+    """Gram matrices G and moment defects of every row; ``scale`` grows to the extent of the row, if that is larger."""
+    dim = points.shape[1]
+    q = np.ones(dim + 1)
+    for i in range(len(indptr) - 1):
+        for at in range(indptr[i], indptr[i + 1]):
+            for c in range(dim):
+                scale[i] = max(scale[i], abs(points[indices[at], c] - centres[i, c]))
+        gram[i] = 0.0
+        defect[i, 0] = target[i, 0]
+        for c in range(dim):
+            defect[i, c + 1] = target[i, c + 1] / scale[i]
+        for at in range(indptr[i], indptr[i + 1]):
+            for c in range(dim):
+                q[c + 1] = (points[indices[at], c] - centres[i, c]) / scale[i]
+            for r in range(dim + 1):
+                defect[i, r] -= data[at] * q[r]
+                for s in range(dim + 1):
+                    gram[i, r, s] += q[r] * q[s]
+
+
+@kernel
+def _add_corrections(indptr, indices, data, points, centres, multiplier, scale):
+    dim = points.shape[1]
+    for i in range(len(indptr) - 1):
+        for at in range(indptr[i], indptr[i + 1]):
+            data[at] += multiplier[i, 0]
+            for c in range(dim):
+                data[at] += multiplier[i, c + 1] * (points[indices[at], c] - centres[i, c]) / scale[i]
+
+
+def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, moments: np.ndarray
+                  ) -> tuple[sparse.csr_array, np.ndarray]:
+    """Change the entries of every row as little as possible so that it has the given moments.
+
+    Parameters
+    ----------
+    matrix : (n_fine, n_coarse) csr_array
+    coarse, fine : MeshArrays
+    moments : (n_fine, dim + 1) array
+        Wanted: sum of the row, then its first moments about the fine node, m.
+
+    Returns
+    -------
+    csr_array
+        The same pattern. Moments that the pattern cannot change (all columns on one line) are left unchanged.
+    reached : (n_fine,) bool array
+        Rows that have all their moments.
+    """
+    n, dim = fine.points.shape
+    gram, defect, scale = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1)), np.empty(n)
+    scale[fine.elements] = fine.element_sizes[:, None]      # that of one of its elements will do
+    data = matrix.data.copy()
+    _moment_systems(matrix.indptr, matrix.indices, data, coarse.points, fine.points, moments, gram, defect, scale)
+    multiplier, reached = np.zeros((n, dim + 1)), np.ones(n, dtype=bool)
+    wrong = np.flatnonzero(np.abs(defect).max(axis=1) > 4 * np.finfo(float).eps)
+    inverse = np.linalg.pinv(gram[wrong], rcond=1e-10, hermitian=True)
+    multiplier[wrong] = np.einsum("nij,nj->ni", inverse, defect[wrong])
+    left = np.einsum("nij,nj->ni", gram[wrong], multiplier[wrong]) - defect[wrong]
+    reached[wrong] = np.abs(left).max(axis=1) <= _REACHED
+    _add_corrections(matrix.indptr, matrix.indices, data, coarse.points, fine.points, multiplier, scale)
+    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape), reached
+
+
+def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, *, tolerance: float = CLIP,
+                 moments: np.ndarray | None = None) -> tuple[sparse.csr_array, np.ndarray]:
+    """Drop small entries, and restore row sums 1 and first moments.
+
+    Parameters
+    ----------
+    matrix : (n_fine, n_coarse) csr_array
+    coarse, fine : MeshArrays
+    tolerance : float
+        Entries of smaller magnitude are dropped; at least ``CLIP``.
+    moments : (n_fine, dim + 1) array, optional
+        Wanted row sums and first moments about the fine nodes, m. Default: sums 1, and the moments the rows have, over
+        their sums.
+
+    Returns
+    -------
+    csr_array
+        No entry is smaller than ``CLIP`` in magnitude.
+    reached : (n_fine,) bool array
+        Rows that have their moments: near a coarse node what is left may be that node alone.
+    """
+    if moments is None:
+        centre = coarse.points.mean(axis=0)             # far from the origin the differences would lose digits
+        moments = matrix @ np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])
+        moments /= moments[:, :1]
+        moments[:, 1:] -= fine.points - centre
+    rows, reached = _with_moments(dropped(matrix, tolerance), coarse, fine, moments)
+    # a correction may make an entry small; each round removes at least one
+    while np.abs(rows.data).min() < CLIP:
+        rows, again = _with_moments(dropped(rows, CLIP), coarse, fine, moments)
+        reached &= again
+    return rows, reached
+
+
+#: elements in which size_ratio is measured: a quantile needs no more
+_SAMPLE = 5000
+
+
+def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -> float:
+    """Largest local ratio h_coarse / h_fine; two-level rates suffer above about 3.
+
+    For each fine element: the longest edge of the coarse element that holds its centroid, over its own longest edge.
+    (Centroids, as a fine node on an edge belongs to coarse elements of several sizes.)
+
+    Parameters
+    ----------
+    coarse, fine : MeshArrays
+    quantile : float
+        1 takes the largest; .99 leaves out the hundredth of the fine elements with the largest ratios, in which a
+        single flat element cannot hide what holds elsewhere.
+
+    Returns
+    -------
+    float
+    """
+    if not 0 <= checks.number("quantile", quantile) <= 1:
+        raise ValueError(f"quantile must lie in [0, 1], got {quantile!r}")
+    locators = body_locators(coarse, fine)
+    ratio = np.empty(len(fine.elements))
+    for body, locator in locators:
+        elements = slice(None) if body is None else np.flatnonzero(fine.element_body == body)
+        found = locator.locate(fine.points[fine.elements[elements]].mean(axis=1))
+        ratio[elements] = coarse.element_sizes[found.element] / fine.element_sizes[elements]
+    return float(np.quantile(ratio, quantile))
+
+
+def size_ratio(coarse: MeshArrays, fine: MeshArrays, quantile: float = 0.99) -> float:
+    """Local ratio h_coarse / h_fine by which levels of an adaptive hierarchy are kept: at most about 4.
+
+    Parameters
+    ----------
+    coarse, fine : MeshArrays
+    quantile : float
+        See :func:`mesh_ratio`, of which this is the 99 % quantile; of large meshes over every so-manieth element.
+
+    Returns
+    -------
+    float
+    """
+    step, ratios = max(1, len(fine.elements) // _SAMPLE), []
+    for body, locator in body_locators(coarse, fine):
+        elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
+        corners = fine.points[fine.elements[elements[::step]]]
+        found = locator.locate(corners.mean(axis=1))
+        ratios.append(coarse.element_sizes[found.element] / longest_edges(corners))
+    return float(np.quantile(np.concatenate(ratios), quantile))

@@ -12,8 +12,8 @@ import pytest
 from scipy.sparse.linalg import spsolve
 
 from adaptmg import cases
-from adaptmg.discrete import DiscreteProblem
-from adaptmg.discretisation import discretise, full_stress
+from adaptmg.discrete import discretise, full_stress
+from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh import graded, structured
 from adaptmg.problem import Assembly, Box, Coulomb, Frictionless, Rectangle, Tresca
 from adaptmg.solver.statics import check_statics

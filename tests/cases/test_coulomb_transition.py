@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.cases.coulomb_field import transition_mode
+from adaptmg.cases.coulomb_transition import transition_mode
 from adaptmg.estimate import energy_error
 
 KINDS = [(kind, sign) for kind in ("open", "stick") for sign in ("+", "-")]

@@ -16,7 +16,7 @@ import pytest
 
 import adaptmg as am
 from adaptmg.cli import app
-from adaptmg.cli.progress import watched
+from adaptmg.cli.output import watched
 
 
 def test_the_version(command):
@@ -172,15 +172,15 @@ def test_a_terminal_gets_a_bar(capsys, monkeypatch):
 def test_ctrl_c_ends_with_130_and_one_line():
     # in a shell's background the signal comes ignored
     code = ("import os, signal, time\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
-            "from adaptmg.cli import main, work\n"
-            "work.solved = lambda *arguments: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\nmain()")
+            "from adaptmg.cli import main, solve_case\n"
+            "solve_case.solved = lambda *arguments: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\nmain()")
     done = subprocess.run([sys.executable, "-c", code, "solve", "greco_bar", "--divisions", "2,4"], capture_output=True,
                           text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "adaptmg: interrupted\n")
 
 
 def test_what_cannot_be_printed_is_printed_as_codes(monkeypatch):
-    from adaptmg.cli import work
+    from adaptmg.cli import solve_case as work
 
     monkeypatch.setattr(work, "write", lambda *arguments: [Path("\udcff\xb5\x1b/result.npz")])
     out = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")

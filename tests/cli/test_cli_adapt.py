@@ -9,7 +9,7 @@ import math
 import pytest
 
 import adaptmg as am
-from adaptmg.cli.progress import watched_loop
+from adaptmg.cli.output import watched_loop
 
 SMALL = ("adapt", "upset_block", "--start", "8e-3", "--engine", "bisect", "--max-nodes", "120")
 
@@ -57,7 +57,7 @@ def test_files_are_written_and_a_store_is_gone_on_from(command, tmp_path):
 
 
 def test_a_mesh_that_is_not_solved_ends_with_code_1(command, monkeypatch):
-    from adaptmg.estimate.loop import walk
+    from adaptmg.estimate import loop as walk
 
     result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8)),
                       am.FullMultigrid(max_cycles=1), throw=False)

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptmg.cli.described.study_file import read
-from adaptmg.cli.described.work import checked
+from adaptmg.cli.study_file import checked, read
 
 GOOD = """name = "bar"
 

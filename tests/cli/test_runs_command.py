@@ -11,8 +11,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from adaptmg.cli.listed import conditions, listing, writing
-from adaptmg.cli.listed.fitting import printed
+from adaptmg.cli import runs as conditions
+from adaptmg.cli import runs as listing
+from adaptmg.cli import runs as writing
+from adaptmg.cli.output import printed
 from adaptmg.study import Study
 from adaptmg.study.record import Record
 from adaptmg.study.store import Store

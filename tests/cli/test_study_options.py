@@ -18,15 +18,11 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.cli.described import guide, keys
-from adaptmg.cli.described.address import check_scheduler
-from adaptmg.cli.described.meanings import MEANINGS
-from adaptmg.cli.described.positions import positions
-from adaptmg.cli.described.study_file import read
-from adaptmg.cli.described.work import checked
-from adaptmg.cli.single_run.case_run import case_run
-from adaptmg.cli.single_run.grids import grids
-from adaptmg.cli.single_run.measures import MEASURES
+from adaptmg.cli import build as guide
+from adaptmg.cli import build as keys
+from adaptmg.cli.build import MEASURES, case_run, grids
+from adaptmg.cli.output import MEANINGS
+from adaptmg.cli.study_file import check_scheduler, checked, positions, read
 from adaptmg.study.progress import Watch
 
 GOOD = """
@@ -196,9 +192,9 @@ def test_whole_numbers_are_numbers_where_an_argument_is_one(tmp_path, monkeypatc
     {"method": "single-grid", "condensed": True, "omega": 1.3}, {"method": "multigrid", "cycle": "complete", "pre": 1},
     {"method": "active-set", "linear": "amg", "strength": 0.1, "lag": -1}])
 def test_settings_reach_the_method(solver):
-    from adaptmg.cli.single_run import parts
+    from adaptmg.cli import build as parts
 
-    made = parts.solver({f"solver.{key}": value for key, value in solver.items()})
+    made = parts.solver_of({f"solver.{key}": value for key, value in solver.items()})
     wanted = {"paper": am.FullMultigrid(correction=am.PaperCorrection(gap="largest", slip="minmod", limit="summed"),
                                         smoother=am.ProjectedGaussSeidel(order="symmetric")),
               "single-grid": am.SingleGrid(omega=1.3, condensed=True),
@@ -241,11 +237,11 @@ def test_bisections_at_contact(first):
     {"indicator": "goal", "goal": "contact-force"}, {"indicator": "goal", "goal": "opening", "engine": "bisect"},
     {"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3, "coarsen": 0.02}])
 def test_settings_reach_the_adaptive_loop(adapt):
-    from adaptmg.cli.single_run import parts
+    from adaptmg.cli import build as parts
 
     given = {"case.case": "greco_bar", "adapt.max_nodes": 90, "adapt.start": 10e-3,
              **{f"adapt.{key}": value for key, value in adapt.items()}}
-    made = parts.adaptation(parts.problem(given), given)
+    made = parts.adaptation(parts.problem_of(given), given)
     goals = {"displacement": am.Displacement(adapt.get("goal_point", (0.0, 0.0)), "x"),
              "mean-displacement": am.MeanDisplacement("top", "y"),
              "contact-force": am.ContactForce(), "opening": am.Opening()}
@@ -258,16 +254,16 @@ def test_settings_reach_the_adaptive_loop(adapt):
 
 
 def test_friction_of_a_case_that_takes_no_law(command):
-    from adaptmg.cli.single_run import parts
+    from adaptmg.cli import build as parts
 
-    made = parts.problem({"case.case": "bolted_junction", "case.friction": 0.35, "case.head_friction": 0.1})
+    made = parts.problem_of({"case.case": "bolted_junction", "case.friction": 0.35, "case.head_friction": 0.1})
     points = np.array([[0.1, 0.0], [0.1, 0.05], [0.2, 0.03]])
     wanted = am.cases.bolted_junction(friction=0.35, head_friction=0.1).law
     assert (made.law.friction(points) == wanted.friction(points)).all() and made.law.friction(points).max() == 0.35
     with pytest.raises(ValueError, match="its law cannot be changed"):
-        parts.problem({"case.case": "bolted_junction", "case.law": "frictionless"})
+        parts.problem_of({"case.case": "bolted_junction", "case.law": "frictionless"})
     with pytest.raises(ValueError, match="its law cannot be changed"):
-        parts.problem({"case.case": "bolted_junction", "case.law": "tresca", "case.friction": 0.3})
+        parts.problem_of({"case.case": "bolted_junction", "case.law": "tresca", "case.friction": 0.3})
     assert "give --friction alone" in command("solve", "bolted_junction", "--limit", "1e6")[2]
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.coupling import Coupling
+from adaptmg.discrete.coordinates import Coupling
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from adaptmg.discrete import ContactNodes, DiscreteProblem, rigid_body_modes
+from adaptmg.discrete.problem import ContactNodes, DiscreteProblem, rigid_body_modes
 from adaptmg.problem import Coulomb, Frictionless, Tresca
 
 

@@ -8,7 +8,7 @@ from bodies import assert_agrees, assert_balanced
 from saddle import Parts
 
 import adaptmg as am
-from adaptmg.discretisation.discretise import discretise
+from adaptmg.discrete.discretise import discretise
 
 FRICTION, PRESSURE, PULL = 0.4, 1e7, 1e-3
 EXACT = am.ActiveSet(rtol=1e-11)

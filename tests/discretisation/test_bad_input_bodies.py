@@ -9,8 +9,8 @@ import pytest
 from bodies import EXACT, SOFT, bar_on_block, in_the_corner
 
 import adaptmg as am
-from adaptmg.discretisation.contact_nodes import contact_nodes
-from adaptmg.discretisation.discretise import discretise
+from adaptmg.discrete.contact import contact_nodes
+from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import graded, merged, structured
 
 BAR = am.PlaneStrain(young=1.3e11, poisson=0.2)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from adaptmg.discretisation import fixed_dofs, load_vector
-from adaptmg.discretisation.elasticity import stiffness
-from adaptmg.discretisation.measures import element_strain, full_stress, hoop_strain, von_mises
+from adaptmg.discrete import fixed_dofs, load_vector
+from adaptmg.discrete.elasticity import stiffness
+from adaptmg.discrete.stress import element_strain, full_stress, hoop_strain, von_mises
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.problem import BodyForce, PlaneStrain, Pressure, Rectangle, Solid, Support, Traction
@@ -39,7 +39,7 @@ def by_ngsolve(mesh: MeshArrays, material, rule=None, *, bonus: int = 0) -> np.n
     """The same form by NGSolve, dense; with a quadrature rule of ours, or its own of a higher order."""
     import ngsolve as ng
 
-    from adaptmg.mesh.build import with_source
+    from adaptmg.mesh.ngsolve_bridge import with_source
 
     space = ng.H1(with_source(mesh).source, order=1, dim=2)
     u, v = space.TnT()

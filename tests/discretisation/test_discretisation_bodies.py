@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from adaptmg.discretisation import fixed_dofs, load_vector
-from adaptmg.discretisation.elasticity import stiffness
-from adaptmg.discretisation.measures import full_stress, von_mises
-from adaptmg.discretisation.rigid_motions import rigid_motions
+from adaptmg.discrete import fixed_dofs, load_vector
+from adaptmg.discrete.elasticity import stiffness
+from adaptmg.discrete.rigid_modes import rigid_motions
+from adaptmg.discrete.stress import full_stress, von_mises
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.problem import BodyForce, Box, PlaneStrain, PlaneStress, Pressure, Rectangle, Solid, Support
 from adaptmg.problem.loads import InitialStrain
@@ -112,7 +112,7 @@ def test_glued_materials_equal_ngsolve():
     mesh = replace(mesh, bodies=("left", "right"), source=None,
                    element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.0)
     materials = {"left": PlaneStrain(young=2.1e11, poisson=0.3), "right": PlaneStress(young=7e10, poisson=0.33)}
-    from adaptmg.mesh.build import with_source
+    from adaptmg.mesh.ngsolve_bridge import with_source
 
     source = with_source(mesh).source
     space = ng.H1(source, order=1, dim=2)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.discretisation import contact_nodes, discretise
-from adaptmg.discretisation.facets import area_vectors
+from adaptmg.discrete import contact_nodes, discretise
+from adaptmg.discrete.facets import area_vectors
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.problem import (
     Box,

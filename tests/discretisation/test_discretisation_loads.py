@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptmg.discretisation import fixed_dofs, load_vector
-from adaptmg.discretisation.facets import area_vectors
+from adaptmg.discrete import fixed_dofs, load_vector
+from adaptmg.discrete.facets import area_vectors
 from adaptmg.mesh import structured
 from adaptmg.problem import BodyForce, Box, Pressure, Rectangle, Support, Traction
 

@@ -7,8 +7,7 @@ import pytest
 from scipy import sparse
 from test_mortar_2d import arc
 
-from adaptmg.discretisation.mortar.interface import MortarInterface
-from adaptmg.discretisation.mortar.surface_normals import surface_normals
+from adaptmg.discrete.mortar.interface import MortarInterface, surface_normals
 
 
 class TestNormals:

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from scipy import sparse
 from uncompiled import uncompile
 
-from adaptmg.discretisation.mortar import kernels_2d as kernels
-from adaptmg.discretisation.mortar import mortar_2d as module
-from adaptmg.discretisation.mortar.interface import NEVER_FACING
-from adaptmg.discretisation.mortar.mortar_2d import mortar_2d
-from adaptmg.discretisation.mortar.surface_normals import surface_normals
+from adaptmg.discrete.mortar import segments as kernels
+from adaptmg.discrete.mortar import segments as module
+from adaptmg.discrete.mortar.interface import NEVER_FACING, surface_normals
+from adaptmg.discrete.mortar.segments import mortar_2d
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
 

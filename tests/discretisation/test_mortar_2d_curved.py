@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from test_mortar_2d import SEEDS, arc, assert_same, line, random_line, two
 
-from adaptmg.discretisation.mortar import kernels_2d as kernels
-from adaptmg.discretisation.mortar import mortar_2d as module
-from adaptmg.discretisation.mortar.interface import NEVER_FACING, Surfaces
-from adaptmg.discretisation.mortar.mortar_2d import mortar_2d
+from adaptmg.discrete.mortar import segments as kernels
+from adaptmg.discrete.mortar import segments as module
+from adaptmg.discrete.mortar.interface import NEVER_FACING, Surfaces
+from adaptmg.discrete.mortar.segments import mortar_2d
 
 
 def errors_on_a_plane(n):

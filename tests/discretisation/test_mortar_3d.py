@@ -13,11 +13,10 @@ from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 from uncompiled import uncompile
 
-from adaptmg.discretisation.facets import area_vectors
-from adaptmg.discretisation.mortar.interface import NEVER_FACING
-from adaptmg.discretisation.mortar.mortar_3d import mortar_3d
-from adaptmg.discretisation.mortar.surface_normals import surface_normals
-from adaptmg.geometry import polygons as kernels
+from adaptmg.discrete.facets import area_vectors
+from adaptmg.discrete.mortar.interface import NEVER_FACING, surface_normals
+from adaptmg.discrete.mortar.triangles import mortar_3d
+from adaptmg.geometry import clipping as kernels
 
 HERE = Path(__file__).parent
 DOWN, UP = False, True

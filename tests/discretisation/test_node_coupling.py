@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptmg.discretisation.mortar.interface import NEVER_FACING
-from adaptmg.discretisation.mortar.mortar_2d import mortar_2d
-from adaptmg.discretisation.mortar.pair_nodes import node_to_node
-from adaptmg.discretisation.mortar.surface_normals import surface_normals
+from adaptmg.discrete.mortar.interface import NEVER_FACING, surface_normals
+from adaptmg.discrete.mortar.pairs import node_to_node
+from adaptmg.discrete.mortar.segments import mortar_2d
 
 
 def lines(x, gap, seed=None):

@@ -26,7 +26,7 @@ from bodies import (
 )
 
 import adaptmg as am
-from adaptmg.discretisation.discretise import discretise
+from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import graded, merged, structured
 
 

@@ -22,7 +22,7 @@ from saddle import Parts
 from scipy.spatial.transform import Rotation
 
 import adaptmg as am
-from adaptmg.discretisation.discretise import discretise
+from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import merged, structured
 from adaptmg.mesh.arrays import MeshArrays
 

@@ -23,7 +23,7 @@ from bodies import (
 from saddle import Parts, solve_saddle
 
 import adaptmg as am
-from adaptmg.discretisation.discretise import discretise
+from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import merged, structured
 
 PROBLEMS = {

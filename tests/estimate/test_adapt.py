@@ -9,8 +9,8 @@ import pytest
 from adaptive_loop import Constant, numbers_of, upset
 
 import adaptmg as am
-from adaptmg.estimate.loop import solving
-from adaptmg.estimate.loop.load_path import posed_at
+from adaptmg.estimate import loop as solving
+from adaptmg.estimate.loop import posed_at
 from adaptmg.mesh import structured
 
 BISECT = am.Bisect()
@@ -173,7 +173,7 @@ def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
     assert next(am.adapt(problem, mesh, engine=engine, max_nodes=100)).nodes == 100
     with pytest.raises(ValueError, match="max_nodes must be at least"):
         am.adapt(problem, COARSE, engine=engine, max_nodes=30)
-    for module in ("mesh.netgen.grading.netgen_mesh", "estimate.bisect_engine.structured"):
+    for module in ("mesh.grading.netgen_mesh", "estimate.bisect.structured"):
         monkeypatch.setattr(f"adaptmg.{module}", lambda *a, **o: pytest.fail("meshed"))
     for start in (1e-4, 1e-200):
         with pytest.raises(ValueError, match=r"start must be at least 0\.00096 m for max_nodes=2000, got"):

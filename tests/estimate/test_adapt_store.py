@@ -23,8 +23,8 @@ COARSE, NODES = 8e-3, 500
 CHILD = """
 import os, signal, sys
 import adaptmg as am
-from adaptmg.estimate.loop import store
-from adaptmg.solver.result import result_file
+from adaptmg.estimate import loop_store as store
+from adaptmg.solver import result_file
 folder, engine, at = sys.argv[1], eval(sys.argv[2]), int(sys.argv[3])
 written = 0
 def counted(path, content, write=store.write_bytes):
@@ -80,7 +80,7 @@ def test_every_engine_goes_on_with_the_same_numbers(tmp_path, engine):
 
 
 def test_a_finished_loop_is_read_not_made_again(kept, whole, monkeypatch):
-    monkeypatch.setattr("adaptmg.estimate.loop.walk.solved", lambda *a: pytest.fail("solved again"))
+    monkeypatch.setattr("adaptmg.estimate.loop.solved", lambda *a: pytest.fail("solved again"))
     found = list(loop(kept))
     assert numbers_of(found) == whole and found[-1].outcome
     assert found[0].estimate.terms

@@ -11,12 +11,11 @@ from simplex_meshes import random_box
 from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.discretisation.measures import StressData
-from adaptmg.estimate.fields import element_stress as stress_module
-from adaptmg.estimate.fields import neighbours as neighbours_module
-from adaptmg.estimate.fields.element_stress import element_stress
-from adaptmg.estimate.fields.neighbours import neighbours
-from adaptmg.mesh.topology import element_facets, facet_keys, facet_table
+from adaptmg.discrete.stress import StressData
+from adaptmg.estimate import stress_fields as neighbours_module
+from adaptmg.estimate import stress_fields as stress_module
+from adaptmg.estimate.stress_fields import element_stress, neighbours
+from adaptmg.mesh.arrays import element_facets, facet_keys, facet_table
 
 MATERIALS = {2: (am.PlaneStrain, am.PlaneStress, am.Axisymmetric), 3: (am.Solid,)}
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import adaptmg as am
-from adaptmg.estimate.loop.expected import Limits, algebraic_tolerance, expected_estimate, expected_seconds
-from adaptmg.estimate.loop.levels import CLOSE, RATIO, THINNED, appended, carried, thinned
+from adaptmg.estimate.loop import CLOSE, RATIO, THINNED, appended, carried, thinned
+from adaptmg.estimate.step import Limits, algebraic_tolerance, expected_estimate, expected_seconds
 from adaptmg.mesh import structured
-from adaptmg.multigrid.linear import split_matrix
+from adaptmg.multigrid import split_matrix
 from adaptmg.transfer import mesh_ratio, size_ratio
 
 

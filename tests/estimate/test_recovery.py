@@ -11,12 +11,11 @@ from simplex_meshes import random_box
 from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.discretisation.measures import StressData
+from adaptmg.discrete.stress import StressData
+from adaptmg.estimate import recovery as recovery_kernels
 from adaptmg.estimate import recovery as recovery_module
-from adaptmg.estimate import recovery_kernels
-from adaptmg.estimate.fields.element_stress import ElementStress, element_stress
-from adaptmg.estimate.fields.neighbours import neighbours
 from adaptmg.estimate.recovery import recovered_energy, recovered_stress
+from adaptmg.estimate.stress_fields import ElementStress, element_stress, neighbours
 
 KINDS = {2: am.PlaneStrain, 3: am.Solid}
 

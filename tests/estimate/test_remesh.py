@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import adaptmg as am
-from adaptmg.estimate.sizes.equilibration import equilibrated_sizes, nodal_sizes, simplex_sizes
-from adaptmg.estimate.sizes.size_field import SizeField
+from adaptmg.estimate.remesh import SizeField, equilibrated_sizes, nodal_sizes, simplex_sizes
 from adaptmg.mesh import as_mesh, check_mesh, graded, quality
 from adaptmg.transfer import size_ratio
 

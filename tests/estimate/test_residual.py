@@ -12,18 +12,12 @@ from simplex_meshes import random_box
 from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.discretisation.measures import StressData
-from adaptmg.estimate.fields.element_stress import element_stress
-from adaptmg.estimate.fields.neighbours import neighbours
-from adaptmg.estimate.fields.posed import Posed
-from adaptmg.estimate.terms import jumps as jumps_module
-from adaptmg.estimate.terms import volume as volume_module
-from adaptmg.estimate.terms.boundary import boundary_squares
-from adaptmg.estimate.terms.contact import condition_squares
-from adaptmg.estimate.terms.jumps import jump_squares
-from adaptmg.estimate.terms.volume import volume_squares
-from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.topology import facet_table
+from adaptmg.discrete.stress import StressData
+from adaptmg.estimate import residual as jumps_module
+from adaptmg.estimate import residual as volume_module
+from adaptmg.estimate.residual import boundary_squares, condition_squares, jump_squares, volume_squares
+from adaptmg.estimate.stress_fields import Posed, element_stress, neighbours
+from adaptmg.mesh.arrays import MeshArrays, facet_table
 from adaptmg.problem import step_problem
 
 EXACT = am.FullMultigrid(rtol=1e-10)

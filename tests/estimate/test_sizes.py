@@ -9,11 +9,9 @@ from hypothesis import strategies as st
 from simplex_meshes import delaunay, log_graded, structured, two_boxes
 from uncompiled import uncompile
 
-from adaptmg.estimate.sizes import gradation
-from adaptmg.estimate.sizes.equilibration import NodeCount, equilibrated_sizes, nodal_sizes, simplex_sizes
-from adaptmg.estimate.sizes.gradation import ElementsAtNodes, graded_sizes
-from adaptmg.estimate.sizes.intermediate import mean_sizes
-from adaptmg.estimate.sizes.size_field import SizeField
+from adaptmg.estimate import gradation
+from adaptmg.estimate.gradation import ElementsAtNodes, graded_sizes
+from adaptmg.estimate.remesh import NodeCount, SizeField, equilibrated_sizes, mean_sizes, nodal_sizes, simplex_sizes
 
 
 def edges_of(mesh):

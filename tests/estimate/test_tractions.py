@@ -9,7 +9,7 @@ import pytest
 from made import result_on, square
 
 import adaptmg as am
-from adaptmg.discretisation.measures import StressData
+from adaptmg.discrete.stress import StressData
 from adaptmg.estimate import boundary_tractions
 
 

@@ -14,9 +14,9 @@ from made_bodies import two_bodies
 from nasty_texts import NASTY
 
 import adaptmg as am
-from adaptmg.discretisation.measures import StressData
+from adaptmg._text import printable
+from adaptmg.discrete.stress import StressData
 from adaptmg.export import vtk, vtk_series, vtu
-from adaptmg.runtime.text import printable
 
 meshio = pytest.importorskip("meshio")
 

@@ -13,8 +13,9 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 import adaptmg as am
-from adaptmg.export.petsc_files import binary, folder
-from adaptmg.runtime import atomic
+from adaptmg import _files as atomic
+from adaptmg.export import petsc_files as binary
+from adaptmg.export import petsc_files as folder
 
 
 def read(path):

@@ -12,11 +12,12 @@ import pytest
 from nasty_texts import NASTY
 from pages import Page
 
+from adaptmg._text import printable
 from adaptmg.export import Report
-from adaptmg.export.report import layout, tables
-from adaptmg.export.report import prose as prose_module
-from adaptmg.export.report.figures import DENSE
-from adaptmg.runtime.text import printable
+from adaptmg.export import report as layout
+from adaptmg.export import report as prose_module
+from adaptmg.export import report as tables
+from adaptmg.export.report import DENSE
 
 FRAME = pd.DataFrame({"n<": [1], "t": ["<script>alert(1)</script>"]})
 

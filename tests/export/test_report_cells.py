@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from adaptmg.export.report.cells import columns_of, worded
+from adaptmg.export.report import columns_of, worded
 
 
 def column(values, spec=""):

@@ -8,7 +8,7 @@ import pytest
 from pages import Page
 
 from adaptmg.export import study_report
-from adaptmg.export.report.curves import Axis, axes_of_study, curves, numbers
+from adaptmg.export.report import Axis, axes_of_study, curves, numbers
 
 
 def table(repeats: int = 2) -> pd.DataFrame:

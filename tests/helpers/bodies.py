@@ -8,7 +8,7 @@ import numpy as np
 from saddle import Parts, held_alike, solve_saddle
 
 import adaptmg as am
-from adaptmg.discretisation.rigid_motions import rigid_motions
+from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.mesh import graded, merged, structured
 from adaptmg.mesh.arrays import MeshArrays
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.smoother.state import OPEN, SLIP, STICK
-from adaptmg.solver.result import ContactResult, Result
-from adaptmg.solver.result.status import Status
+from adaptmg.smoother.system import OPEN, SLIP, STICK
+from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.result import Result
+from adaptmg.solver.status import Status
 
 
 def square(n: int, size: float = 0.04) -> MeshArrays:

@@ -8,7 +8,7 @@ import numpy as np
 from made import cube, result_on, square
 
 import adaptmg as am
-from adaptmg.discretisation.measures import StressData
+from adaptmg.discrete.stress import StressData
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.result import Result
 

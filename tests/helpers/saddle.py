@@ -15,9 +15,9 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import adaptmg as am
-from adaptmg.discretisation.elasticity import stiffness
-from adaptmg.discretisation.loads import load_vector
-from adaptmg.discretisation.supports import fixed_dofs
+from adaptmg.discrete.elasticity import stiffness
+from adaptmg.discrete.facets import fixed_dofs
+from adaptmg.discrete.loads import load_vector
 
 
 @dataclass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from adaptmg.discrete import ContactNodes, DiscreteProblem
+from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.problem import Coulomb, Frictionless, Tresca
 from adaptmg.smoother.system import LocalProblem, local_system
 

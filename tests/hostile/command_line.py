@@ -11,7 +11,8 @@ from unittest import mock
 
 from hostile_table import Hostile
 
-from adaptmg.cli import app, work
+from adaptmg.cli import app
+from adaptmg.cli import solve_case as work
 
 
 def command(*arguments: str, code: int = 2) -> None:

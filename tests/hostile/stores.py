@@ -14,7 +14,7 @@ import numpy as np
 from hostile_table import Hostile
 
 import adaptmg as am
-from adaptmg.solver.history import files as path_files
+from adaptmg.solver import step_store as path_files
 from adaptmg.study import store as study_store
 from adaptmg.study.record import Record
 

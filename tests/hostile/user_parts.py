@@ -6,7 +6,7 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg.solver.linear import LinearSolution
-from adaptmg.solver.run import Outcome
+from adaptmg.solver.record import Outcome
 
 
 def _problem(**changes):

@@ -20,8 +20,8 @@ from adaptmg.mesh import (
     sized,
     structured,
 )
-from adaptmg.mesh.assembled import boundaries_of, per_body
-from adaptmg.mesh.geometry import distance_to_boundaries, require_simple
+from adaptmg.mesh.arrays import distance_to_boundaries, require_simple
+from adaptmg.mesh.structured import boundaries_of, per_body
 from adaptmg.problem import Assembly, Ball, Box, Outline, Polygon, Rectangle, StepFile
 
 UPPER = Rectangle(width=1.0, height=0.5)

@@ -166,7 +166,7 @@ def test_as_mesh_takes_arrays_and_netgen_files(tmp_path):
 
 def test_as_mesh_does_not_build_what_nobody_asked_for(monkeypatch):
     mesh = structured(Rectangle(width=1, height=1), 2)
-    monkeypatch.setattr("adaptmg.mesh.build.to_ngsolve", lambda *_, **__: pytest.fail("built"))
+    monkeypatch.setattr("adaptmg.mesh.ngsolve_bridge.to_ngsolve", lambda *_, **__: pytest.fail("built"))
     assert as_mesh(mesh) is mesh and as_mesh(replace(mesh, source=None)).sound
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptmg.mesh import MeshArrays, check_mesh, quality, structured
-from adaptmg.mesh.topology import components, element_facets, facet_keys, facet_table, same_orientation
+from adaptmg.mesh.arrays import components, element_facets, facet_keys, facet_table, same_orientation
 from adaptmg.problem import Box, Rectangle
 
 SQUARE = structured(Rectangle(width=1, height=1), 4)
@@ -29,7 +29,7 @@ def test_sound_mesh_is_returned_unchanged(mesh):
 def test_a_sound_mesh_is_not_searched_again_but_a_changed_one_is(monkeypatch):
     mesh = replace(structured(Rectangle(width=1, height=1), 2), source=None)
     assert not mesh.sound and check_mesh(mesh).sound
-    monkeypatch.setattr("adaptmg.mesh.checks.check.facet_table", lambda *_: pytest.fail("searched again"))
+    monkeypatch.setattr("adaptmg.mesh.soundness.facet_table", lambda *_: pytest.fail("searched again"))
     assert check_mesh(mesh) is mesh
     with pytest.raises(ValueError, match="boundary 'rim' does not exist"):
         check_mesh(mesh, "rim")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, from_gmsh, from_ngsolve, structured, to_ngsolve
-from adaptmg.mesh.checks.overlap import check_overlap
-from adaptmg.mesh.files.normalise import normalised
-from adaptmg.mesh.topology import facet_table
+from adaptmg.mesh.arrays import facet_table
+from adaptmg.mesh.ngsolve_bridge import normalised
+from adaptmg.mesh.soundness import check_overlap
 from adaptmg.problem import Box, Rectangle
 
 SOUND = {"2D": structured(Rectangle(width=1, height=1), 4), "3D": structured(Box(width=1, depth=1, height=1), 3)}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adaptmg.mesh import check_mesh, from_gmsh
-from adaptmg.mesh.topology import element_facets
+from adaptmg.mesh.arrays import element_facets
 
 # two cubes of six tetrahedra each, stacked along z, conforming at z = 1
 CUBE = [(0, 1, 3, 7), (0, 1, 7, 5), (0, 5, 7, 4), (0, 3, 2, 7), (0, 6, 4, 7), (0, 2, 6, 7)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adaptmg.mesh import check_mesh, graded, quality, sized
-from adaptmg.mesh.geometry import distance_to_boundaries, require_simple
+from adaptmg.mesh.arrays import distance_to_boundaries, require_simple
 from adaptmg.problem import Box, Polygon, Rectangle
 
 SQUARE = Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))

@@ -15,9 +15,8 @@ from netgen.occ import Pnt
 
 import adaptmg as am
 from adaptmg.mesh import graded, refine_near, step_names, structured
-from adaptmg.mesh.netgen import step_check
-from adaptmg.mesh.netgen.interruptible import NetgenBusy, NetgenEndless, _abandoned, interruptible
-from adaptmg.mesh.netgen.thin import curved_nodes, thickness
+from adaptmg.mesh import netgen_guard as step_check
+from adaptmg.mesh.netgen_guard import NetgenBusy, NetgenEndless, _abandoned, curved_nodes, interruptible, thickness
 
 
 def outline(*vertices):

@@ -13,7 +13,7 @@ from netgen.occ import Cylinder, OCCGeometry, Pnt, Z
 from netgen_text import VOL
 
 from adaptmg.mesh import as_mesh, from_ngsolve, structured
-from adaptmg.mesh.build import own_mesh
+from adaptmg.mesh.ngsolve_bridge import own_mesh
 from adaptmg.problem import Box, Rectangle
 
 

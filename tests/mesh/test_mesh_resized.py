@@ -10,9 +10,9 @@ from netgen.occ import Box as OccBox
 from netgen.occ import Compound, Pnt
 
 import adaptmg as am
-import adaptmg.mesh.netgen.resized as resized_module
+import adaptmg.mesh.resized as resized_module
 from adaptmg.mesh import check_mesh, graded, quality
-from adaptmg.mesh.netgen.resized import PointSizes, resized
+from adaptmg.mesh.resized import PointSizes, resized
 
 PLATE = am.Rectangle(width=0.46, height=0.25, origin=(0.6, 0.2))
 # a quarter of a ring: two arcs

@@ -7,14 +7,12 @@ import netgen.meshing
 import numpy as np
 import pytest
 
-import adaptmg.mesh.netgen.solids as module
+import adaptmg.mesh.netgen_solid as module
 from adaptmg.mesh import check_mesh, quality
-from adaptmg.mesh.netgen import occ_shapes
-from adaptmg.mesh.netgen.occ_shapes import occ_shape
-from adaptmg.mesh.netgen.shape_arrays import check_volume, left_by_chords
-from adaptmg.mesh.netgen.solids import SolidSizes, raised, solid_mesh
+from adaptmg.mesh import netgen_solid as occ_shapes
+from adaptmg.mesh.netgen_solid import SolidSizes, check_volume, left_by_chords, occ_shape, raised, solid_mesh
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
-from adaptmg.problem.domains import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
+from adaptmg.problem.solid_domains import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
 
 PROFILE = Polygon(vertices=((0.04, 0), (0.1, 0), (0.1, 0.02), (0.06, 0.025), (0.05, 0.08), (0.04, 0.08)),
                   boundaries=("gasket", "rim", "back", "neck", "weld", "bore"))

@@ -5,8 +5,8 @@ import pytest
 from netgen.occ import Axis, Box, Compound, Cylinder, Glue, Pnt, Vec, X, Y, Z
 
 from adaptmg.mesh import as_mesh, check_mesh
-from adaptmg.mesh.netgen.step import from_step, step_mesh, step_names
-from adaptmg.problem.domains import StepFile
+from adaptmg.mesh.step import from_step, step_mesh, step_names
+from adaptmg.problem.solid_domains import StepFile
 
 SIDES = ("left", "right", "front", "back", "bottom", "top")
 

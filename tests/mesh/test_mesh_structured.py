@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adaptmg.mesh import check_mesh, quality, structured
-from adaptmg.mesh.topology import facet_table
+from adaptmg.mesh.arrays import facet_table
 from adaptmg.problem import Box, Polygon, Rectangle
 
 RECTANGLE = Rectangle(width=0.3, height=0.7, origin=(-0.1, 0.2))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.multigrid.correction_levels import CorrectionLevel, correction_levels
+from adaptmg.multigrid.corrections import CorrectionLevel, correction_levels
 from adaptmg.smoother.system import local_system
 
 

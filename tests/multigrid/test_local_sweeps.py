@@ -10,12 +10,12 @@ from bodies import corner_pushed
 from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.discretisation.discretise import discretise
+from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import graded, structured
-from adaptmg.multigrid.linear.split_matrix import split
-from adaptmg.multigrid.truncated import projected_sweeps
-from adaptmg.multigrid.truncated.contact import TruncatedContact
-from adaptmg.multigrid.truncated.interface import Interface
+from adaptmg.multigrid import projected_sweeps
+from adaptmg.multigrid.projected_sweeps import Interface
+from adaptmg.multigrid.split_matrix import split
+from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import local_system
 from adaptmg.transfer import without_fixed

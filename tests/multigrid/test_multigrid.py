@@ -6,13 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import adaptmg as am
-from adaptmg.multigrid.correction import correction_contact
-from adaptmg.multigrid.correction_levels import correction_levels
-from adaptmg.multigrid.cycle import MultigridCycle
-from adaptmg.multigrid.nested import project
+from adaptmg.multigrid.corrections import correction_contact, correction_levels
+from adaptmg.multigrid.cycle import MultigridCycle, project
 from adaptmg.smoother.residuals import energy, residual
 from adaptmg.smoother.system import local_system
-from adaptmg.solver.run import Run
+from adaptmg.solver.record import Run
 
 
 def problem_2d(law=None):

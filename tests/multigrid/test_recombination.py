@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.multigrid.linear.split_matrix import split
-from adaptmg.multigrid.truncated import contact_kernels
-from adaptmg.multigrid.truncated.contact import TruncatedContact
-from adaptmg.smoother.state import BACKWARDS, CLOSED, SLIPS
+from adaptmg.multigrid import truncated_contact as contact_kernels
+from adaptmg.multigrid.split_matrix import split
+from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.smoother.system import BACKWARDS, CLOSED, SLIPS
 
 
 @pytest.mark.parametrize("count", [contact_kernels.count_cut, contact_kernels.count_cut.py_func], ids=["jit", "python"])

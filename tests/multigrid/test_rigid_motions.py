@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.multigrid.linear.split_matrix import split
-from adaptmg.multigrid.truncated.contact import TruncatedContact
-from adaptmg.multigrid.truncated.rigid_contact import null_combinations
-from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
+from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
+from adaptmg.multigrid.split_matrix import split
+from adaptmg.multigrid.truncated_contact import TruncatedContact
 
 LOADS = (am.Pressure("top", 5e7), am.Pressure("left", 1.6e8), am.Pressure("right", 1.5e8))
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.multigrid.linear.linear_cycle import CoarseFactors
-from adaptmg.multigrid.linear.split_matrix import split
-from adaptmg.multigrid.truncated.rigid_motions import RigidMotions
-from adaptmg.solver.run import Outcome
-from adaptmg.solver.truncated import fallback
-from adaptmg.solver.truncated.energy_test import EnergyTest
-from adaptmg.solver.truncated.fallback import Fallback
+from adaptmg.multigrid.linear_cycle import CoarseFactors
+from adaptmg.multigrid.rigid_motions import RigidMotions
+from adaptmg.multigrid.split_matrix import split
+from adaptmg.solver import truncated as fallback
+from adaptmg.solver.record import Outcome
+from adaptmg.solver.truncated import Fallback
+from adaptmg.solver.truncated_iteration import EnergyTest
 
 
 def floating():

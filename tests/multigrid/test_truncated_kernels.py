@@ -12,13 +12,13 @@ import pytest
 from scipy import sparse
 from smoother_problems import expand, network
 
-from adaptmg.multigrid.linear import half_sweeps as kernels
-from adaptmg.multigrid.linear.linear_cycle import CoarseFactors
-from adaptmg.multigrid.linear.split_matrix import split
-from adaptmg.multigrid.linear.transfer_kernels import add_prolonged, combine, restrict
-from adaptmg.multigrid.truncated import projected_sweeps
-from adaptmg.multigrid.truncated.contact import TruncatedContact
-from adaptmg.multigrid.truncated.truncation import Truncation
+from adaptmg.multigrid import half_sweeps as kernels
+from adaptmg.multigrid import projected_sweeps
+from adaptmg.multigrid.half_sweeps import add_prolonged, combine, restrict
+from adaptmg.multigrid.linear_cycle import CoarseFactors
+from adaptmg.multigrid.split_matrix import split
+from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.transfer import galerkin_product, is_galerkin, without_fixed

@@ -14,12 +14,11 @@ from matplotlib.quiver import Quiver
 
 import adaptmg as am
 from adaptmg import plot
-from adaptmg.plot.contact_surfaces.line import lines_of
-from adaptmg.plot.posed.plan import curves_of
-from adaptmg.plot.space.surface import Surface
-from adaptmg.plot.states import STATE_COLORS
-from adaptmg.plot.style import number, scaled
-from adaptmg.smoother.state import OPEN, SLIP, STICK
+from adaptmg.plot.contact_surfaces import lines_of
+from adaptmg.plot.posed_problem import curves_of
+from adaptmg.plot.style import STATE_COLORS, number, scaled
+from adaptmg.plot.surfaces import Surface
+from adaptmg.smoother.system import OPEN, SLIP, STICK
 
 PLANE, SOLID = result_on(square(16)), result_on(cube(3))
 

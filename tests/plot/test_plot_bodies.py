@@ -15,13 +15,11 @@ from matplotlib.patches import Patch, PathPatch
 
 import adaptmg as am
 from adaptmg import plot
-from adaptmg.discretisation.measures import StressData, full_stress, von_mises
-from adaptmg.plot.contact_surfaces.flattened import flattened
-from adaptmg.plot.contact_surfaces.line import lines_of
-from adaptmg.plot.space.surface import Surface
-from adaptmg.plot.states import STATE_INKS
-from adaptmg.plot.walks import walks
-from adaptmg.smoother.state import OPEN, SLIP, STICK
+from adaptmg.discrete.stress import StressData, full_stress, von_mises
+from adaptmg.plot.contact_surfaces import flattened, lines_of
+from adaptmg.plot.style import STATE_INKS, walks
+from adaptmg.plot.surfaces import Surface
+from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
 
 

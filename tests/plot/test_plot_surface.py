@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from made import cube
 
-from adaptmg.plot.space.depth_kernels import raster_segments, raster_triangles
-from adaptmg.plot.space.surface import Surface
+from adaptmg.plot.surfaces import Surface, raster_segments, raster_triangles
 
 CORNERS = np.array([[[0, 0, 1], [8, 0, 1], [0, 8, 1]], [[0, 0, 2], [8, 0, 0], [8, 8, 0]]], dtype=float)
 

@@ -7,8 +7,9 @@ import pytest
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.problem import check_arrays, index_arrays
-from adaptmg.problem.index_arrays import narrowed
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _check_arrays as index_arrays
+from adaptmg._check_arrays import narrowed
 
 
 def wide(matrix):

@@ -10,9 +10,9 @@ import pytest
 from made import square
 
 import adaptmg as am
-from adaptmg.discretisation import fixed_dofs
-from adaptmg.discretisation.load_steps import load_steps
-from adaptmg.discretisation.loads import load_vector
+from adaptmg.discrete import fixed_dofs
+from adaptmg.discrete.load_steps import load_steps
+from adaptmg.discrete.loads import load_vector
 from adaptmg.problem import step_problem
 
 
@@ -88,6 +88,6 @@ def test_a_solution_has_the_prescribed_function_in_every_step():
 
 
 def test_pictures_name_functions():
-    from adaptmg.plot.posed.words import support_text
+    from adaptmg.plot.posed_problem import support_text
 
     assert support_text(am.Support("left", x=bent, y=0.0), 2) == "$u_x$ = f(x)\n$u_y$ = 0"

@@ -8,6 +8,8 @@ import math
 import numpy as np
 import pytest
 
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
 from adaptmg.problem import (
     BodyForce,
     Box,
@@ -28,8 +30,6 @@ from adaptmg.problem import (
     Support,
     Traction,
     Tresca,
-    check_arrays,
-    checks,
 )
 
 STEEL = PlaneStrain(young=2.1e11, poisson=0.3)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from adaptmg.runtime import atomic
-from adaptmg.runtime.atomic import make_folder, waiting_folder, write_bytes
+from adaptmg import _files as atomic
+from adaptmg._files import make_folder, waiting_folder, write_bytes
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="names of Unix")
 
@@ -98,7 +98,7 @@ def test_devices_and_pipes_are_written_to_and_stay(tmp_path):
 @POSIX
 @pytest.mark.parametrize("name", ["/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"])
 def test_standard_output_goes_on_where_it_was(tmp_path, name):
-    code = f"from adaptmg.runtime.atomic import write_bytes\nprint('a')\nwrite_bytes({name!r}, b'b\\n')\nprint('c')"
+    code = f"from adaptmg._files import write_bytes\nprint('a')\nwrite_bytes({name!r}, b'b\\n')\nprint('c')"
     with open(tmp_path / "out", "wb") as out:
         subprocess.run([sys.executable, "-c", code], stdout=out, check=True)
     assert (tmp_path / "out").read_text() == "a\nb\nc\n" and names(tmp_path) == ["out"]
@@ -143,7 +143,7 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(way, tmp_path, monkeypat
 @POSIX
 @pytest.mark.parametrize("nameless", [True, False])
 def test_a_kill_leaves_nothing_that_the_next_writer_does_not_remove(tmp_path, nameless):
-    code = ("import sys\nfrom pathlib import Path\nfrom adaptmg.runtime import atomic\n"
+    code = ("import sys\nfrom pathlib import Path\nfrom adaptmg import _files as atomic\n"
             f"if not {nameless}: atomic._write_nameless = lambda *a: False\n"
             "sys.stdout.write('x'); sys.stdout.flush()\n"
             "for k in range(10**9):\n"

@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from adaptmg.runtime.compiled import inner_kernel, kernel
+from adaptmg._runtime import inner_kernel, kernel
 
 
 @inner_kernel(cache=False)

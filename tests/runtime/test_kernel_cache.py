@@ -14,7 +14,7 @@ import adaptmg
 
 ROOT = Path(adaptmg.__file__).parent
 RUN = ("import logging; logging.basicConfig(format='%(message)s')\n"
-       "import numpy as np\nfrom adaptmg.geometry import morton\n"
+       "import numpy as np\nfrom adaptmg.geometry import search as morton\n"
        "assert len(morton.morton_order(np.random.default_rng(1).random((5, 2)))) == 5\n"
        "assert morton.__file__.startswith({folder!r}), morton.__file__\n")
 
@@ -72,7 +72,7 @@ def test_a_damaged_cache_is_made_anew(package):
     folder, run = package
     cache = folder / "__pycache__"
     run()
-    files = sorted(cache.glob("morton.*.nb[ic]"))
+    files = sorted(cache.glob("search.*.nb[ic]"))
     whole = {file: file.read_bytes() for file in files}
     assert {file.suffix for file in files} == {".nbi", ".nbc"}
     damages = (lambda b: b"", lambda b: b[:len(b) // 2], lambda b: b"\0junk" * 100)
@@ -86,7 +86,7 @@ def test_a_damaged_cache_is_made_anew(package):
 
 def test_a_cache_that_cannot_be_written_is_left_out(package):
     _, run = package
-    full = ("from adaptmg.runtime import kernel_cache\nimport numba.core.caching as c\n"
+    full = ("from adaptmg import _files as kernel_cache\nimport numba.core.caching as c\n"
             "def full(*a): raise OSError(28, 'No space left on device')\n"
             "c.IndexDataCacheFile._save_data = full\n")
     said = run(full)
@@ -98,7 +98,7 @@ def test_kernels_of_others_are_left_as_they_are():
     code = ("import adaptmg, numba.core.caching as c\n"
             "class Other:\n    _py_func = len\n    cache_path = '/dev/null/adaptmg-kernels'\n"
             "def fails(*a): raise OSError('as before')\n"
-            "from adaptmg.runtime.kernel_cache import _tolerant\n"
+            "from adaptmg._files import _tolerant\n"
             "try:\n    _tolerant(fails, '', '')(Other())\nexcept OSError as error:\n    print(error)\n"
             "print(c.CacheImpl._locator_classes[-1].from_function(len, '/elsewhere/mine.py'))\n")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -7,7 +7,7 @@ import weakref
 
 import pytest
 
-from adaptmg.runtime.remembered import remembered
+from adaptmg._runtime import remembered
 
 
 class Thing:

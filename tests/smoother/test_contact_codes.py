@@ -3,7 +3,7 @@
 import numpy as np
 
 import adaptmg as am
-from adaptmg.smoother.state import BACKWARDS, CLOSED, FREE, HELD, SLIPS, contact_codes, contact_states
+from adaptmg.smoother.system import BACKWARDS, CLOSED, FREE, HELD, SLIPS, contact_codes, contact_states
 
 
 def test_codes_of_flags():

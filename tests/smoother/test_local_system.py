@@ -9,8 +9,8 @@ import pytest
 from scipy import sparse
 
 from adaptmg import cases
-from adaptmg.discrete import ContactNodes, DiscreteProblem
-from adaptmg.discretisation import discretise
+from adaptmg.discrete import discretise
+from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh import structured
 from adaptmg.problem import Contact, Coulomb, GapFunction, Plane, Support, Tresca
 from adaptmg.smoother.system import frames_of, inverse_blocks, local_system, rotate

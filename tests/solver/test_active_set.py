@@ -11,14 +11,13 @@ from scipy import sparse
 from smoother_problems import dual_solution, network
 
 import adaptmg as am
-from adaptmg.discrete import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.structured import structured
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem
+from adaptmg.solver.active_set import CondensedSteps, SparseSteps, linearise, local_near_nullspace
 from adaptmg.solver.linear import LinearSolution
-from adaptmg.solver.newton.linearised import linearise
-from adaptmg.solver.newton.steps import CondensedSteps, SparseSteps, local_near_nullspace
-from adaptmg.solver.run import Run
+from adaptmg.solver.record import Run
 
 CASES = {
     "bar, friction .2": lambda: am.cases.greco_bar(law=am.Coulomb(0.2)),

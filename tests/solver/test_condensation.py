@@ -10,11 +10,11 @@ from scipy import sparse
 from smoother_problems import network
 
 import adaptmg as am
-from adaptmg.discrete import ContactNodes, DiscreteProblem
+from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh.structured import structured
 from adaptmg.smoother.residuals import natural_residual
 from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver.linear.condensation import condense
+from adaptmg.solver.factorisation import condense
 
 
 def contact_dofs(local: LocalProblem) -> np.ndarray:

@@ -9,9 +9,9 @@ import pytest
 from study_scripts import load
 
 import adaptmg as am
-from adaptmg.solver.run import Run
-from adaptmg.solver.stop_test import IterateTest, StopTest
-from adaptmg.solver.truncated.energy_test import EnergyTest
+from adaptmg.solver.iterate import IterateTest, StopTest
+from adaptmg.solver.record import Run
+from adaptmg.solver.truncated_iteration import EnergyTest
 
 slender = load("slender_bodies")
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.solver.iterate import iterate
-from adaptmg.solver.run import Run
-from adaptmg.solver.sizes import Sizes
-from adaptmg.solver.stop_test import StopTest
+from adaptmg.solver.examine import Sizes
+from adaptmg.solver.iterate import StopTest, iterate
+from adaptmg.solver.record import Run
 
 
 @pytest.fixture(scope="module")

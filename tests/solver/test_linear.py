@@ -12,10 +12,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 import adaptmg as am
-from adaptmg.discrete import ContactNodes, DiscreteProblem
+from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh.structured import structured
-from adaptmg.solver.linear.dissection import graph_coordinates, nested_dissection, node_graph
-from adaptmg.solver.linear.glued import glued_system
+from adaptmg.solver.active_set import glued_system
+from adaptmg.solver.factorisation import graph_coordinates, nested_dissection, node_graph
 
 
 def bar(divisions: int) -> DiscreteProblem:

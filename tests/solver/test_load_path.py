@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.discretisation.load_steps import load_steps, whole_load
+from adaptmg.discrete.load_steps import load_steps, whole_load
 from adaptmg.mesh import structured
-from adaptmg.mesh.assembled import merged
-from adaptmg.solver.history import truncated_steps
-from adaptmg.solver.history.load_path import StepNotConverged
-from adaptmg.solver.history.past import coarse_displacements
-from adaptmg.solver.history.truncated_steps import KeptMultigrid
-from adaptmg.solver.truncated import energy_test
+from adaptmg.mesh.structured import merged
+from adaptmg.solver import load_steps as truncated_steps
+from adaptmg.solver import truncated_iteration as energy_test
+from adaptmg.solver.load_path import StepNotConverged
+from adaptmg.solver.load_steps import KeptMultigrid, coarse_displacements
 
 FINE = am.FullMultigrid(rtol=1e-11)
 EXACT = am.ActiveSet(rtol=1e-12)

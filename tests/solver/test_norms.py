@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.solver.sizes import Sizes, displacement_norm
+from adaptmg.solver.examine import Sizes, displacement_norm
 
 DOWN, GAP = 10e-3, 9.99e-3
 STEEL = am.PlaneStrain(young=1.3e11, poisson=0.2)

@@ -12,9 +12,9 @@ import pytest
 from made import cube, result_on, same, square
 
 import adaptmg as am
-from adaptmg.solver.history.load_path import StepNotConverged
-from adaptmg.solver.result.not_converged import NotConverged
-from adaptmg.solver.result.status import Status
+from adaptmg.solver.load_path import StepNotConverged
+from adaptmg.solver.result import NotConverged
+from adaptmg.solver.status import Status
 
 cloudpickle = pytest.importorskip("cloudpickle")
 

@@ -10,7 +10,7 @@ from made import result_on, square
 from made_bodies import two_bodies
 
 import adaptmg as am
-from adaptmg.discretisation.measures import StressData, full_stress, von_mises
+from adaptmg.discrete.stress import StressData, full_stress, von_mises
 
 #: by name in the columns of ``stresses()``
 COLUMNS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))

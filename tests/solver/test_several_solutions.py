@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.solver.critical_friction import critical_friction
+from adaptmg.solver.statics import critical_friction
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.solver.run import Outcome
+from adaptmg.solver.record import Outcome
 
 PROBLEMS = {
     "coulomb 0.2": lambda: am.cases.greco_bar(law=am.Coulomb(0.2)),

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from adaptmg.discrete import ContactNodes, DiscreteProblem
-from adaptmg.discretisation import discretise
+from adaptmg.discrete import discretise
+from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh import structured
 from adaptmg.problem import (
     BodyForce,

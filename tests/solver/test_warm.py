@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.solver.truncated.warm import WarmMultigrid
+from adaptmg.solver.multigrid import WarmMultigrid
 
 
 @pytest.fixture(scope="module", params=[am.cases.greco_bar, am.cases.dovetail])

@@ -111,7 +111,9 @@ def test_processes_that_dask_gave_up_are_started_anew(when, monkeypatch, caplog)
     """As on a machine that is so busy that they are slow to start."""
     import dask
 
-    from adaptmg.study.cluster import executor, fitness, local_cluster
+    from adaptmg.study import cluster as executor
+    from adaptmg.study import cluster as fitness
+    from adaptmg.study.cluster import local_cluster
 
     def run(n):
         return {"m": n, "here": os.getpid()}
@@ -146,7 +148,7 @@ def test_scratch_files_of_dask_lie_in_a_folder_that_goes(cluster):
 
 def test_kernels_are_warm_before_a_clock_starts(cluster):
     def run(n):
-        from adaptmg.study.cluster import in_worker
+        from adaptmg.study import in_worker
 
         return {"warm": in_worker._warmed, "problem": am.cases.greco_bar().name}
 
@@ -179,7 +181,7 @@ def test_what_a_worker_lacks_is_told_at_once(cluster, tmp_path, monkeypatch):
 
 
 def test_another_adaptmg_on_a_worker_is_told_at_once(cluster, monkeypatch):
-    from adaptmg.study.cluster import executor
+    from adaptmg.study import cluster as executor
 
     monkeypatch.setattr(executor, "identity", lambda: {"numpy": "1.0"})
     with pytest.raises(RuntimeError, match=r"worker tcp.*numpy .* instead of 1\.0"):

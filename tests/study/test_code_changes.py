@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from adaptmg.runtime.fingerprint import fingerprint, package
-from adaptmg.runtime.fingerprint.loaded import edited, given, loaded_before, set_values
+from adaptmg import _fingerprint as package
+from adaptmg._fingerprint import edited, fingerprint, given, loaded_before, set_values
 
 TABLE = [re.match(r"(\w+): (.*?)\n(.*)", block, re.DOTALL).groups() for block in
          Path(__file__).with_name("code_changes.txt").read_text(encoding="utf-8").split("=== ")[1:]]
@@ -137,7 +137,7 @@ def test_adaptmg_that_was_edited_or_changed_after_it_was_loaded(monkeypatch):
 
 def test_a_constant_that_is_set_in_adaptmg_is_seen(monkeypatch):
     import adaptmg as am
-    from adaptmg.multigrid.truncated import step
+    from adaptmg.multigrid import truncated_step as step
 
     def run(n):
         return {"cycles": am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))).cycles}

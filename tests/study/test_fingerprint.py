@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.runtime.fingerprint import fingerprint, package
+from adaptmg import _fingerprint as package
+from adaptmg._fingerprint import fingerprint
 from adaptmg.study import Study
 
 FACTOR, TABLE, ARRAY = 2, {"a": [1, 2.0]}, np.arange(4.0)
@@ -103,7 +104,7 @@ def _fingerprint_of(folder: Path, **files: str) -> tuple[str, ...]:
     for name, text in files.items():
         (folder / f"{name}.py").write_text(text, encoding="utf-8")
     code = ("import sys; sys.path.insert(0, sys.argv[1]); import script; "
-            "from adaptmg.runtime.fingerprint import fingerprint; f = fingerprint(script.run); "
+            "from adaptmg._fingerprint import fingerprint; f = fingerprint(script.run); "
             "print(f.code, *sorted(f.parts), sep='\\n')")
     return tuple(subprocess.run([sys.executable, "-B", "-c", code, str(folder)], capture_output=True, text=True,
                                 check=True).stdout.splitlines())
@@ -129,7 +130,7 @@ def test_a_script_that_is_run_and_one_that_is_imported_are_the_same(tmp_path):
     script = ("from dataclasses import dataclass\nLIMIT = 3\n@dataclass\nclass Size:\n    h: float = 1.0\n"
               "    def area(self):\n        return self.h**2\nSIZE = Size()\n"
               "def run(n):\n    return {'m': n * LIMIT * SIZE.area()}\n"
-              "if __name__ == '__main__':\n    from adaptmg.runtime.fingerprint import fingerprint\n"
+              "if __name__ == '__main__':\n    from adaptmg._fingerprint import fingerprint\n"
               "    f = fingerprint(run)\n    print(f.code, *sorted(f.parts), sep='\\n')\n")
     imported = _fingerprint_of(tmp_path, script=script)
     run = subprocess.run([sys.executable, str(tmp_path / "script.py")], capture_output=True, text=True, check=True)
@@ -157,7 +158,7 @@ def test_of_adaptmg_a_run_depends_on_what_it_can_reach():
 
     parts = fingerprint(uniform).parts
     assert {"adaptmg.cases.greco", "adaptmg.hierarchy", "adaptmg.solver.solve", "adaptmg.smoother.kernels",
-            "adaptmg.multigrid.truncated.step", "adaptmg.problem.laws"} <= set(parts)
+            "adaptmg.multigrid.truncated_step", "adaptmg.problem.laws"} <= set(parts)
     apart = ("cases.hertz", "plot", "export", "study", "cli", "estimate")
     assert not [name for name in parts if name.removeprefix("adaptmg.").startswith(apart)]
     assert fingerprint(uniform).uses_adaptmg and not fingerprint(none).uses_adaptmg

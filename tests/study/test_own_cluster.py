@@ -115,7 +115,7 @@ def test_workers_of_several_threads_are_refused(address):
 
 
 def test_nobody_at_the_address_is_told(monkeypatch):
-    from adaptmg.study.cluster import executor
+    from adaptmg.study import cluster as executor
 
     monkeypatch.setattr(executor, "CONNECT_S", 0.5)
     with pytest.raises(OSError, match=r"nobody answers at tcp:..127\.0\.0\.1:9"):

@@ -33,7 +33,7 @@ def test_jobs_that_wait_and_one_that_is_cancelled(jobs, tmp_path, monkeypatch, c
     from dask.distributed import Client
     from dask_jobqueue import SLURMCluster
 
-    from adaptmg.study.cluster import fitness
+    from adaptmg.study import cluster as fitness
 
     monkeypatch.setattr(fitness, "PATIENCE_S", 0.3)
 

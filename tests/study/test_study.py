@@ -306,7 +306,7 @@ def test_a_changed_helper_of_the_script_makes_rows_stale(tmp_path):
         (tmp_path / "the_script.py").write_text(script, encoding="utf-8")
         (tmp_path / "stranger.py").write_text(f"x = {len(seen)}", encoding="utf-8")
         code = ("import sys; sys.path.insert(0, sys.argv[1]); import the_script; "
-                "from adaptmg.runtime.fingerprint import fingerprint; print(fingerprint(the_script.run).code)")
+                "from adaptmg._fingerprint import fingerprint; print(fingerprint(the_script.run).code)")
         answer = subprocess.run([sys.executable, "-B", "-c", code, str(tmp_path)], capture_output=True, text=True,
                                 check=True)
         return answer.stdout

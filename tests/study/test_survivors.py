@@ -14,12 +14,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from adaptmg.study import Study
-from adaptmg.study.arguments import in_order
+from adaptmg.study import kept_files as kept
+from adaptmg.study import store as rescue
 from adaptmg.study.execute import compute
+from adaptmg.study.kept_files import pack
 from adaptmg.study.record import Record, canonical
 from adaptmg.study.store import Store
-from adaptmg.study.stored import kept, rescue
-from adaptmg.study.stored.kept import pack
+from adaptmg.study.study import in_order
 
 
 def squares(n):
@@ -225,7 +226,7 @@ def test_rows_that_adaptmg_cannot_have_written_are_told(tmp_path):
 def test_limits_are_refused_where_nobody_starts_a_worker_again():
     pytest.importorskip("distributed")
 
-    from adaptmg.study.cluster.fitness import check_workers
+    from adaptmg.study.cluster import check_workers
 
     workers = {"tcp://w": {"nthreads": 1, "nanny": None}}
     client = SimpleNamespace(scheduler=SimpleNamespace(address="tcp://s"), wait_for_workers=lambda n, timeout: None,
@@ -240,8 +241,8 @@ def test_a_worker_that_leaves_while_it_is_looked_at_is_no_unfit_one(caplog):
 
     from distributed.comm import CommClosedError
 
-    from adaptmg.study.cluster.fitness import check_workers
-    from adaptmg.study.cluster.in_worker import Order
+    from adaptmg.study.cluster import check_workers
+    from adaptmg.study.in_worker import Order
 
     found = {"tcp://w": CommClosedError("reset by peer"), "tcp://v": ""}
     client = SimpleNamespace(scheduler=SimpleNamespace(address="tcp://s"), wait_for_workers=lambda n, timeout: None,
@@ -258,7 +259,7 @@ def test_no_more_processes_are_started_than_there_are_runs(monkeypatch):
     pytest.importorskip("distributed")
     from contextlib import contextmanager
 
-    from adaptmg.study.cluster import executor
+    from adaptmg.study import cluster as executor
 
     asked = []
 
@@ -294,7 +295,7 @@ class _Processes:
 
 @pytest.mark.parametrize("fails", [2, 3])
 def test_processes_that_end_while_they_start_are_started_again(fails, monkeypatch):
-    local = pytest.importorskip("adaptmg.study.cluster.local")
+    local = pytest.importorskip("adaptmg.study.cluster")
     processes = _Processes(fails)
     monkeypatch.setattr(local, "LocalCluster", processes)
     monkeypatch.setattr(local, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
@@ -310,7 +311,7 @@ def test_processes_that_end_while_they_start_are_started_again(fails, monkeypatc
 
 @pytest.mark.parametrize("fails", [0, 1])
 def test_ctrl_c_while_processes_start_ends_them(fails, monkeypatch):
-    local = pytest.importorskip("adaptmg.study.cluster.local")
+    local = pytest.importorskip("adaptmg.study.cluster")
     processes, heard = _Processes(fails, signals=True), signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(local, "LocalCluster", processes)
     monkeypatch.setattr(local, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
@@ -324,7 +325,7 @@ def test_ctrl_c_while_processes_start_ends_them(fails, monkeypatch):
 
 
 def test_runs_are_sent_ahead_only_while_no_worker_has_died_and_they_are_short():
-    executor = pytest.importorskip("adaptmg.study.cluster.executor")
+    executor = pytest.importorskip("adaptmg.study.cluster")
     runs = object.__new__(executor._Runs)
     runs._died, runs._allowed, runs._recent = False, 0, executor.deque([1e-3] * 8, maxlen=8)
     assert runs._far_ahead() == 10
@@ -338,7 +339,7 @@ def test_runs_are_sent_ahead_only_while_no_worker_has_died_and_they_are_short():
 @pytest.mark.parametrize(("since", "told"), [(3.2, None), (4.8, "TimeLimit: stopped after limit_s=3 s")])
 def test_a_death_that_is_told_of_late_is_no_time_limit(since, told, monkeypatch):
     """Code that holds Python's lock is ended two seconds after its limit, without a word."""
-    executor = pytest.importorskip("adaptmg.study.cluster.executor")
+    executor = pytest.importorskip("adaptmg.study.cluster")
     runs = object.__new__(executor._Runs)
     runs._limit_s, runs._over, runs._left, runs._alone = 3.0, {}, executor.deque(), executor.deque()
     now = 100.0
@@ -352,12 +353,12 @@ def test_a_death_that_is_told_of_late_is_no_time_limit(since, told, monkeypatch)
 
 @pytest.mark.parametrize("local", [True, False])
 def test_a_study_does_not_wait_for_ever_for_processes_of_this_machine(local, monkeypatch, caplog):
-    executor = pytest.importorskip("adaptmg.study.cluster.executor")
+    executor = pytest.importorskip("adaptmg.study.cluster")
 
     monkeypatch.setattr(executor, "_PATIENCE_S", 0.02)
     monkeypatch.setattr(executor, "_LOOK_S", 0.01)
     started = []
-    monkeypatch.setattr("adaptmg.study.cluster.fitness.revive", started.append)
+    monkeypatch.setattr("adaptmg.study.cluster.revive", started.append)
     told = iter(range(20))
 
     def looked(turn):
@@ -384,7 +385,7 @@ def test_a_study_does_not_wait_for_ever_for_processes_of_this_machine(local, mon
 
 
 def test_a_function_that_carries_too_much_is_refused():
-    sending = pytest.importorskip("adaptmg.study.cluster.sending")
+    sending = pytest.importorskip("adaptmg.study.in_worker")
     large = np.ones(sending._MOST // 8 + 1)
     with pytest.raises(TypeError, match=r"carries 52 MB of values"):
         sending.sent(lambda n: {"m": large[n]})

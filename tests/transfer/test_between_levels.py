@@ -12,10 +12,10 @@ from scipy import sparse
 from smoother_problems import expand
 
 import adaptmg as am
-from adaptmg.discretisation.discretise import discretise
+from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import graded, structured
 from adaptmg.transfer import galerkin_product, surface_interpolation, with_contact_rows
-from adaptmg.transfer.between_levels import between_levels
+from adaptmg.transfer.contact_rows import between_levels
 
 
 def flat(pair, dim=2, angle=0.0):

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
 
-from adaptmg.geometry.box_tree import BoxTree
-from adaptmg.geometry.morton import morton_order
+from adaptmg.geometry.search import BoxTree, morton_order
 from adaptmg.mesh import MeshArrays
 from adaptmg.transfer import PointLocator
 

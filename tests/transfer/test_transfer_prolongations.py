@@ -11,8 +11,7 @@ from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, stru
 from adaptmg.geometry.quadrature import simplex_rule
 from adaptmg.mesh import MeshArrays
 from adaptmg.transfer import CLIP, L2, Interpolation, LumpedL2, PseudoL2, QuasiInterpolation, Transfer
-from adaptmg.transfer.projections.l2 import mass_matrix
-from adaptmg.transfer.projections.mixed_mass import mixed_mass
+from adaptmg.transfer.projections import mass_matrix, mixed_mass
 
 ALL = (Interpolation(), L2(), PseudoL2(), LumpedL2(), QuasiInterpolation())
 AFFINE = (Interpolation(), L2(), PseudoL2(), QuasiInterpolation())

@@ -1,24 +1,35 @@
-"""onto_domain: nodes that bisection put on the chords of a curved boundary, moved onto the curve.
+r"""onto_domain: nodes that bisection put on the chords of a curved boundary, moved onto the curve.
 
 A node goes as long as every element around it keeps a quarter of its volume; otherwise it stays on the chord. Nodes
 that halve edges of moved nodes follow. What was moved is no longer nested in the mesh before.
+
+Where the midpoint of two nodes of a curved boundary belongs: on arcs, cylinders, balls, turned and extruded arcs.
+
+An arc moves the midpoint along its radius. In a turned profile the midpoint keeps its angle about the axis and gets the
+radius and height of the profile, in an extruded one it keeps its height. Of several edges of one name that is taken
+which both nodes lie on and which faces the way of the boundary there.
+
+Combined solids (:class:`~adaptmg.problem.solid_domains.Cut`, ``Fuse``, ``Common``) and STEP files do not say which
+surface
+a face lies on: their midpoints stay on the chord.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.refinement import with_refinement
-from adaptmg.mesh.bisection.surfaces import curved_boundaries, on_surface
-from adaptmg.mesh.checks.check import check_mesh
-from adaptmg.mesh.on_demand_source import sound_by_construction
-from adaptmg.problem import checks
-from adaptmg.problem.domains import Domain
+from adaptmg.mesh.bisection.children import with_refinement
+from adaptmg.mesh.soundness import check_mesh
+from adaptmg.mesh.structured import sound_by_construction
+from adaptmg.problem.plane_domains import Domain, Outline
+from adaptmg.problem.solid_domains import Assembly, Ball, Cylinder, Extrusion, Moved, Revolution
 
-__all__ = ["onto_domain"]
+__all__ = ["curved_boundaries", "on_surface", "onto_domain"]
 
 _KEPT_VOLUME = 0.25
 _MAX_TRIES = 10
@@ -121,3 +132,149 @@ def _volumes(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     """Signed volumes, up to a factor."""
     corners = points[elements]
     return np.linalg.det(corners[:, 1:] - corners[:, :1])
+
+
+# nodes further from an arc than this part of the edge between them do not lie on it
+_NEAR = 0.25
+# what an edge that faces the other way is further away for, in lengths of the edge between the nodes
+_AVERTED = 10.0
+# profiles: radii below this part of the largest lie on the axis
+_ON_AXIS = 1e-12
+# turned faces with less of their normal away from the axis are plane
+_PLANE = 1e-9
+
+
+def curved_boundaries(domain: Domain | None) -> dict[str, tuple[Domain, str]]:
+    """The boundaries that :func:`on_surface` may know a curve of: their part of the domain, and its own name.
+
+    Parameters
+    ----------
+    domain : Domain or None
+
+    Returns
+    -------
+    dict of str to (Domain, str)
+        By the name in the mesh, "body.edge" in an assembly.
+    """
+    if isinstance(domain, Assembly):
+        return {f"{body}.{name}": found for body, part in domain.parts.items()
+                for name, found in curved_boundaries(part).items()}
+    return {} if domain is None else {name: (domain, name) for name in _curved(domain)}
+
+
+def _curved(domain: Domain) -> tuple[str, ...]:
+    if isinstance(domain, Outline):
+        return tuple(dict.fromkeys(domain.boundaries[i] for i in domain.arcs))
+    if isinstance(domain, Moved):
+        return _curved(domain.solid)
+    if isinstance(domain, Cylinder):
+        return ("side",)
+    if isinstance(domain, Ball):
+        return ("surface",)
+    if isinstance(domain, Extrusion):
+        return _curved(domain.polygon)
+    if isinstance(domain, Revolution):
+        return tuple(name for name in domain.boundaries if name in domain.polygon.boundaries)
+    return ()
+
+
+def on_surface(domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Places on a boundary for the midpoints of some of its edges.
+
+    Parameters
+    ----------
+    domain : Domain
+        One body.
+    name : str
+        A boundary, of those that :func:`curved_boundaries` names.
+    a, b : (n, dim) array
+        Ends of the edges, m, on the boundary.
+    normals : (n, dim) array
+        Out of the body, of any length.
+
+    Returns
+    -------
+    (n, dim) array
+        m; the midpoint itself where the boundary is plane, or the ends do not lie on it.
+    """
+    middle = 0.5 * (a + b)
+    if isinstance(domain, Outline):
+        return _on_outline(domain, name, a, b, normals)
+    if isinstance(domain, Moved):
+        turn, offset = _rotation(domain), np.array(domain.offset)
+        own = on_surface(domain.solid, name, (a - offset) @ turn, (b - offset) @ turn, normals @ turn)
+        return own @ turn.T + offset
+    if isinstance(domain, Ball):
+        centre = np.array(domain.centre)
+        return centre + _stretched(middle - centre, domain.radius)
+    if isinstance(domain, Cylinder):
+        offset, axis = middle - np.array(domain.point), np.array(domain.axis)
+        along = (offset @ axis)[:, None] * axis
+        return np.array(domain.point) + along + _stretched(offset - along, domain.radius)
+    if isinstance(domain, Extrusion):
+        plane = _on_outline(domain.polygon, name, a[:, :2], b[:, :2], normals[:, :2])
+        return np.column_stack([plane, middle[:, 2]])
+    return _on_revolution(domain, name, a, b, normals)
+
+
+def _stretched(vectors: np.ndarray, length: float) -> np.ndarray:
+    """Vectors (n, dim) with their direction and this length; those without direction stay."""
+    own = np.linalg.norm(vectors, axis=1)
+    return vectors * np.where(own > 0, length / np.where(own > 0, own, 1.0), 1.0)[:, None]
+
+
+def _rotation(moved: Moved) -> np.ndarray:
+    """Rodrigues' matrix R: the solid's x goes to R x + offset."""
+    x, y, z = moved.axis
+    turn = math.radians(moved.angle)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(turn) * cross + (1 - math.cos(turn)) * cross @ cross
+
+
+def _on_revolution(domain: Revolution, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Radius and height of the profile, at the angle of the midpoint."""
+    middle = 0.5 * (a + b)
+    profile = domain.polygon
+    radius = np.hypot(middle[:, 0], middle[:, 1])
+    off_axis = radius > _ON_AXIS * float(profile.upper[0])
+    direction = middle[:, :2] / np.where(off_axis, radius, 1.0)[:, None]
+    flat_a, flat_b = (np.column_stack([np.hypot(x[:, 0], x[:, 1]), x[:, 2]]) for x in (a, b))
+    flat = 0.5 * (flat_a + flat_b)
+    if isinstance(profile, Outline):
+        outward = np.column_stack([(normals[:, :2] * direction).sum(axis=1), normals[:, 2]])
+        flat = _on_outline(profile, name, flat_a, flat_b, outward)
+    result = np.column_stack([flat[:, :1] * direction, flat[:, 1]])
+    # faces normal to the axis are plane
+    turned = np.hypot(normals[:, 0], normals[:, 1]) > _PLANE * np.linalg.norm(normals, axis=1)
+    return np.where((off_axis & turned)[:, None], result, middle)
+
+
+def _on_outline(outline: Outline, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Midpoints on the edges of an outline that have one name."""
+    middle = 0.5 * (a + b)
+    length = np.linalg.norm(b - a, axis=1)
+    result, best = middle.copy(), np.full(len(a), np.inf)
+    vertices = np.array(outline.vertices)
+    for i in (i for i, own in enumerate(outline.boundaries) if own == name):
+        arc = outline.arc(i)
+        if arc is None:
+            first, edge = vertices[i], vertices[(i + 1) % len(vertices)] - vertices[i]
+            away = np.maximum(*(_to_segment(x, first, edge) for x in (a, b)))
+            facing = normals @ np.array([edge[1], -edge[0]])
+            place = middle
+        else:
+            offset = middle - np.array(arc.center)
+            away = np.maximum(arc.distance(a), arc.distance(b))
+            facing = math.copysign(1.0, arc.angle) * (normals * offset).sum(axis=1)
+            place = np.array(arc.center) + _stretched(offset, arc.radius)
+        away = away + np.where(facing > 0, 0.0, _AVERTED * length)
+        nearer = (away < best) & (away <= _NEAR * length)
+        best = np.where(nearer, away, best)
+        result = np.where(nearer[:, None], place, result)
+    return result
+
+
+def _to_segment(points: np.ndarray, start: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """Distance (n,) of points to a segment."""
+    along = np.clip((points - start) @ edge / (edge @ edge), 0.0, 1.0)
+    return np.linalg.norm(points - start - along[:, None] * edge, axis=1)

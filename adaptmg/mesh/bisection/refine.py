@@ -1,16 +1,23 @@
-"""refined: marked elements bisected, and their neighbours as far as conformity asks."""
+"""refined: marked elements bisected, and their neighbours as far as conformity asks.
+
+The loop of a bisection: cut edges of the marked elements, then bisect until no element has a cut edge.
+
+An element with a cut edge is bisected at its own edge, which may cut a further one; so are its children. Whether the
+rest may have a cut edge is asked only of elements two of whose corners were ends of one lately. The loop ends from any
+conforming mesh: triangles, because only edges of the mesh before are cut; tetrahedra, because they are marked alike
+from both sides of a face (Arnold, Mukherjee, Pouly).
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.closure import bisected, by_origin, midpoints
-from adaptmg.mesh.bisection.tabled import Refined, cells_of, mesh_of, nodes_of, parents_of, tree_of
-from adaptmg.mesh.bisection.tables import HIGH, LOW
+from adaptmg.mesh.bisection.children import HIGH, LOW, cut_edge, longer, midpoint_of, roomier, write_children
+from adaptmg.mesh.bisection.tables import Refined, cells_of, mesh_of, nodes_of, parents_of, tree_of
 
-__all__ = ["refined"]
-
+__all__ = ["bisected", "by_origin", "midpoints", "refined"]
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
     """Bisect the marked elements.
@@ -58,3 +65,155 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     cells = by_origin(cells, n_cells, n)
     fine = mesh_of(mesh, points, parents, cells, tree[:n_tree].copy())
     return Refined(mesh=fine, origin=cells[:, 2 * corners + 3].copy(), nodes=np.arange(mesh.n_nodes))
+
+
+@inner_kernel
+def _has_cut_edge(cells, e, corners, nodes, stamps):
+    """Whether an edge of element e is cut; most have no two corners that ever were ends of one."""
+    for i in range(1, corners):
+        a = cells[e, i]
+        if stamps[a] >= 0:
+            for j in range(i):
+                b = cells[e, j]
+                if stamps[b] >= 0 and midpoint_of(nodes, a, b) >= 0:
+                    return True
+    return False
+
+
+@inner_kernel
+def _touched(cells, e, corners, stamps, since):
+    """Whether two corners of element e were ends of cut edges since some round."""
+    found = 0
+    for i in range(corners):
+        found += stamps[cells[e, i]] >= since
+    return found > 1
+
+
+@inner_kernel
+def _cut(nodes, stamps, n_nodes, a, b, stamp):
+    """Cut the edge (a, b) unless it is cut: its node, and the number of nodes; there is room for one more."""
+    p = midpoint_of(nodes, a, b)
+    if p < 0:
+        p = n_nodes
+        n_nodes += 1
+        cut_edge(nodes, p, a, b)
+        stamps[p] = -1
+        stamps[a] = stamp
+        stamps[b] = stamp
+    return np.int64(p), n_nodes
+
+
+@inner_kernel
+def _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked, most):
+    """Cut edges between the first ``most`` corners of the marked elements from e on, as long as there is room."""
+    while e < n_cells and n_nodes + most * most <= len(nodes):
+        if marked[e]:
+            for i in range(1, most):
+                for j in range(i):
+                    _, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, i], cells[e, j], 0)
+        e += 1
+    return e, n_nodes
+
+
+@inner_kernel
+def _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before, stamp):
+    """Bisect the elements from e on that have a cut edge, as long as there is room.
+
+    Which were there before the round are looked at if they were touched since the round before, and e in any case.
+    The tables are not bound anew in here: counting who holds them would take longer than all the rest.
+    """
+    corners, again = tree.shape[1] - 3, e
+    while e < n_cells:
+        if e >= n_before or e == again or _touched(cells, e, corners, stamps, stamp - 1):
+            while _has_cut_edge(cells, e, corners, nodes, stamps):
+                if n_cells == len(cells) or n_tree == len(tree) or n_nodes == len(nodes):
+                    return e, n_cells, n_tree, n_nodes
+                p, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, 0], cells[e, 1], stamp)
+                write_children(cells, e, n_cells, tree, n_tree, p)
+                n_cells += 1
+                n_tree += 1
+        e += 1
+    return e, n_cells, n_tree, n_nodes
+
+
+@kernel
+def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
+    """Bisect the marked elements and what conformity asks for.
+
+    Parameters
+    ----------
+    cells, tree, nodes : (n, width) int32 arrays
+        See :mod:`adaptmg.mesh.bisection.children`; with or without room for more.
+    n_cells, n_tree, n_nodes : int
+        How many of their rows are used.
+    marked : (n_cells,) array of bool
+        At least one.
+    every_edge : bool
+        Whether all edges of the marked elements are cut, or only the one that is next.
+
+    Returns
+    -------
+    cells, n_cells, tree, n_tree, nodes, n_nodes
+        The tables, changed or grown.
+    """
+    # the round in which an edge that ends in a node was last cut, -1: never
+    stamps = np.full(len(nodes), -1, dtype=np.int32)
+    # of a type: numba would compile what it calls for a literal 0 as well
+    stamp, e = np.int64(0), np.int64(0)
+    while e < n_cells:
+        e, n_nodes = _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked,
+                                 tree.shape[1] - 3 if every_edge else 2)
+        if e < n_cells:
+            nodes, stamps = roomier(nodes), longer(stamps)
+    nodes_before = np.int64(-1)
+    while n_nodes > nodes_before:
+        stamp += 1
+        nodes_before, n_before = n_nodes, n_cells
+        e = np.int64(0)
+        while e < n_cells:
+            e, n_cells, n_tree, n_nodes = _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before,
+                                                 stamp)
+            if n_cells == len(cells):
+                cells = roomier(cells)
+            if n_tree == len(tree):
+                tree = roomier(tree)
+            if n_nodes == len(nodes):
+                nodes, stamps = roomier(nodes), longer(stamps)
+    return cells, n_cells, tree, n_tree, nodes, n_nodes
+
+
+@kernel
+def by_origin(cells, n_cells, n_origins):
+    """The cells in the order of the elements they come from, which is their last column: neighbours stay near.
+
+    Parameters
+    ----------
+    cells : (n, width) int32 array
+    n_cells, n_origins : int
+
+    Returns
+    -------
+    (n_cells, width) int32 array
+    """
+    last = cells.shape[1] - 1
+    start = np.zeros(n_origins + 1, dtype=np.int64)
+    for e in range(n_cells):
+        start[cells[e, last] + 1] += 1
+    for f in range(n_origins):
+        start[f + 1] += start[f]
+    result = np.empty((n_cells, cells.shape[1]), dtype=cells.dtype)
+    for e in range(n_cells):
+        row = start[cells[e, last]]
+        start[cells[e, last]] += 1
+        for k in range(cells.shape[1]):
+            result[row, k] = cells[e, k]
+    return result
+
+
+@kernel
+def midpoints(points, n_old, nodes):
+    """Places of the nodes from ``n_old`` on, each halfway between its parents; ``points`` is changed."""
+    for p in range(n_old, len(points)):
+        a, b = nodes[p, LOW], nodes[p, HIGH]
+        for k in range(points.shape[1]):
+            points[p, k] = 0.5 * (points[a, k] + points[b, k])

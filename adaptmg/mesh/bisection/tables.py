@@ -1,72 +1,116 @@
-"""The tables that a bisection works on: a row of 32 bit integers for each element, bisected element and node.
-
-Cut edges are found through lists, one for each node: ``nodes[i, HEAD]`` is the first node that halves an edge from i to
-a lower number, ``nodes[p, NEXT]`` the next one. Unlike a hash table the lists need no room of their own, and lie
-where the mesh around them lies.
-"""
+"""A mesh into the tables of a bisection, and out of them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from adaptmg.runtime.compiled import inner_kernel
+from adaptmg.mesh.arrays import MeshArrays, element_facets
+from adaptmg.mesh.bisection.children import (
+    CODES,
+    EVEN,
+    FOREBEAR,
+    HEAD,
+    NODE_COLUMNS,
+    Refinement,
+    columns_of_cells,
+    columns_of_tree,
+    facets_into_cells,
+    facets_of_cells,
+    first_labels,
+    with_refinement,
+)
+from adaptmg.mesh.structured import sound_by_construction
 
-__all__ = ["FOREBEAR", "HEAD", "HIGH", "LOW", "NEXT", "NODE_COLUMNS", "columns_of_cells", "columns_of_tree", "cut_edge",
-           "longer", "midpoint_of", "roomier"]
-
-# columns of the nodes: the list of its edges (see above), and both ends of the edge it halves
-HEAD, NEXT, LOW, HIGH = 0, 1, 2, 3
-NODE_COLUMNS = 4
-# columns after the corners: of a bisected element its marks, its own forebear (row of the tree, -1: none), its new node
-FOREBEAR = 1
-
-
-def columns_of_cells(dim: int) -> int:
-    """Corners, the boundary facet of each (-1: none), marks, forebear, generation, origin."""
-    return 2 * (dim + 1) + 4
-
-
-def columns_of_tree(dim: int) -> int:
-    """Corners, marks, forebear, new node."""
-    return dim + 4
+__all__ = ["Refined", "cells_of", "mesh_of", "nodes_of", "parents_of", "tree_of"]
 
 
-@inner_kernel
-def roomier(table):
-    """The table with half as much room again."""
-    result = np.empty((len(table) + len(table) // 2 + 16, table.shape[1]), table.dtype)
-    # loops compile ten times as fast as slices
-    for i in range(len(table)):
-        for j in range(table.shape[1]):
-            result[i, j] = table[i, j]
-    return result
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refined:
+    """A mesh made from another one by bisection or its taking back.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        Trusted, with its history and a source on demand.
+    origin : (n_elements,) int array
+        Of a refined mesh: the element of the mesh before that holds each element. Of a coarsened one: one of those
+        that each element holds, itself where it is as before.
+    nodes : (n_nodes_before,) int array
+        Number of each node of the mesh before; -1 where it is gone.
+    """
+
+    mesh: MeshArrays
+    origin: np.ndarray
+    nodes: np.ndarray
 
 
-@inner_kernel
-def longer(stamps):
-    """The stamps with room for half as many more."""
-    result = np.empty(len(stamps) + len(stamps) // 2 + 16, stamps.dtype)
-    for i in range(len(stamps)):
-        result[i] = stamps[i]
-    return result
+def parents_of(mesh: MeshArrays) -> np.ndarray:
+    """Parents (n_nodes, 2) of each node since the initial mesh."""
+    refinement = mesh.refinement
+    if refinement is not None:
+        return refinement.parents
+    return np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
 
 
-@inner_kernel
-def midpoint_of(nodes, a, b):
-    """The node that halves the edge (a, b), -1 if it is not cut."""
-    low, high = min(a, b), max(a, b)
-    p = nodes[high, HEAD]
-    while p >= 0 and nodes[p, LOW] != low:
-        p = nodes[p, NEXT]
-    return p
+def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
+    """The elements as a table, labelled if the mesh was never bisected, with so many times the rows as room."""
+    n, corners = mesh.elements.shape
+    cells = np.empty((n + int(room * n), columns_of_cells(mesh.dim)), dtype=np.int32)
+    cells[:n, :corners] = mesh.elements
+    facets_into_cells(mesh.facets, cells, n, corners, mesh.n_nodes)
+    marks, refinement = 2 * corners, mesh.refinement
+    if refinement is None:
+        first_labels(mesh.points, cells, n, corners, EVEN, CODES)
+        cells[:n, marks + 1] = -1
+        cells[:n, marks + 2] = 0
+    else:
+        cells[:n, marks] = refinement.marks
+        cells[:n, marks + 1] = refinement.forebear
+        cells[:n, marks + 2] = refinement.generation
+    cells[:n, marks + 3] = np.arange(n)
+    return cells
 
 
-@inner_kernel
-def cut_edge(nodes, p, a, b):
-    """Enter p, the next free row, as the node that halves the edge (a, b)."""
-    low, high = min(a, b), max(a, b)
-    nodes[p, HEAD] = -1
-    nodes[p, NEXT] = nodes[high, HEAD]
-    nodes[p, LOW] = low
-    nodes[p, HIGH] = high
-    nodes[high, HEAD] = p
+def tree_of(mesh: MeshArrays) -> np.ndarray:
+    """The elements that were bisected."""
+    refinement = mesh.refinement
+    return np.empty((0, columns_of_tree(mesh.dim)), dtype=np.int32) if refinement is None else refinement.tree
+
+
+def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
+    """The nodes as a table in which no edge is cut, with so many times the rows as room."""
+    n = mesh.n_nodes
+    nodes = np.empty((n + int(room * n), NODE_COLUMNS), dtype=np.int32)
+    nodes[:n, HEAD] = -1
+    return nodes
+
+
+def mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray, tree: np.ndarray
+            ) -> MeshArrays:
+    """The mesh that tables hold, with the boundaries and bodies of the mesh they come from.
+
+    Parameters
+    ----------
+    before : MeshArrays
+    points : (n_nodes, dim) array
+    parents : (n_nodes, 2) int32 array
+    cells : (n_elements, width) int32 array
+        Facets and origins are those of ``before``.
+    tree : (n_bisected, dim + 4) int32 array
+
+    Returns
+    -------
+    MeshArrays
+        Sound by construction, with its history.
+    """
+    corners = before.dim + 1
+    marks = 2 * corners
+    opposite = element_facets(np.arange(corners)[None])[0]
+    facets, origin = facets_of_cells(cells, len(cells), corners, len(before.facets), opposite)
+    mesh = MeshArrays(points, cells[:, :corners], facets, before.facet_labels[origin], before.boundaries,
+                      before.element_body[cells[:, marks + 3]], before.bodies)
+    history = Refinement(parents, cells[:, marks].astype(np.int8), cells[:, marks + 2].astype(np.int16),
+                         cells[:, marks + FOREBEAR].copy(), tree)
+    return with_refinement(sound_by_construction(mesh), history)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.estimate.goals.view import Functional
+from adaptmg.estimate.goal_view import Functional
 from adaptmg.mesh import graded
 
 REFERENCE = am.cases.greco_bar().reference

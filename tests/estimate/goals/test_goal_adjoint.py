@@ -10,11 +10,11 @@ import pytest
 from bodies import bar_on_block
 
 import adaptmg as am
-from adaptmg.estimate.fields.posed import posed
-from adaptmg.estimate.goals.adjoint import adjoint_system
-from adaptmg.estimate.goals.bubbles.edge_bubbles import edge_bubbles
-from adaptmg.estimate.goals.contact_state import linearised_contact
-from adaptmg.estimate.goals.view import GoalView
+from adaptmg.estimate.adjoint import adjoint_system
+from adaptmg.estimate.contact_state import linearised_contact
+from adaptmg.estimate.edge_bubbles import edge_bubbles
+from adaptmg.estimate.goal_view import GoalView
+from adaptmg.estimate.stress_fields import posed
 
 EXACT = am.ActiveSet(rtol=1e-13)
 

@@ -8,9 +8,9 @@ from simplex_meshes import random_box
 from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.estimate.goals.bubbles import bubble_kernels
-from adaptmg.estimate.goals.bubbles import edge_bubbles as bubbles
-from adaptmg.estimate.goals.bubbles.edge_bubbles import edge_bubbles
+from adaptmg.estimate import edge_bubbles as bubble_kernels
+from adaptmg.estimate import edge_bubbles as bubbles
+from adaptmg.estimate.edge_bubbles import edge_bubbles
 from adaptmg.mesh import structured
 
 MATERIAL = {2: am.PlaneStrain(young=3.0, poisson=0.3), 3: am.Solid(young=3.0, poisson=0.3)}

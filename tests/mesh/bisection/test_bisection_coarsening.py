@@ -7,7 +7,7 @@ import pytest
 from bisected_meshes import SQUARE, as_sets, crooked, cube, random_mask, verified
 
 from adaptmg.mesh import bisect, coarsen
-from adaptmg.mesh.bisection.coarsening import coarsened
+from adaptmg.mesh.bisection.coarsen import coarsened
 
 MESHES = {"2D": SQUARE, "2D crooked": crooked(SQUARE), "3D": cube(), "3D crooked": crooked(cube(2))}
 EACH = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)

@@ -8,9 +8,9 @@ from bisected_meshes import SQUARE, random_mask, verified
 
 import adaptmg as am
 from adaptmg.mesh import MeshArrays, bisect, check_mesh, coarsen, graded, onto_domain, quality
-from adaptmg.mesh.bisection.surfaces import curved_boundaries
+from adaptmg.mesh.bisection.onto_domain import curved_boundaries
 from adaptmg.problem import Assembly, Box, Outline, Polygon, Rectangle
-from adaptmg.problem.domains import Ball, Common, Cut, Cylinder, Extrusion, Moved, Revolution
+from adaptmg.problem.solid_domains import Ball, Common, Cut, Cylinder, Extrusion, Moved, Revolution
 
 RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("a", "out", "b", "in"),
                arcs={1: (0, 0), 3: (0, 0)})
@@ -37,7 +37,7 @@ def refined_onto(domain, mesh, passes=2, part=1.0):
 
 def off_arcs(domain, mesh):
     """The largest distance of a boundary node to the edges that have its name."""
-    from adaptmg.mesh.geometry import distance_to_boundaries
+    from adaptmg.mesh.arrays import distance_to_boundaries
     return max(distance_to_boundaries(domain, [name], mesh.points[mesh.boundary_nodes(name)]).max()
                for name in mesh.boundaries)
 

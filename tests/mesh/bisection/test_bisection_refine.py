@@ -13,9 +13,8 @@ from bisected_meshes import SQUARE, crooked, cube, random_mask, shape_classes, s
 
 import adaptmg as am
 from adaptmg.mesh import bisect, quality, structured
-from adaptmg.mesh.bisection.closure import bisected
-from adaptmg.mesh.bisection.refine import refined
-from adaptmg.mesh.bisection.tabled import cells_of, nodes_of, tree_of
+from adaptmg.mesh.bisection.refine import bisected, refined
+from adaptmg.mesh.bisection.tables import cells_of, nodes_of, tree_of
 from adaptmg.problem import Assembly, Box, Outline, Rectangle
 
 HELPERS = Path(__file__).parents[2] / "helpers"

@@ -9,7 +9,7 @@ import pytest
 
 import adaptmg as am
 from adaptmg.mesh import check_mesh, graded, quality, structured
-from adaptmg.mesh.netgen.finish.halved import halved
+from adaptmg.mesh.improve import halved
 
 PLATE = am.Rectangle(width=0.3, height=0.2)
 BOX = am.Box(width=0.3, depth=0.2, height=0.1)

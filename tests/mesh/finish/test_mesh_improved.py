@@ -8,10 +8,11 @@ from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.mesh import check_mesh, graded, structured
-from adaptmg.mesh.netgen.finish import around, tetrahedra, triangles
-from adaptmg.mesh.netgen.finish import halved as halved_module
-from adaptmg.mesh.netgen.finish.halved import halved
-from adaptmg.mesh.netgen.finish.improved import improved
+from adaptmg.mesh import improve as around
+from adaptmg.mesh import improve as halved_module
+from adaptmg.mesh import improve as tetrahedra
+from adaptmg.mesh import improve as triangles
+from adaptmg.mesh.improve import halved, improved
 
 PLATE = am.Rectangle(width=0.3, height=0.2)
 BOX = am.Box(width=0.3, depth=0.2, height=0.1)

@@ -1,0 +1,236 @@
+"""What every layer stands on: files written whole, compiled kernels and their cache, threads, values made on demand.
+
+How kernels are compiled: once per machine, kept on disk, with no more ways in than are used.
+
+numba builds, beside a function, a way in from Python and one from C. The latter nobody takes, the former only
+functions that Python calls: without them the first solve on a machine compiles a tenth less.
+
+One BLAS thread around what the package does, and a fixed seed around libraries that draw random numbers.
+
+Sums over two BLAS threads differ in the last digits from those over one, and small dense factorisations lose more to
+starting threads than they gain. The number of BLAS threads belongs to the whole process: the first to enter sets it,
+the last to leave gives it back, whichever thread they are in.
+
+OnDemand: a field of a frozen dataclass whose value is made when it is first read.
+
+remembered: what a function of one immutable object returned is kept as long as the object lives.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numba import njit
+from numba.core.registry import CPUDispatcher
+
+__all__ = ["OnDemand", "inner_kernel", "kernel", "made_on_demand", "one_blas_thread", "read_only", "remembered",
+           "seeded"]
+
+def kernel(function: Callable | None = None, **options: Any) -> Any:
+    """Compile a function that Python calls; ``options`` are those of ``numba.njit``.
+
+    Divided by zero is as in numpy: tests before each division would take time, here and in what is compiled.
+    """
+    compiling = njit(**{"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy"} | options)
+    return compiling if function is None else compiling(function)
+
+
+def inner_kernel(function: Callable | None = None, **options: Any) -> Any:
+    """Compile a function that only kernels call; a call from Python is a TypeError."""
+    def inner(function: Callable) -> Any:
+        compiled = kernel(function, no_cpython_wrapper=True, **options)
+        if isinstance(compiled, CPUDispatcher):  # not where numba is told to compile nothing
+            compiled.__class__ = _Inner
+        return compiled
+
+    return inner if function is None else inner(function)
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """A view that nobody writes to: kernels are compiled once for those, and once more for arrays that one may."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+class _Inner(CPUDispatcher):
+    """Compiled without a way in from Python: numba would jump to an address that is none."""
+
+    def __call__(self, *arguments: Any, **named: Any) -> None:
+        name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
+        raise TypeError(f"{name} is called by compiled code alone (inner_kernel): compile it with kernel, or call its "
+                        ".py_func")
+
+
+class _Blas:
+    """The BLAS libraries of the process, and how many are inside :func:`one_blas_thread`."""
+
+    def __init__(self) -> None:
+        self.controller: Any = None
+        self.modules = -1
+        self.renew()
+
+    def renew(self) -> None:
+        """Nobody is inside."""
+        self.lock, self.inside = threading.RLock(), 0
+        self.before: list[tuple[Any, int]] = []
+        self.here = threading.local()
+
+    def enter(self) -> None:
+        with self.lock:
+            self.here.inside = getattr(self.here, "inside", 0) + 1
+            if self.here.inside == 1:
+                # built on OpenMP a library counts its threads for each calling thread
+                self.here.before = _limit([library for library in self._found() if _by_thread(library)])
+            if self.inside == 0:
+                self.before = _limit([library for library in self._found() if not _by_thread(library)])
+            self.inside += 1
+
+    def leave(self) -> None:
+        with self.lock:
+            self.here.inside -= 1
+            self.inside -= 1
+            if self.here.inside == 0:
+                _give_back(self.here.before)
+            if self.inside == 0:
+                _give_back(self.before)
+
+    def _found(self) -> list[Any]:
+        """The libraries loaded by now: looked for again (some ms) when modules were imported since."""
+        # imported late, inside the block, it would bring a BLAS of its own that nobody limits
+        import scipy.linalg  # noqa: F401
+        from threadpoolctl import ThreadpoolController
+
+        if self.modules != len(sys.modules):
+            self.controller, self.modules = ThreadpoolController(), len(sys.modules)
+        return [library for library in self.controller.lib_controllers if library.user_api == "blas"]
+
+
+def _by_thread(library: Any) -> bool:
+    return getattr(library, "threading_layer", "") == "openmp"
+
+
+def _limit(libraries: list[Any]) -> list[tuple[Any, int]]:
+    before = [(library, library.get_num_threads()) for library in libraries]
+    for library, _ in before:
+        _set(library, 1)
+    return before
+
+
+def _give_back(before: list[tuple[Any, int]]) -> None:
+    for library, threads in before:
+        _set(library, threads)
+
+
+def _set(library: Any, threads: int) -> None:
+    """Set the number, whichever thread of Python set it before."""
+    # threadpoolctl 3.7 and later obey, in silence, only the thread that was first to set it
+    release = getattr(library, "clear_controlling_thread", lambda force: None)
+    release(force=True)
+    library.set_num_threads(threads)
+    release(force=True)
+
+
+_BLAS = _Blas()
+_RANDOM = threading.RLock()
+
+
+def _after_fork() -> None:
+    """Locks that other threads held, and their being inside, do not come along to a child."""
+    global _RANDOM
+    _RANDOM, before = threading.RLock(), _BLAS.before if _BLAS.inside else []
+    _BLAS.renew()
+    _give_back(before)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Hold BLAS at one thread, in a with statement or as a decorator; may be nested, and entered by several threads."""
+    _BLAS.enter()
+    try:
+        yield
+    finally:
+        _BLAS.leave()
+
+
+@contextmanager
+def seeded() -> Iterator[None]:
+    """Let what draws from numpy's global generator (pyamg) draw the same numbers always, and put the state back.
+
+    One thread at a time; a thread of the user that draws from the global generator meanwhile is not held back.
+    """
+    with _RANDOM:
+        state = np.random.get_state()  # noqa: NPY002
+        np.random.seed(0)  # noqa: NPY002
+        try:
+            yield
+        finally:
+            np.random.set_state(state)  # noqa: NPY002
+
+
+@dataclass(frozen=True)
+class OnDemand:
+    """What a field is given in place of its value.
+
+    Parameters
+    ----------
+    make : callable
+        Of the object that has the field; returns the value. A function of a module, or a ``functools.partial`` of one,
+        so that objects which nobody has asked yet can be pickled.
+    """
+
+    make: Callable[[Any], Any]
+
+
+def made_on_demand(name: str, doc: str) -> property:
+    """A property to put in the place of the field ``name`` of a dataclass, after its class statement.
+
+    The field keeps its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`.
+    ``dataclasses.replace`` reads it: say what the new value is, where it depends on what is replaced.
+    """
+    def value(owner: Any) -> Any:
+        held = owner.__dict__[name]
+        if isinstance(held, OnDemand):
+            held = owner.__dict__[name] = held.make(owner)
+        return held
+
+    def keep(owner: Any, given: Any) -> None:
+        owner.__dict__[name] = given
+
+    return property(value, keep, doc=doc)
+
+
+Owner = TypeVar("Owner")
+Value = TypeVar("Value")
+
+
+def remembered(function: Callable[[Owner], Value]) -> Callable[[Owner], Value]:
+    """A function that computes once for each object; exceptions are not remembered.
+
+    For objects that are the same only if they are identical, and never change: hierarchies that grow keep their coarse
+    levels from solve to solve.
+    """
+    known: WeakKeyDictionary[Owner, Value] = WeakKeyDictionary()
+
+    @wraps(function)
+    def asked(owner: Owner) -> Value:
+        try:
+            return known[owner]
+        except KeyError:
+            value = known[owner] = function(owner)
+            return value
+
+    return asked

@@ -1,0 +1,309 @@
+r"""Two blocks pressed on each other: the patch test of contact, flat or with a sloping interface, in 2D and 3D.
+
+Under a pressure p on the head and q on the sides both blocks have the uniform stress
+:math:`\sigma = -\mathrm{diag}(q, p)` (in 3D :math:`-\mathrm{diag}(q, q, p)`, with q also on the depth), whatever the
+meshes: on an interface whose slope is theta,
+
+.. math:: p_n = p\cos^2\theta + q\sin^2\theta,\qquad t = (p - q)\sin\theta\cos\theta,
+
+which P1 elements and a mortar method reproduce to rounding if friction can bear it: :math:`|t| \le \mu p_n`.
+
+A block on an incline, held by friction alone.
+
+A block of weight W on a plane tilted by an angle alpha presses on it with :math:`W\cos\alpha` and pulls down it with
+:math:`W\sin\alpha`: it rests if and only if :math:`\tan\alpha \le \mu`, and does not tip if :math:`\tan\alpha` is below
+its width over its height. An elastic block slips in part before it slides as a whole.
+
+Both bodies are drawn as they lie, the gravity points down; the plane is an elastic slab, held at its underside.
+
+A leaning strut: with Coulomb friction the same load has three equilibria.
+
+A strut clamped at its head leans by an angle :math:`\theta` to the normal of the plane before its foot, which is so
+curved that one node touches. Along its axis it is stiff, across it soft, so that a force that would push the foot along
+the plane also presses it on: for :math:`\mu > \tan\theta`, about, the foot may stick, slip or have lifted off, each in
+exact equilibrium. Friction without uniqueness is no defect of a solver: which solution is found depends on the start.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from adaptmg import _checks as checks
+from adaptmg.mesh import MeshArrays
+from adaptmg.problem import (
+    Assembly,
+    BodyForce,
+    Box,
+    Contact,
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Domain,
+    Extrusion,
+    Frictionless,
+    GapFunction,
+    Law,
+    PlaneStrain,
+    Polygon,
+    Pressure,
+    Rectangle,
+    Solid,
+    Support,
+    Traction,
+    Tresca,
+)
+
+__all__ = ["incline", "leaning_strut", "patch_mesh", "two_block_patch"]
+
+_STEEPEST = 30.0
+
+
+def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0, pressure: float = 1e8,  # noqa: B008
+                    side_pressure: float = 0.0, young: float = 2.1e11, poisson: float = 0.3, size: float = 0.1
+                    ) -> ContactProblem:
+    """Two blocks of one material, one on the other; the stress is uniform.
+
+    Parameters
+    ----------
+    law : Law
+        Between the blocks.
+    dim : int
+        2 (plane strain) or 3.
+    slope : float
+        Of the interface against the horizontal, rising along x, degrees, 0 .. 30.
+    pressure, side_pressure : float
+        p > 0 on the head, q on the sides, Pa.
+    young, poisson : float
+        Of both blocks, Pa, and a number.
+    size : float
+        Width and depth of the blocks, m; each is ``size`` high in the mean.
+
+    Returns
+    -------
+    ContactProblem
+        Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons,
+        or their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the
+        tangential one) on the interface, Pa.
+
+    Raises
+    ------
+    ValueError
+        If the law cannot bear the uniform stress: without friction a slope wants ``side_pressure`` = ``pressure``.
+
+    See Also
+    --------
+    patch_mesh : a mesh whose nodes match along the interface, or do not.
+    """
+    if dim not in (2, 3):
+        raise ValueError(f"dim must be 2 or 3, got {dim!r}")
+    slope, size = checks.nonnegative("slope", slope), checks.quantity("size", size, positive=True)
+    if not slope <= _STEEPEST:
+        raise ValueError(f"slope must be at most {_STEEPEST:g} degrees, got {slope!r}")
+    pressure = checks.quantity("pressure", pressure, positive=True)
+    side_pressure = checks.nonnegative("side_pressure", side_pressure)
+    turn = math.radians(slope)
+    normal = pressure * math.cos(turn)**2 + side_pressure * math.sin(turn)**2
+    tangential = abs(pressure - side_pressure) * math.sin(turn) * math.cos(turn)
+    most = _bound(law, normal)
+    if not tangential <= most * (1 + 1e-12):
+        raise ValueError(f"the interface would have to bear a tangential traction of {tangential:.6g} Pa, the law "
+                         f"allows {most:.6g} Pa at the pressure {normal:.6g} Pa: take less slope, more friction, or "
+                         "side_pressure = pressure")
+    reference: dict[str, Any] = {"quantity": "pressure and tangential traction on the interface, Pa",
+                                 "pressure": normal, "traction": tangential,
+                                 "sources": {"pressure": "uniform stress (patch test), exact on every mesh"}}
+    parts = _sloping(dim, math.tan(turn), size) if slope else _flat(dim, size)
+    loads, supports = _held(dim, bool(slope), pressure, side_pressure)
+    material = (PlaneStrain if dim == 2 else Solid)(young=young, poisson=poisson)
+    pair = ContactPair("upper.interface", "lower.interface") if slope else ContactPair("upper.bottom", "lower.top")
+    return ContactProblem(name=f"two blocks, {dim}D", material=material, domain=Assembly(parts=parts), contact=pair,
+                          law=law, loads=loads, supports=supports, reference=reference)
+
+
+def _bound(law: Law, normal: float) -> float:
+    """What a law allows at a pressure; infinity where its parameters vary in space."""
+    if isinstance(law, Frictionless):
+        return 0.0
+    value = law.friction if isinstance(law, Coulomb) else law.limit if isinstance(law, Tresca) else np.inf
+    if callable(value) or np.ndim(value):
+        return np.inf
+    return float(value) * normal if isinstance(law, Coulomb) else float(value)
+
+
+def _flat(dim: int, size: float) -> dict[str, Domain]:
+    if dim == 2:
+        return {"upper": Rectangle(width=size, height=size),
+                "lower": Rectangle(width=size, height=size, origin=(0.0, -size))}
+    return {"upper": Box(width=size, depth=size, height=size),
+            "lower": Box(width=size, depth=size, height=size, origin=(0.0, 0.0, -size))}
+
+
+def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
+    """Profiles whose interface goes through the middle (size / 2, 0); the walls x = 0 are held away from it only."""
+    left, right = -0.5 * tangent * size, 0.5 * tangent * size
+    lower = Polygon(vertices=((0.0, -size), (size, -size), (size, right), (0.0, left), (0.0, -0.6 * size)),
+                    boundaries=("foot", "right", "interface", "shoulder", "left"))
+    upper = Polygon(vertices=((0.0, left), (size, right), (size, size), (0.0, size), (0.0, 0.6 * size)),
+                    boundaries=("interface", "right", "head", "left", "shoulder"))
+    if dim == 2:
+        return {"upper": upper, "lower": lower}
+    return {"upper": Extrusion(upper, size), "lower": Extrusion(lower, size)}
+
+
+def _held(dim: int, sloping: bool, pressure: float, side: float) -> tuple[list[Pressure], list[Support]]:
+    """Loads and supports; a held wall near a sloping interface would have no business with its normals."""
+    if sloping:
+        walls, head, foot, depth = ("right", "shoulder"), "upper.head", Support("lower.foot", y=0.0), ("bottom", "top")
+    elif dim == 2:
+        walls, head, foot, depth = ("right",), "upper.top", Support("lower.bottom", y=0.0), ("", "")
+    else:
+        walls, head, foot, depth = ("right",), "upper.top", Support("lower.bottom", z=0.0), ("front", "back")
+    loads, supports = [Pressure(head, pressure)], [foot]
+    for body in ("upper", "lower"):
+        supports.append(Support(f"{body}.left", x=0.0))
+        loads += [Pressure(f"{body}.{wall}", side) for wall in walls if side]
+        if dim == 3:
+            supports.append(Support(f"{body}.{depth[0]}", **{"z" if sloping else "y": 0.0}))
+            loads += [Pressure(f"{body}.{depth[1]}", side)] if side else []
+    return loads, supports
+
+
+def patch_mesh(problem: ContactProblem, cells: int = 4, *, matching: bool = False) -> MeshArrays:
+    """A mesh of :func:`two_block_patch`.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    cells : int
+        Along the width of the upper block, >= 1.
+    matching : bool
+        Whether the nodes of both blocks meet on the interface (by default the lower block has other cells). On flat
+        blocks only.
+    """
+    from adaptmg.mesh import graded, structured
+
+    cells = checks.integer("cells", cells, 1)
+    if not isinstance(matching, bool):
+        raise TypeError(f"matching must be True or False, got {matching!r}")
+    domain = problem.domain
+    other = cells if matching else cells + 1 + cells // 3
+    if isinstance(domain.parts["upper"], Rectangle | Box):
+        return structured(domain, {"upper": cells, "lower": other})
+    if matching:
+        raise ValueError("matching=True is for flat blocks: nodes of independent meshes of sloping ones do not meet")
+    width = float(domain.upper[0] - domain.lower[0])
+    return graded(domain, {"upper": width / cells, "lower": width / other})
+
+
+_GRAVITY = 9.80665
+
+
+def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1, height: float = 0.05,  # noqa: B008
+            density: float = 2000.0, young: float = 1e9, poisson: float = 0.3) -> ContactProblem:
+    """A block on a tilted slab under its own weight; plane strain.
+
+    Parameters
+    ----------
+    law : Law
+        Between block and slab.
+    angle : float
+        Of the slab, degrees, 0 <= angle < 90; the block would slide towards -x.
+    width, height : float
+        Of the block, along and normal to the slab, m. The slab is twice as long and as thick as the block is high.
+    density : float
+        Of the block, kg/m^3; the slab has no weight.
+    young, poisson : float
+        Of both bodies, Pa, and a number.
+
+    Returns
+    -------
+    ContactProblem
+        Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t`` (resultants
+        normal to the slab and along it, N/m), ``points`` and, with a constant coefficient of friction, ``holds``:
+        where it is False, :func:`adaptmg.solve` refuses the problem.
+
+    Raises
+    ------
+    ValueError
+        If the block would tip over.
+    """
+    angle = checks.nonnegative("angle", angle)
+    width, height = checks.quantity("width", width, positive=True), checks.quantity("height", height, positive=True)
+    density = checks.quantity("density", density, positive=True)
+    if not angle < 90:
+        raise ValueError(f"angle must be below 90 degrees, got {angle!r}")
+    slope = math.tan(math.radians(angle))
+    if not slope < width / height:
+        raise ValueError(f"at {angle!r} degrees a block {width:g} m wide and {height:g} m high tips over: its width "
+                         f"over its height must be above tan(angle) = {slope:.3g}")
+    weight = density * _GRAVITY * width * height
+    reference: dict[str, Any] = {
+        "quantity": "resultant contact force on the block, N/m", "weight": weight,
+        "force_n": weight * math.cos(math.radians(angle)), "force_t": weight * math.sin(math.radians(angle)),
+        "sources": {"force_n": "equilibrium", "force_t": "equilibrium"}}
+    if isinstance(law, Coulomb) and not callable(law.friction) and np.ndim(law.friction) == 0:
+        reference["holds"] = slope <= law.friction
+    return ContactProblem(
+        name="block on an incline",
+        material=PlaneStrain(young=young, poisson=poisson),
+        domain=Assembly(parts={
+            "block": _tilted(-width / 2, 0.0, width, height, angle, ("bottom", "uphill", "top", "downhill")),
+            "slab": _tilted(-width, -height, 2 * width, height, angle, ("bottom", "right", "top", "left"))}),
+        contact=ContactPair("block.bottom", "slab.top"),
+        law=law,
+        loads=(BodyForce((0.0, -density * _GRAVITY), body="block"),),
+        supports=(Support("slab.bottom", x=0.0, y=0.0),),
+        reference=reference,
+    )
+
+
+def _tilted(x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]) -> Polygon:
+    """A rectangle turned about the origin by an angle in degrees."""
+    c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+    corners = ((x, y), (x + width, y), (x + width, y + height), (x, y + height))
+    return Polygon(vertices=tuple((c * p - s * q, s * p + c * q) for p, q in corners), boundaries=names)
+
+
+_LENGTH, _WIDTH = 0.1, 0.02
+
+
+def leaning_strut(*, law: Law = Coulomb(0.6), angle: float = 20.0, traction: float = 3e6,  # noqa: B008
+                  direction: float = 4.5, young: float = 2e11, poisson: float = 0.3) -> ContactProblem:
+    """A strut 100 mm long and 20 mm thick on a rigid plane; plane strain.
+
+    Parameters
+    ----------
+    law : Law
+        Of the foot.
+    angle : float
+        Of the strut to the normal of the plane, degrees, 0 < angle < 45.
+    traction, direction : float
+        Size (Pa) and direction (rad, from x to y) of the load on the right side.
+    young, poisson : float
+        Pa, and a number.
+
+    Returns
+    -------
+    ContactProblem
+        With the defaults one node open, slipping and sticking are all solutions.
+    """
+    angle = checks.positive("angle", angle)
+    if not angle < 45:
+        raise ValueError(f"angle must be below 45 degrees, got {angle!r}")
+    traction, direction = checks.number("traction", traction), checks.number("direction", direction)
+    along = _LENGTH * np.array([math.sin(math.radians(angle)), math.cos(math.radians(angle))])
+    corners = np.array([[0.0, 0.0], [_WIDTH, 0.0], [_WIDTH + along[0], along[1]], along])
+    return ContactProblem(
+        name="leaning strut", law=law, material=PlaneStrain(young=young, poisson=poisson),
+        domain=Polygon(vertices=tuple(map(tuple, corners.tolist())), boundaries=("foot", "right", "head", "left")),
+        contact=Contact("foot", GapFunction(_curved)),
+        loads=(Traction("right", (traction * math.cos(direction), traction * math.sin(direction))),),
+        supports=(Support("head", x=0.0, y=0.0),))
+
+
+def _curved(points: np.ndarray) -> np.ndarray:
+    """Gap (n,) below the foot, radius 25 mm, m."""
+    return 20.0 * (points[:, 0] - _WIDTH / 2) ** 2

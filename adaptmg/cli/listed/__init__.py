@@ -1,1 +1,0 @@
-"""Runs of a store as tables, on the terminal and in files."""

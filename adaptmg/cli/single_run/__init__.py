@@ -1,1 +1,0 @@
-"""One run of a study file: what it is made of, and what is measured."""

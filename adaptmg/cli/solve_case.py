@@ -1,0 +1,164 @@
+"""From options to problem, grids, solver and files.
+
+What ``adaptmg adapt`` does: the loop with a line a step, its summary, and its files.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import adaptmg as am
+from adaptmg import _checks as checks
+from adaptmg._files import make_folder, write_bytes
+from adaptmg.cli.build import given_arguments, posed
+from adaptmg.cli.choices import EngineName, IndicatorName, LawName, TransferName
+from adaptmg.cli.output import finite
+from adaptmg.solver.record import Solver
+
+__all__ = ["hierarchy_of", "limits", "loop_summary", "out_folder", "problem_of", "save_picture", "solved", "stepped",
+           "summary", "write", "write_loop"]
+
+_DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
+
+
+def problem_of(case: str, law: LawName | None, friction: float | None, limit: float | None,
+               texts: Sequence[str] = ()) -> am.ContactProblem:
+    """The case, with another law if one is asked for, and with its own arguments, ``NAME=VALUE``."""
+    return posed(am.cases.get(case).function, law, friction, limit, **given_arguments(case, texts))
+
+
+def hierarchy_of(problem: am.ContactProblem, divisions: str | None, sizes: str | None, contact_ratio: float | None,
+                 transfer: TransferName | None) -> am.Hierarchy:
+    """Uniform grids, or graded ones if sizes are given."""
+    if sizes is None:
+        if contact_ratio is not None or transfer is not None:
+            raise ValueError("--contact-ratio and --transfer belong to --sizes (independent, non-nested meshes)")
+        numbers = _DIVISIONS[problem.dim] if divisions is None else _numbers("divisions", divisions, int)
+        return am.Hierarchy.uniform(problem, divisions=numbers)
+    if divisions is not None:
+        raise ValueError("give --divisions or --sizes, not both")
+    kinds = {TransferName.L2: am.L2, TransferName.LUMPED: am.LumpedL2, TransferName.PSEUDO: am.PseudoL2,
+             TransferName.QUASI: am.QuasiInterpolation}
+    return am.Hierarchy.graded(problem, sizes=_numbers("sizes", sizes, float),
+                               contact_ratio=1.0 if contact_ratio is None else contact_ratio,
+                               transfer=kinds.get(transfer, am.Interpolation)())
+
+
+def _numbers(option: str, text: str, kind: Callable[[str], Any]) -> tuple[Any, ...]:
+    try:
+        return tuple(kind(part) for part in text.split(","))
+    except ValueError:
+        example = "4,8,16,32" if kind is int else "10e-3,5e-3,2.5e-3"
+        raise ValueError(f"--{option} must be numbers between commas, such as {example}; "
+                         f"got {checks.shown(text)}") from None
+
+
+def solved(grids: am.Hierarchy, method: Solver, callback: Callable[[dict[str, float]], None] | None) -> am.Result:
+    """Solve; the result says whether it converged."""
+    return am.solve(grids, method, throw=False, callback=callback)
+
+
+def summary(result: am.Result, files: list[Path]) -> dict[str, Any]:
+    """What the command prints as JSON; numbers that are not finite become null."""
+    states = np.bincount(np.asarray(result.contact.state, dtype=int), minlength=3).tolist()
+    row = {"problem": result.problem_name, "solver": result.solver_name, "status": result.status.name,
+           "advice": result.status.value, "cycles": result.cycles, "work_units": result.work_units,
+           "start_work_units": result.start_work_units, "residual": result.residual,
+           "error_estimate": result.error_estimate, "rate": result.rate, "rtol": result.rtol,
+           "seconds": result.seconds, "timings": result.timings, "levels": result.levels,
+           "contact": dict(zip(("open", "slip", "stick"), states, strict=True)),
+           "max_pressure": float(result.contact.pressure.max()),
+           "max_displacement": float(np.linalg.norm(result.displacement, axis=1).max()),
+           "versions": result.versions, "files": [str(file) for file in files]}
+    return finite(row)
+
+
+def out_folder(given: Path) -> Path:
+    """The folder to write to, told before any work if a file is in the way; it is made when there is something."""
+    folder = checks.file_path("--out", given)
+    there = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), folder)
+    if os.path.lexists(there) and not there.is_dir():
+        raise ValueError(f"--out must be a folder, but {str(there)!r} is in the way")
+    return folder
+
+
+def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, result: am.Result) -> list[Path]:
+    """Result, pictures and VTK file into a directory, made where missing; returns what was written."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    make_folder("--out", directory)
+    files = [directory / "result.npz", directory / "result.vtu"]
+    result.save(files[0])
+    am.export.vtk(result, files[1])
+    pictures = {"problem": lambda: am.plot.problem(problem), "grids": lambda: am.plot.grids(grids),
+                "deformed": lambda: am.plot.deformation(result, displacement=True),
+                "contact": lambda: am.plot.contact(result),
+                "stress": lambda: am.plot.deformation(result, stress=True, states=True)}
+    if len(result.history.get("cycle", ())) > 1:
+        pictures["history"] = lambda: am.plot.history(result)
+    if result.path:
+        pictures["path"] = lambda: am.plot.path(result)
+    for name, draw in pictures.items():
+        files.append(save_picture(directory / f"{name}.png", draw()))
+    return files
+
+
+def save_picture(file: Path, figure: Any) -> Path:
+    """Write a figure of matplotlib as PNG, whole or not at all; returns the file."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=200, bbox_inches="tight")
+    write_bytes(file, picture.getvalue())
+    return file
+
+
+_NODES = 20_000
+_ENGINES = {EngineName.REMESH: "Remesh", EngineName.BISECT: "Bisect"}
+_INDICATORS = {IndicatorName.RESIDUAL: "Residual", IndicatorName.RECOVERY: "Recovery"}
+
+
+def limits(tolerance: float | None, max_nodes: int | None, max_seconds: float | None) -> dict[str, Any]:
+    """The limits that are given; a number of nodes where none is."""
+    given = {"tolerance": tolerance, "max_nodes": max_nodes, "max_seconds": max_seconds}
+    given = {name: value for name, value in given.items() if value is not None}
+    return given or {"max_nodes": _NODES}
+
+
+def stepped(problem: am.ContactProblem, start: float | None, indicator: IndicatorName, engine: EngineName, theta: float,
+            stops: dict[str, Any], store: Path | None, progress: Callable[[dict[str, Any]], None] | None,
+            say: Callable[[str], None]) -> list[am.Step]:
+    """Go through the loop and say each step."""
+    loop = am.adapt(problem, start, getattr(am, _INDICATORS[indicator])(), am.Doerfler(theta),
+                    getattr(am, _ENGINES[engine])(), store=store, progress=progress, **stops)
+    say(am.Step.HEADER)
+    steps = []
+    for step in loop:
+        steps.append(step)
+        say(repr(step))
+    return steps
+
+
+def loop_summary(steps: list[am.Step], files: list[Path]) -> dict[str, Any]:
+    """What the command prints as JSON; numbers that are not finite become null."""
+    rows = [{"step": step.number, "nodes": step.nodes, "levels": [level.n_nodes for level in step.hierarchy.levels],
+             "contact_nodes": len(step.result.contact), "estimate": step.estimate.relative,
+             "estimate_total": step.estimate.total, "terms": dict(step.estimate.terms), "cycles": step.result.cycles,
+             "rate": step.result.rate, "rtol": step.result.rtol, "work_units": step.work_units,
+             "total_work_units": step.total_work_units, "seconds": step.seconds, "total_seconds": step.total_seconds,
+             "timings": dict(step.timings)} for step in steps]
+    last = steps[-1]
+    return finite({"problem": last.result.problem_name, "indicator": last.estimate.indicator,
+                        "outcome": last.outcome, "steps": rows, "result": summary(last.result, files)})
+
+
+def write_loop(directory: Path, problem: am.ContactProblem, steps: list[am.Step]) -> list[Path]:
+    """Last result, pictures and VTK file into a directory, made where missing; returns what was written."""
+    last = steps[-1]
+    files = write(directory, problem, last.hierarchy, last.result)
+    return [*files, save_picture(directory / "adaptation.png", am.plot.adaptation(steps))]

@@ -1,0 +1,209 @@
+r"""Contact nodes: normals, lumped boundary masses and gaps of the nodes that may touch an obstacle or another body.
+
+With the area vectors :math:`a_F` of the facets F of the contact boundary at node i,
+
+.. math:: n_i = \sum_F a_F \Big/ \Big|\sum_F a_F\Big|, \qquad w_i = \sum_F \int_F \varphi_i ,
+
+the area-weighted average normal and, in front of a rigid obstacle, the row sum of the boundary mass matrix (in
+axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.discrete.mortar.pairs`.
+
+A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it faces is found,
+there. In front of obstacles, facets of the other boundary count in its mass by the part that faces the same way. In a
+pair it carries no multiplier of the pair named later: that pair's multipliers beside it take over its part, and it
+follows as a plain node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.discrete.facets import area_vectors, fixed_dofs, named_facets, shape_integrals
+from adaptmg.discrete.mortar.interface import surface_normals
+from adaptmg.discrete.mortar.pairs import pair_interface
+from adaptmg.discrete.problem import ContactNodes
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.problem.surfaces import ContactPair
+
+__all__ = ["contact_data", "contact_nodes"]
+
+_ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The nodes of one contact boundary: arrays over them, and what they follow (n, n_nodes) if that is a body."""
+
+    nodes: np.ndarray
+    normals: np.ndarray
+    weights: np.ndarray
+    gaps: np.ndarray
+    coupling: sparse.csr_array | None = None
+
+
+def contact_nodes(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
+                  ) -> ContactNodes:
+    """The contact nodes alone; see :func:`contact_data`."""
+    return contact_data(problem, mesh, slip_reference=slip_reference)[0]
+
+
+def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
+                 excluded: np.ndarray | None = None) -> tuple[ContactNodes, sparse.csr_array | None]:
+    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    mesh : MeshArrays
+    slip_reference : (n_nodes, dim) array, optional
+        Displacement of all nodes against which slip is measured (the previous load step), m. Between bodies relative
+        to the other body. Default 0.
+    excluded : (n,) int array, optional
+        Further slave nodes that carry no multiplier; their neighbours take their part.
+
+    Returns
+    -------
+    contact : ContactNodes
+        Unit normals out of the body, gaps (m), weights (m, in 3D and axisymmetry m^2), and the contact boundary of
+        each node.
+    weights : (n_nodes, n_nodes) csr_array or None
+        In the rows of slave nodes what they face; None without pairs.
+
+    Raises
+    ------
+    ValueError
+        If a node lies behind its obstacle, or bodies overlap, without ``allow_interference``; if a support fixes a
+        normal component; if normals cancel at a node; if an obstacle returns arrays of the wrong shape; if the
+        surfaces of a pair never face each other.
+
+    Notes
+    -----
+    Where a curved contact boundary ends on a plane of symmetry, the normal averaged from one side is off by about
+    half the angle of a facet. Components along fixed directions are therefore taken out of averaged normals that are
+    within 30 degrees of tangential to them.
+    """
+    owner = np.full(mesh.n_nodes, -1)
+    facets = [named_facets(mesh, contact.boundary) for contact in problem.contact]
+    for k in reversed(range(len(facets))):
+        owner[facets[k]] = k
+    fixed = fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim)
+    parts = []
+    for k, contact in enumerate(problem.contact):
+        if isinstance(contact, ContactPair):
+            mine = np.unique(facets[k])
+            without = mine[owner[mine] != k]
+            if excluded is not None:
+                without = np.union1d(without, excluded)
+            found = pair_interface(mesh, contact, fixed=fixed, excluded=without,
+                                   axisymmetric=problem.axisymmetric)
+            parts.append(_Part(found.nodes, found.normals, found.weights, found.gaps, found.coupling))
+        else:
+            parts.append(_in_front_of(contact, problem, mesh, facets, owner, k, fixed))
+    boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
+    nodes = np.concatenate([part.nodes for part in parts])
+    order = np.argsort(nodes)
+    nodes, boundary = nodes[order], boundary[order]
+    normals, weights, gaps = (np.concatenate([getattr(part, name) for part in parts])[order]
+                              for name in ("normals", "weights", "gaps"))
+    _check_supports(problem, mesh, nodes, boundary, fixed[nodes] & (np.abs(normals) > 1e-8))
+    contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
+                           slip_reference=_at_contact(slip_reference, mesh, nodes),
+                           allow_interference=any(contact.allow_interference for contact in problem.contact),
+                           names=problem.contact_boundaries, masters=problem.masters)
+    return contact, _followed(parts, mesh.n_nodes)
+
+
+def _followed(parts: list[_Part], n_nodes: int) -> sparse.csr_array | None:
+    """Rows (n_nodes, n_nodes) of what the nodes of all pairs face."""
+    coupled = [part for part in parts if part.coupling is not None]
+    if not coupled:
+        return None
+    rows = np.concatenate([np.repeat(part.nodes, np.diff(part.coupling.indptr)) for part in coupled])
+    columns = np.concatenate([part.coupling.indices for part in coupled])
+    values = np.concatenate([part.coupling.data for part in coupled])
+    return sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
+
+
+def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray],
+                 owner: np.ndarray, k: int, fixed: np.ndarray) -> _Part:
+    """The nodes that contact boundary k owns, in front of a rigid obstacle."""
+    nodes = np.unique(facets[k])
+    nodes = nodes[owner[nodes] == k]
+    try:
+        averaged = surface_normals(mesh.points, facets[k], fixed=fixed)[nodes]
+    except ValueError as error:
+        raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
+    weights = _lumped_masses(problem, mesh, facets, nodes, k, averaged)
+    normals, gaps = _facing(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
+    gaps = np.array(gaps, dtype=np.float64)
+    gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
+    if len(nodes) and gaps.min() < 0 and not contact.allow_interference:
+        deepest = int(np.argmin(gaps))
+        raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
+                         f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
+                         "allow_interference=True for an interference fit")
+    return _Part(nodes, normals, weights, gaps)
+
+
+def _lumped_masses(problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray], nodes: np.ndarray, k: int,
+                   normals: np.ndarray) -> np.ndarray:
+    """Boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
+    index = np.full(mesh.n_nodes, -1)
+    index[nodes] = np.arange(len(nodes))
+    weights = np.zeros(len(nodes))
+    for other, mine in enumerate(facets):
+        if other != k and isinstance(problem.contact[other], ContactPair):
+            continue
+        vectors = area_vectors(mesh.points, mine)
+        for corner, share in zip(mine.T, shape_integrals(mesh.points, mine, problem.axisymmetric).T, strict=True):
+            at = index[corner]
+            here = at >= 0
+            facing = np.linalg.norm(vectors[here], axis=1)
+            if other != k:
+                facing = np.maximum(0.0, np.sum(vectors[here] * normals[at[here]], axis=1))
+            np.add.at(weights, at[here], facing * share[here])
+    return weights
+
+
+def _facing(obstacle: object, boundary: str, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Contact normals and gaps from an obstacle, with their shapes checked."""
+    answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
+    if not isinstance(answer, (tuple, list)) or len(answer) != 2:
+        raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")
+    directions, gaps = answer
+    if np.shape(directions) != points.shape or np.shape(gaps) != (len(points),):
+        raise ValueError(f"{name} must return normals {points.shape} and gaps ({len(points)},), got "
+                         f"{np.shape(directions)} and {np.shape(gaps)}")
+    directions = check_arrays.array(f"{name}: its normals", directions, points.shape)
+    lengths = np.linalg.norm(directions, axis=1)
+    if len(points) and not np.abs(lengths - 1).max() <= 1e-6:
+        raise ValueError(f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}")
+    return directions, check_arrays.array(f"{name}: its gaps", gaps, (len(points),))
+
+
+def _check_supports(problem: ContactProblem, mesh: MeshArrays, nodes: np.ndarray, owner: np.ndarray,
+                    clash: np.ndarray) -> None:
+    """Raise ValueError if ``clash`` (n_contact, dim), a fixed component with a normal part, holds anywhere."""
+    if not clash.any():
+        return
+    i, d = (int(k[0]) for k in np.nonzero(clash))
+    support = next(s for s in problem.supports
+                   if s.components(mesh.dim)[d] is not None and nodes[i] in mesh.boundary_nodes(s.boundary))
+    raise ValueError(f"the support on {support.boundary!r} fixes {'xyz'[d]}, which has a part normal to contact "
+                     f"boundary {problem.contact[owner[i]].boundary!r} at their common node {nodes[i]} "
+                     f"{tuple(mesh.points[nodes[i]].tolist())}: contact could never open there; free that component, "
+                     "or end one of the boundaries before the other begins")
+
+
+def _at_contact(slip_reference: np.ndarray | None, mesh: MeshArrays, nodes: np.ndarray) -> np.ndarray | None:
+    if slip_reference is None:
+        return None
+    if np.shape(slip_reference) != mesh.points.shape:
+        raise ValueError(f"slip_reference must be a displacement of all nodes, shape {mesh.points.shape}, got "
+                         f"{np.shape(slip_reference)}")
+    return check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]

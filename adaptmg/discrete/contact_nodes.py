@@ -1,0 +1,236 @@
+"""ContactNodes: the nodes that may touch an obstacle or another body, with normals, gaps and weights.
+
+What the arrays and matrices of a discrete problem must be: shapes, sizes, symmetry. Checked once, by discrete.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.problem.contact_problem import CONTACT
+from adaptmg.problem.laws import Law
+
+__all__ = [
+    "SMALLEST",
+    "ContactNodes",
+    "bounded",
+    "check_bounds",
+    "check_size",
+    "checked_bodies",
+    "checked_mask",
+    "checked_matrix",
+    "with_positive_diagonal",
+]
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContactNodes:
+    """Nodes that may touch an obstacle.
+
+    Parameters
+    ----------
+    nodes : (n_contact,) array of int
+        Node numbers, each once.
+    normals : (n_contact, dim) array
+        Unit normals, out of the body.
+    gaps : (n_contact,) array
+        Initial gap g0 along the normal, m; >= 0 unless ``allow_interference``.
+    weights : (n_contact,) array, optional
+        Lumped boundary mass (m in 2D, m^2 in 3D), to turn nodal forces into tractions. Default 1.
+    slip_reference : (n_contact, dim) array, optional
+        Displacement against which slip is measured, m (only its tangential part counts). Default 0.
+    allow_interference : bool
+        Accept negative gaps.
+    boundary : (n_contact,) array of int, optional
+        Index of the contact boundary of each node, for resultants; default 0.
+    names : tuple of str
+        Names of the contact boundaries.
+    masters : tuple of str, optional
+        For each of ``names`` the boundary of another body that it may touch; "" (the default) is a rigid obstacle.
+    """
+
+    nodes: np.ndarray
+    normals: np.ndarray
+    gaps: np.ndarray
+    weights: np.ndarray | None = None
+    slip_reference: np.ndarray | None = None
+    allow_interference: bool = False
+    boundary: np.ndarray | None = None
+    names: tuple[str, ...] = ("contact",)
+    masters: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        nodes = check_arrays.array("nodes", self.nodes, (None,), integer=True)
+        n = len(nodes)
+        if n == 0:
+            raise ValueError("nodes is empty: a contact problem needs at least one contact node")
+        if len(np.unique(nodes)) < n or nodes.min() < 0:
+            raise ValueError("nodes must be distinct and >= 0")
+        checks.flag("allow_interference", self.allow_interference)
+        normals = bounded("normals", self.normals, (n, None), 2.0)
+        if normals.shape[1] not in (2, 3):
+            raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
+        lengths = np.linalg.norm(normals, axis=1)
+        if np.abs(lengths - 1).max() > 1e-6:
+            i = int(np.argmax(np.abs(lengths - 1)))
+            raise ValueError(f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}")
+        normals = normals / lengths[:, None]
+        normals.flags.writeable = False
+        gaps = bounded("gaps", self.gaps, (n,), checks.VAST)
+        if not self.allow_interference and gaps.min() < 0:
+            i = int(np.argmin(gaps))
+            raise ValueError(f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
+                             "for an interference fit say allow_interference=True")
+        weights = bounded("weights", np.ones(n) if self.weights is None else self.weights, (n,))
+        if not weights.min() > 0 or weights.min() < SMALLEST:
+            raise ValueError(f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}")
+        reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
+        reference = bounded("slip_reference", reference, normals.shape, checks.VAST)
+        names, masters = self._names()
+        boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
+        boundary = check_arrays.array("boundary", boundary, (n,), integer=True)
+        if boundary.min() < 0 or boundary.max() >= len(names):
+            wrong = boundary.min() if boundary.min() < 0 else boundary.max()
+            raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")
+        for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
+                            ("slip_reference", reference), ("boundary", boundary), ("names", names),
+                            ("masters", masters)):
+            object.__setattr__(self, name, value)
+
+    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of the contact boundaries and of what they may touch, checked."""
+        names = checks.strings("names", self.names)
+        if not names:
+            raise ValueError("names is empty: give one name at least")
+        masters = ("",) * len(names)
+        if self.masters is not None:
+            masters = tuple("" if isinstance(item, str) and not item else checks.boundary_name(f"masters[{i}]", item)
+                            for i, item in enumerate(checks.listed("masters", self.masters, "names")))
+        if len(masters) != len(names):
+            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
+        return names, masters
+
+    def check_name_contact(self) -> None:
+        """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""
+        if CONTACT in self.masters or (CONTACT in self.names and len(self.names) > 1):
+            raise ValueError(f"contact: the name {CONTACT!r} stands for all contact boundaries together; of several "
+                             f"names and masters none may be it, got {self.names} and {self.masters}")
+
+    def check_nodes(self, n_nodes: int) -> None:
+        """ValueError unless there are so many nodes that each of these is one."""
+        if self.nodes.max() >= n_nodes:
+            raise ValueError(f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes")
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return self.normals.shape[1]
+
+
+# entries of matrices and nodal forces beyond these come from no physical problem: energies leave the range of float64
+LARGEST, SMALLEST = 1e140, 1e-140
+_ASYMMETRY = 1e-8
+
+
+def bounded(name: str, value: object, shape: tuple[int | None, ...], largest: float = LARGEST) -> np.ndarray:
+    """A read-only copy as float64, of a size that energies bear."""
+    result = check_arrays.array(name, value, shape)
+    size = np.abs(result).max(initial=0.0)
+    if not size <= largest:
+        raise ValueError(f"{name} must be at most {largest:g} in SI units, got {size:.3g}")
+    return result
+
+
+def check_size(name: str, size: float) -> None:
+    """ValueError if the largest entry of a matrix or load is none that a physical problem can have."""
+    if size and not SMALLEST <= size <= LARGEST:
+        raise ValueError(f"{name}: its largest entry {size:.3g} is out of range, {SMALLEST:g} to {LARGEST:g}: choose "
+                         "units in which numbers are nearer to 1")
+
+
+def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
+    """A read-only copy of a boolean mask over dofs."""
+    try:
+        given = np.asarray(value)
+    except ValueError:
+        given = np.asarray(None)
+    if given.dtype != bool:
+        raise TypeError(f"{name} must be a boolean mask over the{'' if n is None else f' {n}'} dofs, "
+                        f"got {checks.shown(value) if given.dtype == object else given.dtype}")
+    if given.ndim != 1 or (n is not None and len(given) != n):
+        raise ValueError(f"{name} must have shape ({'n' if n is None else n},), got {given.shape}")
+    result = given.copy()
+    result.flags.writeable = False
+    return result
+
+
+def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
+    """Nodes by body, checked."""
+    checks.instance("bodies", bodies, Mapping, "a mapping of names to arrays of nodes")
+    result = {checks.boundary_name("the names in bodies", name): check_arrays.array(f"bodies[{name!r}]", nodes, (None,),
+                                                                              integer=True)
+              for name, nodes in bodies.items()}
+    for name, nodes in result.items():
+        if len(nodes) and not (nodes.min() >= 0 and nodes.max() < n_nodes):
+            raise ValueError(f"bodies[{name!r}] must be node numbers from 0 to {n_nodes - 1}, got {nodes.min()} to "
+                             f"{nodes.max()}")
+    return result
+
+
+def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
+    """A stiffness matrix in blocks, symmetric with a positive diagonal."""
+    matrix = check_arrays.square_blocks("matrix", value, dim)
+    scale = np.abs(matrix.data).max(initial=0.0)
+    if not scale > 0:
+        raise ValueError("matrix is zero")
+    check_size("matrix", scale)
+    with_positive_diagonal(matrix)
+    _check_symmetry(matrix, matrix.diagonal())
+    return matrix
+
+
+def with_positive_diagonal(matrix: sparse.bsr_array) -> sparse.bsr_array:
+    """The matrix itself, if its diagonal is positive, of a size that a physical problem can have."""
+    diagonal, dim = matrix.diagonal(), matrix.blocksize[0]
+    if not (diagonal > 0).all():
+        i = int(np.argmin(diagonal))
+        raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
+    check_size("matrix", diagonal.max())
+    return matrix
+
+
+def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
+    """ValueError unless each block is the transpose of its counterpart, relative to the diagonals of its two nodes.
+
+    sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part is judged by its own stiffness.
+    """
+    difference = matrix - matrix.T
+    if not difference.nnz:
+        return
+    dim = matrix.blocksize[0]
+    difference = sparse.bsr_array(difference, blocksize=(dim, dim))
+    scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))
+    rows = np.repeat(np.arange(len(scale)), np.diff(difference.indptr))
+    asymmetry = np.abs(difference.data).max(axis=(1, 2), initial=0.0) / (scale[rows] * scale[difference.indices])
+    worst = int(np.argmax(asymmetry))
+    if asymmetry[worst] > _ASYMMETRY:
+        raise ValueError(f"matrix must be symmetric; |A - A'| reaches {asymmetry[worst]:.2g} of the diagonal, between "
+                         f"nodes {rows[worst]} and {difference.indices[worst]}")
+
+
+def check_bounds(law: Law, n: int) -> None:
+    """Raise unless a law, a user's own perhaps, bears limits and coefficients >= 0 at n contact nodes."""
+    bounds = law.bounds(n)
+    if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
+        raise TypeError(f"law: bounds(n_contact) must return the nodal limit and friction, got {checks.shown(bounds)}")
+    for name, bound in zip(("limit", "friction"), bounds, strict=True):
+        if not (bounded(f"law: the nodal {name}", bound, (n,)) >= 0).all():
+            raise ValueError(f"law: the nodal {name} must be finite and >= 0")

@@ -1,0 +1,122 @@
+"""From what is posed to what is solved: ContactProblem + mesh -> DiscreteProblem.
+
+Bodies that touch each other are coupled by relative coordinates (:mod:`adaptmg.discrete.coordinates`).
+"""
+
+from __future__ import annotations
+
+import logging
+from functools import partial
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg._runtime import OnDemand, one_blas_thread
+from adaptmg.discrete.contact import contact_data
+from adaptmg.discrete.coordinates import find_carriers
+from adaptmg.discrete.elasticity import stiffness
+from adaptmg.discrete.facets import fixed_dofs
+from adaptmg.discrete.loads import load_vector
+from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
+from adaptmg.discrete.rigid_modes import rigid_motions
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.contact_problem import ContactProblem
+
+__all__ = ["discretise"]
+
+_LOG = logging.getLogger(__name__)
+
+
+@one_blas_thread()
+def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
+               ) -> DiscreteProblem:
+    """Discretise by P1 elements.
+
+    Parameters
+    ----------
+    problem : ContactProblem
+    mesh : MeshArrays
+        With every boundary the problem names.
+    slip_reference : (n_nodes, dim) array, optional
+        Displacement against which slip is measured (the previous load step), m; at slave nodes relative to the
+        master. Default 0.
+
+    Returns
+    -------
+    DiscreteProblem
+        Its law has nodal parameters; its name is the problem's with the number of nodes.
+
+    Raises
+    ------
+    ValueError
+        If dimensions, boundary or body names differ, if a body has neither support nor contact, if the mesh has fewer
+        than dim + 1 contact nodes, or for what :func:`contact_data`, :func:`fixed_dofs` and :func:`load_vector` refuse.
+    """
+    if not isinstance(problem, ContactProblem):
+        raise TypeError(f"problem must be a ContactProblem, got {type(problem).__name__}")
+    if not isinstance(mesh, MeshArrays):
+        raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}")
+    if mesh.dim != problem.dim:
+        raise ValueError(f"the mesh is {mesh.dim}D, the problem {problem.name!r} {problem.dim}D")
+    problem.check_boundaries(mesh.boundaries)
+    problem.check_bodies(mesh.bodies)
+    bodies = _bodies(mesh)
+    _check_held(problem, mesh, bodies)
+    fixed, values = fixed_dofs(mesh, problem.supports)
+    contact, weights = _contact(problem, mesh, slip_reference, fixed)
+    if len(contact) <= mesh.dim:
+        raise ValueError(f"mesh too coarse: {len(contact)} contact nodes on {', '.join(problem.contact_boundaries)}, "
+                         f"at least {mesh.dim + 1} are needed; refine the mesh there")
+    parts = {"matrix": stiffness(mesh, problem.material), "load": load_vector(mesh, problem.loads, problem.material),
+             "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
+             "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
+             "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
+             "name": f"{problem.name}, {mesh.n_nodes} nodes"}
+    if weights is None:
+        return DiscreteProblem.assembled(**parts)
+    return DiscreteProblem.coupled(**parts, weights=weights)
+
+
+def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) -> np.ndarray:
+    motions = rigid_motions(mesh, axisymmetric)
+    motions.flags.writeable = False
+    return motions
+
+
+def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, fixed: np.ndarray
+             ) -> tuple[ContactNodes, sparse.csr_array | None]:
+    """Contact nodes and what they face; without slave nodes that should be exchanged for others and cannot."""
+    excluded = np.empty(0, dtype=np.int64)
+    while True:
+        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded)
+        if weights is None:
+            return contact, None
+        law = problem.law.at_nodes(mesh.points[contact.nodes], contact.weights)
+        unmatched = find_carriers(contact.nodes, weights, fixed, law)[2]
+        if not len(unmatched):
+            return contact, weights
+        excluded = np.union1d(excluded, contact.nodes[unmatched])
+        _LOG.info("%d slave nodes of %r with a supported tangential component carry no multiplier: the master is too "
+                  "coarse there", len(unmatched), problem.name)
+
+
+def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
+    """Nodes of each body."""
+    result = {}
+    for k, name in enumerate(mesh.bodies):
+        used = np.zeros(mesh.n_nodes, dtype=bool)
+        used[mesh.elements if len(mesh.bodies) == 1 else mesh.elements[mesh.element_body == k]] = True
+        result[name] = np.flatnonzero(used)
+    return result
+
+
+def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
+    """Raise ValueError if a body has neither a support nor a surface in contact."""
+    holding = [*problem.pair_boundaries, *(support.boundary for support in problem.supports)]
+    held = np.zeros(mesh.n_nodes, dtype=bool)
+    for name in holding:
+        held[mesh.boundary_facets(name)] = True
+    for name, nodes in bodies.items():
+        if not held[nodes].any():
+            raise ValueError(f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
+                             "support or a contact pair, or leave it out")

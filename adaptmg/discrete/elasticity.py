@@ -1,0 +1,385 @@
+r"""The stiffness matrix of P1 elasticity; the bodies may differ in material.
+
+.. math:: a(u, v) = \int_\Omega \lambda\,\mathrm{div}\,u\,\mathrm{div}\,v + 2\mu\,\varepsilon(u) : \varepsilon(v)
+
+with the Lame constants of the material, so that plane stress, plane strain and three dimensions are one form. In
+axisymmetry x is the radius r and y the axial coordinate z,
+
+.. math:: \varepsilon = (u_{r,r},\ u_{z,z},\ u_r / r,\ \tfrac12(u_{r,z} + u_{z,r})),
+
+integrals run over the full circumference (weight :math:`2 \pi r`), and forces are in N.
+
+Kernels of P1 elasticity: the pattern of the matrix, and element matrices added into it, element by element.
+
+With the constant gradients g_a of the shape functions phi_a and the volume V of an element, the block of nodes a, b is
+
+.. math:: K_{ab} = V \left(\lambda\, g_a g_b^T + \mu\, g_b g_a^T + \mu\,(g_a \cdot g_b) I\right),
+
+exact in Cartesian components. In axisymmetry (r, z) the hoop strain :math:`u_r / r` joins in and all is weighted with
+:math:`2 \pi r`: the integrals :math:`\int r` and :math:`\int \varphi_a` are exact, :math:`\int \varphi_a \varphi_b / r`
+takes a rule with interior points and positive weights. Any rule that is exact for polynomials of degree 1 gives those
+other integrals too: the sum is one quadrature of the energy, hence positive semidefinite, and constant strains
+(:math:`u_r = c r`) are exact.
+
+Both blocks (a, b) and (b, a) come from one computation and are added in the order of the elements: the matrix is
+bitwise symmetric, and the same in every run.
+
+The material of each body of a mesh, and whether the bodies are axisymmetric.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.materials import Axisymmetric, Elastic
+
+__all__ = ["Materials", "add_axisymmetric", "add_plane", "add_solid", "body_materials", "count_neighbours",
+           "fill_neighbours", "is_axisymmetric", "lame_constants", "stiffness"]
+
+def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
+    """Assemble the stiffness matrix, with no boundary condition applied.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        One body or several; only the arrays are used.
+    material : Elastic or mapping
+        The same in all bodies, or body name -> Elastic.
+
+    Returns
+    -------
+    scipy.sparse.bsr_array (n_dofs, n_dofs)
+        Blocks of dim x dim, sorted indices, dof = dim * node + component; bitwise symmetric. N/m (plane: per metre of
+        thickness; axisymmetric: of the full circumference).
+
+    Raises
+    ------
+    ValueError
+        If materials and mesh do not fit (:func:`~adaptmg.discrete.elasticity.body_materials`), a node number
+        is out of range, or an element is inverted or degenerate.
+
+    Notes
+    -----
+    On the axis r = 0 the user prescribes u_r = 0, e.g. ``Support("axis", x=0.0)``: the hoop strain is bounded for no
+    other displacement. Without it the matrix is finite still.
+    """
+    materials = body_materials(mesh, material)
+    _check_numbers(mesh)
+    dim = mesh.dim
+    indptr, indices = _pattern(mesh.elements, mesh.n_nodes)
+    # not np.zeros: of that the operating system maps small pages, one by one as they are written, several times slower
+    data = np.full((len(indices), dim, dim), 0.0)
+    arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
+    if is_axisymmetric(materials):
+        bad = add_axisymmetric(*arguments, *quadrature_rule(3, AXISYMMETRIC_DEGREE), indptr, indices, data)
+    else:
+        add = add_plane if dim == 2 else add_solid
+        bad = add(*arguments, indptr, indices, data)
+    if bad >= 0:
+        raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
+                         "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
+    if len(indices) < 2**31:
+        indptr = indptr.astype(np.int32)
+    n_dofs = dim * mesh.n_nodes
+    matrix = sparse.bsr_array((data, indices, indptr), shape=(n_dofs, n_dofs), copy=False)
+    matrix.has_sorted_indices = True
+    return matrix
+
+
+def _pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Row pointers and sorted columns of the nodal matrix."""
+    start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
+    marker, indptr = np.full(n_nodes, -1, dtype=np.int32), np.empty(n_nodes + 1, dtype=np.int64)
+    count_neighbours(elements, start, listed, marker, indptr)
+    indices = np.empty(indptr[-1], dtype=np.int32)
+    marker[:] = -1
+    fill_neighbours(elements, start, listed, marker, indptr[:-1].copy(), indices)
+    return indptr, indices
+
+
+def _check_numbers(mesh: MeshArrays) -> None:
+    """Numbers out of range would make the kernels read and write elsewhere."""
+    for name, numbers, count in (("elements", mesh.elements, mesh.n_nodes),
+                                 ("element_body", mesh.element_body, len(mesh.bodies))):
+        if not numbers.size or numbers.min() < 0 or numbers.max() >= count:
+            found = f"{numbers.min()} to {numbers.max()}" if numbers.size else "none"
+            raise ValueError(f"mesh.{name} must be numbers from 0 to {count - 1}, got {found}")
+    if mesh.elements.shape[1] != mesh.dim + 1 or len(mesh.element_body) != len(mesh.elements):
+        raise ValueError(f"a {mesh.dim}D mesh needs elements (n, {mesh.dim + 1}) and element_body (n,), got "
+                         f"{mesh.elements.shape} and {mesh.element_body.shape}")
+
+
+@inner_kernel
+def _elements_of_nodes(elements, start, listed):
+    """Elements of each node, ascending: ``listed[start[i]:start[i + 1]]``; ``start`` (n_nodes + 1,) comes as 0."""
+    n = len(start) - 1
+    for e in range(len(elements)):
+        for v in elements[e]:
+            start[v + 1] += 1
+    for i in range(n):
+        start[i + 1] += start[i]
+    for e in range(len(elements)):
+        for v in elements[e]:
+            listed[start[v]] = e
+            start[v] += 1
+    for i in range(n, 0, -1):
+        start[i] = start[i - 1]
+    start[0] = 0
+
+
+@kernel
+def count_neighbours(elements, start, listed, marker, indptr):
+    """Row pointers of the pattern: nodes that share an element, each node with itself.
+
+    ``start`` (n_nodes + 1,) comes as 0, ``listed`` (elements.size,) as it is; both are filled for the next kernel.
+    ``marker`` (n_nodes,) comes as -1.
+    """
+    _elements_of_nodes(elements, start, listed)
+    indptr[0] = 0
+    for i in range(len(start) - 1):
+        count = 0
+        for at in range(start[i], start[i + 1]):
+            for v in elements[listed[at]]:
+                if marker[v] != i:
+                    marker[v] = i
+                    count += 1
+        indptr[i + 1] = indptr[i] + count
+
+
+@kernel
+def fill_neighbours(elements, start, listed, marker, end, indices):
+    """Columns of the pattern, ascending. ``end`` (n_nodes,) comes as ``indptr[:-1]``, ``marker`` as -1.
+
+    The pattern is symmetric: when rows are run through in order and i is written into the rows of its neighbours,
+    every row is sorted.
+    """
+    for i in range(len(start) - 1):
+        for at in range(start[i], start[i + 1]):
+            for v in elements[listed[at]]:
+                if marker[v] != i:
+                    marker[v] = i
+                    indices[end[v]] = i
+                    end[v] += 1
+
+
+@inner_kernel
+def _plane_gradients(points, corners, g):
+    """Write the gradients (3, 2) of the shape functions; returns the area, and nothing if that is not positive."""
+    a, b, c = corners[0], corners[1], corners[2]
+    x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+    x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+    det = x1 * y2 - y1 * x2
+    if det > 0.0:
+        g[1, 0], g[1, 1] = y2 / det, -x2 / det
+        g[2, 0], g[2, 1] = -y1 / det, x1 / det
+        g[0, 0], g[0, 1] = -(g[1, 0] + g[2, 0]), -(g[1, 1] + g[2, 1])
+    return det / 2.0
+
+
+@inner_kernel
+def _solid_gradients(points, corners, g):
+    """Write the gradients (4, 3) of the shape functions; returns the volume, and nothing if that is not positive."""
+    a, b, c, d = corners[0], corners[1], corners[2], corners[3]
+    x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+    x2, y2, z2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+    x3, y3, z3 = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1], points[d, 2] - points[a, 2]
+    g[1, 0], g[1, 1], g[1, 2] = y2 * z3 - z2 * y3, z2 * x3 - x2 * z3, x2 * y3 - y2 * x3
+    g[2, 0], g[2, 1], g[2, 2] = y3 * z1 - z3 * y1, z3 * x1 - x3 * z1, x3 * y1 - y3 * x1
+    g[3, 0], g[3, 1], g[3, 2] = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+    det = x1 * g[1, 0] + y1 * g[1, 1] + z1 * g[1, 2]
+    if det > 0.0:
+        for j in range(3):
+            g[1, j] /= det
+            g[2, j] /= det
+            g[3, j] /= det
+            g[0, j] = -(g[1, j] + g[2, j] + g[3, j])
+    return det / 6.0
+
+
+@inner_kernel
+def _position(indptr, indices, a, b):
+    """Where the block (a, b), which is there, is stored."""
+    at = indptr[a]
+    while indices[at] != b:
+        at += 1
+    return at
+
+
+@inner_kernel
+def _add_plane_block(a, b, xx, xy, yx, yy, indptr, indices, data):
+    """Add the block of nodes a, b, and off the diagonal its transpose at (b, a)."""
+    at = _position(indptr, indices, a, b)
+    data[at, 0, 0] += xx
+    data[at, 0, 1] += xy
+    data[at, 1, 0] += yx
+    data[at, 1, 1] += yy
+    if a != b:
+        at = _position(indptr, indices, b, a)
+        data[at, 0, 0] += xx
+        data[at, 0, 1] += yx
+        data[at, 1, 0] += xy
+        data[at, 1, 1] += yy
+
+
+@kernel
+def add_plane(points, elements, body, lame, shear, indptr, indices, data):
+    """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies.
+
+    Returns
+    -------
+    int
+        -1, or the first element whose area is not positive.
+    """
+    g = np.empty((3, 2))
+    for e in range(len(elements)):
+        area = _plane_gradients(points, elements[e], g)
+        if not area > 0.0:
+            return e
+        first, mu = area * lame[body[e]], area * shear[body[e]]
+        both = first + 2.0 * mu
+        for a in range(3):
+            for b in range(a, 3):
+                xx, yy, xy, yx = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
+                _add_plane_block(elements[e, a], elements[e, b], both * xx + mu * yy, first * xy + mu * yx,
+                                 first * yx + mu * xy, both * yy + mu * xx, indptr, indices, data)
+    return -1
+
+
+@kernel
+def add_solid(points, elements, body, lame, shear, indptr, indices, data):
+    """Add the element matrices of solid elasticity; ``lame`` and ``shear`` are those of the bodies.
+
+    Returns
+    -------
+    int
+        -1, or the first element whose volume is not positive.
+    """
+    g = np.empty((4, 3))
+    for e in range(len(elements)):
+        volume = _solid_gradients(points, elements[e], g)
+        if not volume > 0.0:
+            return e
+        first, mu = volume * lame[body[e]], volume * shear[body[e]]
+        for a in range(4):
+            for b in range(a, 4):
+                dot = mu * (g[a, 0] * g[b, 0] + g[a, 1] * g[b, 1] + g[a, 2] * g[b, 2])
+                here = _position(indptr, indices, elements[e, a], elements[e, b])
+                there = _position(indptr, indices, elements[e, b], elements[e, a])
+                for i in range(3):
+                    for j in range(3):
+                        value = first * (g[a, i] * g[b, j]) + mu * (g[a, j] * g[b, i])
+                        if i == j:
+                            value += dot
+                        data[here, i, j] += value
+                        if a != b:
+                            data[there, j, i] += value
+    return -1
+
+
+@kernel
+def add_axisymmetric(points, elements, body, lame, shear, rule, weights, indptr, indices, data):
+    """Add the element matrices of axisymmetric elasticity, x = r, y = z, over the full circumference.
+
+    ``rule`` (n, 3) and ``weights`` (n,), of sum 1, are the barycentric points and weights of int . / r.
+
+    Returns
+    -------
+    int
+        -1, or the first element whose area is not positive.
+    """
+    g, hoop = np.empty((3, 2)), np.empty((3, 3))
+    for e in range(len(elements)):
+        area = _plane_gradients(points, elements[e], g)
+        if not area > 0.0:
+            return e
+        r0, r1, r2 = points[elements[e, 0], 0], points[elements[e, 1], 0], points[elements[e, 2], 0]
+        hoop[:] = 0.0
+        for q in range(len(rule)):
+            weight = weights[q] / (rule[q, 0] * r0 + rule[q, 1] * r1 + rule[q, 2] * r2)
+            for a in range(3):
+                for b in range(a, 3):
+                    hoop[a, b] += weight * rule[q, a] * rule[q, b]
+        first, mu = 2.0 * np.pi * area * lame[body[e]], 2.0 * np.pi * area * shear[body[e]]
+        both = first + 2.0 * mu
+        r = (r0 + r1 + r2) / 3.0
+        for a in range(3):
+            for b in range(a, 3):
+                rr, zz, rz, zr = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
+                radial = r * (both * rr + mu * zz) + first * (g[a, 0] + g[b, 0]) / 3.0 + both * hoop[a, b]
+                _add_plane_block(elements[e, a], elements[e, b], radial,
+                                 r * (first * rz + mu * zr) + first * g[b, 1] / 3.0,
+                                 r * (first * zr + mu * rz) + first * g[a, 1] / 3.0,
+                                 r * (both * zz + mu * rr), indptr, indices, data)
+    return -1
+
+
+Materials = Elastic | Mapping[str, Elastic]
+
+# of the largest radius: nodes on the axis may lie this far behind it by rounding
+_ROUNDING = 1e-9
+
+
+def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]:
+    """Materials in the order of ``mesh.bodies``, checked against the mesh.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+    material : Elastic or mapping
+        One for all bodies, or body name -> Elastic.
+
+    Returns
+    -------
+    tuple of Elastic
+
+    Raises
+    ------
+    TypeError
+        If a material is no Elastic.
+    ValueError
+        If a body has no material, a dimension does not fit, axisymmetric and other materials are mixed, or an
+        axisymmetric mesh has nodes at r < 0.
+    """
+    if isinstance(material, Mapping):
+        missing = [body for body in mesh.bodies if body not in material]
+        if missing:
+            raise ValueError(f"no material for body {missing[0]!r}; the bodies are {', '.join(mesh.bodies)}, materials "
+                             f"are given for {', '.join(map(str, material)) or 'none'}")
+        materials = tuple(material[body] for body in mesh.bodies)
+    else:
+        materials = (material,) * len(mesh.bodies)
+    for one in materials:
+        if not isinstance(one, Elastic):
+            raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping body name "
+                            f"-> one of them, got {one!r}")
+        if one.dim != mesh.dim:
+            raise ValueError(f"the material is {one.dim}D, the mesh {mesh.dim}D: use Solid in 3D, PlaneStrain, "
+                             "PlaneStress or Axisymmetric in 2D")
+    if is_axisymmetric(materials):
+        if not all(isinstance(one, Axisymmetric) for one in materials):
+            raise ValueError("either all bodies are Axisymmetric or none, got "
+                             + ", ".join(type(one).__name__ for one in materials))
+        r = mesh.points[:, 0]
+        if r.min() < -_ROUNDING * r.max():
+            raise ValueError(f"axisymmetric bodies lie at radii x >= 0, got x = {r.min():.6g} m at node "
+                             f"{int(np.argmin(r))}")
+    return materials
+
+
+def is_axisymmetric(material: Materials | tuple[Elastic, ...]) -> bool:
+    """Whether x is the radius r, y the axial coordinate z, and integrals are weighted with 2 pi r."""
+    if isinstance(material, Elastic):
+        return isinstance(material, Axisymmetric)
+    materials = material.values() if isinstance(material, Mapping) else material
+    return any(isinstance(one, Axisymmetric) for one in materials)
+
+
+def lame_constants(materials: tuple[Elastic, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Lame constants lambda and mu (n_bodies,) as they enter the stress, Pa."""
+    return np.array([one.lame for one in materials]), np.array([one.shear_modulus for one in materials])

@@ -1,0 +1,112 @@
+r"""Fixed dofs: what the supports prescribe, node by node.
+
+Boundary facets: area vectors by name of the boundary.
+
+The area vector of a facet is its measure (m, in 3D m^2) times its outward unit normal: in 2D the edge (a, b) turned by
+-90 degrees, in 3D :math:`\tfrac12 (b - a) \times (c - a)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adaptmg import _checks as checks
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.loads import Support
+
+__all__ = ["area_vectors", "fixed_dofs", "named_facets", "shape_integrals"]
+
+def fixed_dofs(mesh: MeshArrays, supports: Sequence[Support]) -> tuple[np.ndarray, np.ndarray]:
+    """Mask and values of the prescribed dofs.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+    supports : sequence of Support
+        Where two meet, they must agree or prescribe different components.
+
+    Returns
+    -------
+    fixed : (n_dofs,) bool array
+        dof = dim * node + component.
+    values : (n_dofs,) array
+        Prescribed displacement, m; zero where free.
+
+    Raises
+    ------
+    ValueError
+        For a boundary the mesh does not have, a z component in 2D, two values for one dof, or functions of position
+        whose values are not finite numbers, one a node.
+    """
+    fixed = np.zeros((mesh.n_nodes, mesh.dim), dtype=bool)
+    values = np.zeros((mesh.n_nodes, mesh.dim))
+    origin = np.full((mesh.n_nodes, mesh.dim), -1)
+    for k, support in enumerate(supports):
+        nodes = np.unique(named_facets(mesh, support.boundary))
+        for d, value in enumerate(support.components(mesh.dim)):
+            if value is None:
+                continue
+            wanted = checks.field(f"{'xyz'[d]} of the support on {support.boundary!r}", value, mesh.points[nodes])
+            clash = fixed[nodes, d] & (values[nodes, d] != wanted)
+            if clash.any():
+                node, here = int(nodes[np.argmax(clash)]), wanted[np.argmax(clash)]
+                other = supports[origin[node, d]].boundary
+                raise ValueError(f"supports on {other!r} and {support.boundary!r} prescribe different {'xyz'[d]} "
+                                 f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
+                                 f"{tuple(mesh.points[node].tolist())}: give both the same value or free one")
+            fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, wanted, k
+    return fixed.reshape(-1), values.reshape(-1)
+
+
+def named_facets(mesh: MeshArrays, boundary: str) -> np.ndarray:
+    """Facets (n, dim) of a boundary; ValueError if the mesh has no such boundary, or no facets on it."""
+    facets = mesh.boundary_facets(boundary)
+    if not len(facets):
+        raise ValueError(f"boundary {boundary!r} has a name in the mesh but no facets: was its label lost in meshing?")
+    return facets
+
+
+def area_vectors(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Area vectors of facets.
+
+    Parameters
+    ----------
+    points : (n_nodes, dim) array
+        m.
+    facets : (n, dim) array of int
+        Node numbers, oriented as in :class:`~adaptmg.mesh.arrays.MeshArrays`.
+
+    Returns
+    -------
+    (n, dim) array
+        Outward, with the length (m) or area (m^2) of the facet as norm.
+    """
+    corners = points[facets]
+    first = corners[:, 1] - corners[:, 0]
+    if points.shape[1] == 2:
+        return np.column_stack([first[:, 1], -first[:, 0]])
+    return 0.5 * np.cross(first, corners[:, 2] - corners[:, 0])
+
+
+def shape_integrals(points: np.ndarray, facets: np.ndarray, axisymmetric: bool = False) -> np.ndarray:
+    r"""Integral of the shape function of each corner over the measure of its facet.
+
+    Parameters
+    ----------
+    points : (n_nodes, dim) array
+        m.
+    facets : (n, dim) array of int
+    axisymmetric : bool
+        x is a radius, and integrals are weighted with 2 pi r.
+
+    Returns
+    -------
+    (n, dim) array
+        1 / dim; in axisymmetry :math:`2\pi\,(2 r_i + r_j)/6`, m.
+    """
+    if not axisymmetric:
+        return np.full(facets.shape, 1.0 / points.shape[1])
+    r = points[facets, 0]
+    return 2 * np.pi * (r + r.sum(axis=1, keepdims=True)) / 6

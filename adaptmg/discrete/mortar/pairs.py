@@ -1,0 +1,234 @@
+r"""Contact between two surfaces of the mesh: which slave nodes face what, at which gap.
+
+Surfaces are made of facets. Where two curved surfaces fit each other, their facets overlap by up to the heights of
+both facets under the arcs, about :math:`\tfrac14 h\,|n_i - n_F|` with the averaged normal :math:`n_i` at a corner of
+facet F: negative gaps above minus that are the discretisation, not interference, and are taken as zero.
+
+A slave node of whose part less than a quarter has the master opposite (where the slave hangs over) carries no
+multiplier: its dual function would be large, of the order of one over the covered fraction, and with it the entries of
+the coupling, which spoils the smoothing. The multipliers beside it take over, so that constant pressures stay exact.
+
+Where the meshes match, node j may face the one master node k(j) nearest to it (:func:`node_to_node`):
+:math:`B_{jk} = \delta_{k,k(j)}`, with
+
+.. math:: g_j = (x_{k(j)} - x_j)\cdot n_j, \qquad w_j = \int\phi_j
+
+over the slave surface (in axisymmetry with :math:`2\pi r`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from adaptmg import _checks as checks
+from adaptmg._checks import positive
+from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
+from adaptmg.discrete.mortar.interface import NEVER_FACING, MortarInterface, Surfaces, surface_normals
+from adaptmg.discrete.mortar.segments import mortar_2d
+from adaptmg.discrete.mortar.triangles import mortar_3d
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.surfaces import ContactPair
+
+__all__ = ["node_to_node", "pair_interface"]
+
+
+_ROUNDING = 1e-12  # of the bodies' size
+_LEAST_COVERED = 0.25  # of the part of a slave node
+
+
+def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, excluded: np.ndarray,
+                   axisymmetric: bool) -> MortarInterface:
+    """The interface of a pair.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+    pair : ContactPair
+    fixed : (n_nodes, dim) bool array
+        Prescribed components.
+    excluded : (n,) array of int
+        Nodes of the slave surface that belong to another contact boundary.
+    axisymmetric : bool
+
+    Returns
+    -------
+    MortarInterface
+        Gaps >= 0 unless the pair allows interference.
+
+    Raises
+    ------
+    ValueError
+        If the surfaces never face each other, overlap without ``allow_interference``, or what the couplings refuse;
+        the message names the pair.
+    """
+    slave, master = named_facets(mesh, pair.slave), named_facets(mesh, pair.master)
+    what = f"contact pair {pair.slave!r} on {pair.master!r}"
+    try:
+        normals = surface_normals(mesh.points, slave, fixed=fixed)
+        found = _coupled(mesh, pair, slave, master, normals, excluded, axisymmetric)
+        hanging = _hanging_over(mesh, slave, found, axisymmetric)
+        if 0 < len(hanging) < len(found) and pair.coupling == "mortar":
+            found = _coupled(mesh, pair, slave, master, normals, np.union1d(excluded, hanging), axisymmetric)
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from error
+    gaps = found.gaps.copy()
+    if pair.gap is not None:
+        gaps = checks.field(f"gap of {what}", pair.gap, mesh.points[found.nodes])
+        # a row that slave nodes without a multiplier take part in measures their gaps with its own
+        silent = np.setdiff1d(slave, found.nodes)
+        if len(silent):
+            gaps = gaps - found.coupling[:, silent] @ checks.field(f"gap of {what}", pair.gap, mesh.points[silent])
+    if not pair.allow_interference:
+        size = np.linalg.norm(np.ptp(mesh.points[np.union1d(slave, master)], axis=0))
+        tolerance = np.full(len(gaps), _ROUNDING * size)
+        if pair.gap is None:
+            tolerance += _facet_heights(mesh, slave)[found.nodes] + _facet_heights(mesh, master).max()
+            # the surfaces themselves must overlap, and not only a mean of their distance with weights of both signs
+            tolerance[found.closest >= -tolerance] = np.inf
+        wrong = np.flatnonzero(gaps < -tolerance)
+        if len(wrong):
+            deepest = wrong[np.argmin(gaps[wrong])]
+            raise ValueError(f"{what}: the bodies overlap by up to {-gaps[deepest]:.6g} m at the start, at "
+                             f"{tuple(mesh.points[found.nodes[deepest]].tolist())}: move one of them apart, or "
+                             "say allow_interference=True for an interference fit")
+        gaps = np.maximum(gaps, 0.0)
+    return MortarInterface(nodes=found.nodes, normals=found.normals, weights=found.weights, gaps=gaps,
+                     coupling=found.coupling)
+
+
+def _coupled(mesh: MeshArrays, pair: ContactPair, slave: np.ndarray, master: np.ndarray, normals: np.ndarray,
+             excluded: np.ndarray, axisymmetric: bool) -> MortarInterface:
+    """By the coupling that the pair asks for."""
+    if pair.coupling == "nodes":
+        return node_to_node(mesh.points, slave, master, normals, excluded=excluded, axisymmetric=axisymmetric)
+    if mesh.dim == 2:
+        return mortar_2d(mesh.points, slave, master, normals, excluded=excluded, axisymmetric=axisymmetric,
+                         reach=pair.reach)
+    return mortar_3d(mesh.points, slave, master, normals, excluded=excluded, reach=pair.reach)
+
+
+def _hanging_over(mesh: MeshArrays, slave: np.ndarray, found: MortarInterface, axisymmetric: bool) -> np.ndarray:
+    """Slave nodes (n,) of which the master covers too little."""
+    measure = np.linalg.norm(area_vectors(mesh.points, slave), axis=1)
+    share = measure[:, None] * shape_integrals(mesh.points, slave, axisymmetric)
+    whole = np.bincount(slave.ravel(), weights=share.ravel(), minlength=mesh.n_nodes)
+    return found.nodes[found.weights < _LEAST_COVERED * whole[found.nodes]]
+
+
+def _facet_heights(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
+    """At nodes (n_nodes,) of a surface the largest height of a facet there under the arc, about, m; zero elsewhere."""
+    vectors = area_vectors(mesh.points, facets)
+    own = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    corners = mesh.points[facets]
+    length = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    averaged = surface_normals(mesh.points, facets)
+    result = np.zeros(mesh.n_nodes)
+    for corner in facets.T:
+        turn = np.linalg.norm(averaged[corner] - own, axis=1)
+        np.maximum.at(result, corner, 0.25 * length * turn)
+    return result
+
+
+def node_to_node(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
+                 excluded: Iterable[int] = (), axisymmetric: bool = False, tolerance: float = 1e-2) -> MortarInterface:
+    """Couple each node of a slave surface to the nearest node of a master surface.
+
+    Parameters
+    ----------
+    points : (n_nodes, dim) array
+        m; in axisymmetry (radius, axial position).
+    slave_facets, master_facets : (n, dim) array of int
+        Oriented outwards as in :class:`~adaptmg.mesh.arrays.MeshArrays`. No common nodes.
+    normals : (n_nodes, dim) array
+        Unit normals out of the slave body; rows of slave nodes are read.
+    excluded : iterable of int
+        Nodes that carry no multiplier (of another pair, or held); those not on the slave surface are ignored.
+    axisymmetric : bool
+        2D only: weights are areas over the full circumference.
+    tolerance : float
+        How far beside the normal of a slave node its partner may lie, as a fraction of the shortest edge of the
+        facets at the slave node.
+
+    Returns
+    -------
+    MortarInterface
+        All slave nodes that are not excluded. The distance along the normal, positive (gap) or negative (overlap),
+        is not limited.
+
+    Raises
+    ------
+    ValueError
+        If a slave node has no partner within the tolerance (the first one is named), two have the same, or partners
+        face the same way; and on arrays that do not fit together (see
+        :class:`~adaptmg.discrete.mortar.interface.Surfaces`).
+    """
+    surfaces = Surfaces(points, slave_facets, master_facets, normals, excluded, axisymmetric)
+    tolerance = positive("tolerance", tolerance)
+    points, normals = surfaces.points, surfaces.normals
+    nodes = np.flatnonzero(surfaces.carries)
+    partner = surfaces.master_nodes[cKDTree(points[surfaces.master_nodes]).query(points[nodes])[1]]
+    apart, normal = points[partner] - points[nodes], normals[nodes]
+    gaps = np.einsum("nd,nd->n", apart, normal)
+    beside = np.linalg.norm(apart - gaps[:, None] * normal, axis=1)
+    _check_partners(surfaces, nodes, partner, beside, tolerance * _shortest_edges(surfaces)[nodes])
+    weights = _lumped(surfaces)[nodes]
+    if not weights.min() > 0:
+        raise ValueError(f"slave node {nodes[int(np.argmin(weights))]} has no area: its facets lie on the axis of "
+                         "symmetry; end the boundary there")
+    coupling = sparse.csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), partner)),
+                                shape=(len(nodes), len(points)))
+    return MortarInterface(nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling)
+
+
+def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, beside: np.ndarray,
+                    allowed: np.ndarray) -> None:
+    points = surfaces.points
+    vectors = np.zeros(points.shape)
+    for corner in surfaces.master.T:
+        np.add.at(vectors, corner, area_vectors(points, surfaces.master))
+    facing = np.einsum("nd,nd->n", vectors[partner], surfaces.normals[nodes]) < 0
+    if not facing.any():
+        raise ValueError(f"{NEVER_FACING}: the normals of slave nodes and of their partners point the same way. Check "
+                         "the orientation of the facets")
+    missing = np.flatnonzero((beside > allowed) | ~facing)
+    if len(missing):
+        i = missing[0]
+        raise ValueError(f"slave node {nodes[i]} {tuple(points[nodes[i]].tolist())} has no partner: the nearest master "
+                         f"node {partner[i]} {tuple(points[partner[i]].tolist())} lies {beside[i]:.3g} m beside its "
+                         f"normal, {allowed[i]:.3g} m are allowed{'' if facing[i] else ', and faces the same way'} "
+                         f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes, a mortar coupling, or a "
+                         "larger tolerance")
+    order = np.argsort(partner, kind="stable")
+    twice = np.flatnonzero(np.diff(partner[order]) == 0)
+    if len(twice):
+        a, b = nodes[order[twice[0]]], nodes[order[twice[0] + 1]]
+        raise ValueError(f"slave nodes {a} {tuple(points[a].tolist())} and {b} {tuple(points[b].tolist())} have the "
+                         f"same partner {partner[order[twice[0]]]}: the meshes do not match; use a mortar coupling")
+
+
+def _shortest_edges(surfaces: Surfaces) -> np.ndarray:
+    """Shortest edge (n_nodes,) of the slave facets at each node, m; infinite elsewhere."""
+    result = np.full(len(surfaces.points), np.inf)
+    corners = surfaces.slave.T
+    for i in range(len(corners)):
+        for j in range(i):
+            length = np.linalg.norm(surfaces.points[corners[i]] - surfaces.points[corners[j]], axis=1)
+            np.minimum.at(result, corners[i], length)
+            np.minimum.at(result, corners[j], length)
+    return result
+
+
+def _lumped(surfaces: Surfaces) -> np.ndarray:
+    """Integrals (n_nodes,) of the shape functions over the slave surface."""
+    points, slave = surfaces.points, surfaces.slave
+    area = np.linalg.norm(area_vectors(points, slave), axis=1)
+    result = np.zeros(len(points))
+    radii = np.maximum(points[slave, 0], 0.0) if surfaces.axisymmetric else None
+    for k, corner in enumerate(slave.T):
+        factor = 1.0 if radii is None else 2 * np.pi * (radii[:, k] + radii.sum(axis=1)) / 3
+        np.add.at(result, corner, area * factor / points.shape[1])
+    return result

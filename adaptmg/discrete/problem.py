@@ -1,0 +1,293 @@
+r"""What is solved: DiscreteProblem and ContactNodes. Arrays and matrices only.
+
+Find u with :math:`A u - b = r`, r = 0 but at fixed dofs and at contact nodes, where with the outward unit normal n and
+:math:`u_n = u\cdot n,\; p = -r_n,\; f_t = r_t`
+
+.. math:: u_n \le g_0,\quad p \ge 0,\quad p\,(g_0 - u_n) = 0,\qquad |f_t| \le s + \mu p,
+
+and :math:`f_t` is opposite to the slip :math:`u_t - u_t^{\mathrm{previous}}` wherever that is not zero.
+Degree of freedom ``dim * node + component``. With a :class:`~adaptmg.discrete.coordinates.Coupling` between bodies all
+this is
+meant in relative coordinates: :meth:`DiscreteProblem.coupled` makes them.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg._check_arrays import indices_frozen
+from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg.discrete.contact_nodes import (
+    ContactNodes,
+    bounded,
+    check_bounds,
+    check_size,
+    checked_bodies,
+    checked_mask,
+    checked_matrix,
+    with_positive_diagonal,
+)
+from adaptmg.discrete.coordinates import NEGLIGIBLE, Coupling, Exchange, exchanged, facing_part
+from adaptmg.discrete.rigid_modes import rigid_body_modes
+from adaptmg.problem.contact_problem import check_law
+from adaptmg.problem.laws import Law
+
+__all__ = ["ContactNodes", "DiscreteProblem", "rigid_body_modes"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DiscreteProblem:
+    """A contact problem as arrays; every solver takes it.
+
+    Parameters
+    ----------
+    matrix : scipy sparse (n_dofs, n_dofs)
+        Stiffness with no boundary condition applied, symmetric, in Cartesian components, N/m. Kept as BSR with
+        dim x dim blocks.
+    load : (n_dofs,) array
+        N.
+    fixed : (n_dofs,) bool array
+        Prescribed dofs. The normal component at a contact node must not be fixed.
+    law : Law
+        With nodal parameters (see :mod:`adaptmg.problem.laws`).
+    contact : ContactNodes
+        Where contact may occur.
+    fixed_values : (n_dofs,) array, optional
+        Prescribed values at fixed dofs (others are ignored), m; default 0.
+    coordinates : (n_nodes, dim) array, optional
+        Node positions, m.
+    near_nullspace : (n_dofs, k) array, optional
+        Rigid-body modes of the free body; made from ``coordinates`` where not given.
+    name : str
+        For tables.
+    coupling : Coupling, optional
+        Says that all of the above is in relative coordinates; see :meth:`coupled`.
+    bodies : mapping of str to (n,) int arrays, optional
+        Nodes of each body by name, for messages.
+    exchange : Exchange, optional
+        Contact as it was posed where slave and master were exchanged at single nodes
+        (:mod:`adaptmg.discrete.coordinates`).
+    """
+
+    matrix: sparse.bsr_array
+    load: np.ndarray
+    fixed: np.ndarray
+    law: Law
+    contact: ContactNodes
+    fixed_values: np.ndarray | None = None
+    coordinates: np.ndarray | None = None
+    near_nullspace: np.ndarray | None = None
+    name: str = "discrete problem"
+    coupling: Coupling | None = None
+    bodies: Mapping[str, np.ndarray] | None = None
+    exchange: Exchange | None = None
+
+    @classmethod
+    def assembled(cls, **parts: Any) -> DiscreteProblem:
+        """From a matrix of this package's own assembly, which is not searched for what a stranger's may have wrong.
+
+        Parameters as of the class. The matrix, in dim x dim blocks with sorted columns and symmetric, is kept without
+        a copy; ``near_nullspace`` may be :class:`~adaptmg._runtime.OnDemand`.
+        """
+        result = cls.__new__(cls)
+        object.__setattr__(result, "_assembled", True)
+        result.__init__(**parts)
+        return result
+
+    @classmethod
+    def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law,
+                contact: ContactNodes, weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
+                coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | OnDemand | None = None,
+                name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None
+                ) -> DiscreteProblem:
+        """Several bodies in contact, from their uncoupled matrix and load.
+
+        Parameters
+        ----------
+        matrix, load, fixed, law, contact, fixed_values, coordinates, near_nullspace, name, bodies
+            As of the class, in displacements. ``contact`` are the slave nodes; their gaps and slips are relative.
+            ``near_nullspace`` should hold the rigid-body modes of every body (one column a body and mode); with
+            ``coordinates`` alone the bodies move together in it.
+        weights : (n_nodes, n_nodes) sparse
+            W: in the rows of slave nodes the nodes that they face, row sums 1.
+
+        Returns
+        -------
+        DiscreteProblem
+            In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
+        """
+        checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
+        check_law(law)
+        contact.check_name_contact()
+        dim, fixed = contact.dim, checked_mask("fixed", fixed)
+        # only the package's own assembly gives modes on demand
+        own = isinstance(near_nullspace, OnDemand)
+        blocks, n = matrix if own else checked_matrix(matrix, dim), len(fixed)
+        if blocks.shape[0] != n:
+            raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
+        weights = check_arrays.sparse_matrix("weights", weights, (n // dim, n // dim))
+        contact.check_nodes(n // dim)
+        check_bounds(law, len(contact))
+        contact, weights, law, exchange = exchanged(contact, weights, fixed, law)
+        coupling = Coupling(weights, fixed)
+        if own:
+            near_nullspace = OnDemand(partial(_relative_modes, near_nullspace))
+        elif near_nullspace is not None:
+            near_nullspace = coupling.relative(bounded("near_nullspace", near_nullspace, (n, None)))
+        elif coordinates is not None:
+            points = bounded("coordinates", coordinates, (n // dim, dim), checks.VAST)
+            near_nullspace = coupling.relative(rigid_body_modes(points))
+        make = cls.assembled if own else cls
+        return make(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
+                    load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
+                    coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
+                    near_nullspace=near_nullspace)
+
+    def physical(self, unknowns: np.ndarray) -> np.ndarray:
+        """Displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: the same without a coupling."""
+        flat = np.asarray(unknowns, dtype=np.float64).reshape(-1)
+        return (flat if self.coupling is None else self.coupling.physical(flat)).reshape(-1, self.dim)
+
+    def relative(self, displacement: np.ndarray) -> np.ndarray:
+        """Unknowns (n_nodes, dim) of a displacement, m: the inverse of :meth:`physical`."""
+        flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
+        return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(-1, self.dim)
+
+    def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
+        """Displacement (n_contact, dim) of the contact nodes relative to what they face, m.
+
+        Of the unknowns; between bodies that both are held, relative to what holds the other one.
+        """
+        nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
+        nodes = self.contact.nodes
+        result, own = nodal[nodes], self.fixed.reshape(-1, self.dim)[nodes]
+        if self.coupling is not None and own.any():
+            # such components are no relative coordinates
+            moved = self.physical(nodal)
+            result = np.where(own, moved[nodes] - self.coupling.weights[nodes] @ moved, result)
+            for at, weights, c in self.held_together():
+                result[at, c] = moved[nodes[at], c] - weights @ moved[:, c]
+        return result
+
+    def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
+        """For each component the contact nodes at which it is fixed and faces fixed ones, and the weights of these.
+
+        Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component.
+        """
+        if self.coupling is None:
+            return []
+        rows, fixed, result = self.coupling.weights[self.contact.nodes], self.fixed.reshape(-1, self.dim), []
+        for c in range(self.dim):
+            held = np.flatnonzero(fixed[self.contact.nodes, c])
+            weights = sparse.csr_array(facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float)))
+            total = np.asarray(weights.sum(axis=1)).ravel()
+            kept = total > NEGLIGIBLE
+            scale = sparse.diags_array(1 / total[kept], format="csr")
+            result.append((held[kept], sparse.csr_array(scale @ weights[kept]), c))
+        return result
+
+    def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
+        """The same bodies under other data (a load step): nothing else is checked or copied again.
+
+        Parameters
+        ----------
+        load, fixed_values : (n_dofs,) arrays
+            N and m, in the coordinates of this problem (with a coupling relative ones).
+        slip_reference : (n_contact, dim) array
+            Displacement of the contact nodes against which slip is measured, as :meth:`at_contact` has it, m.
+        """
+        contact, result = copy.copy(self.contact), copy.copy(self)
+        reference = bounded("slip_reference", slip_reference, contact.normals.shape)
+        object.__setattr__(contact, "slip_reference", reference)
+        values = bounded("fixed_values", fixed_values, (self.n_dofs,))
+        values = bounded("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
+        for name, value in (("load", bounded("load", load, (self.n_dofs,))), ("fixed_values", values),
+                            ("contact", contact)):
+            object.__setattr__(result, name, value)
+        return result
+
+    def __post_init__(self) -> None:
+        checks.instance("contact", self.contact, ContactNodes, "ContactNodes(...)")
+        check_law(self.law)
+        checks.boundary_name("name", self.name)
+        dim = self.contact.dim
+        own = "_assembled" in self.__dict__
+        matrix = with_positive_diagonal(self.matrix) if own else checked_matrix(self.matrix, dim)
+        n = matrix.shape[0]
+        self.contact.check_nodes(n // dim)
+        if self.exchange is None:
+            self.contact.check_name_contact()
+        fixed = checked_mask("fixed", self.fixed, n)
+        load = bounded("load", self.load, (n,))
+        check_size("load", np.abs(load).max())
+        values = np.zeros(n) if self.fixed_values is None else self.fixed_values
+        if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
+            values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
+        values = np.where(fixed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
+        values.flags.writeable = False
+        arrays = {"matrix": indices_frozen(matrix), "load": load, "fixed": fixed, "fixed_values": values}
+        if self.coordinates is not None:
+            arrays["coordinates"] = bounded("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
+        modes = self.__dict__["near_nullspace"]
+        if modes is None and self.coordinates is not None:
+            modes = OnDemand(_own_modes)
+        if modes is not None and not isinstance(modes, OnDemand):
+            modes = bounded("near_nullspace", modes, (n, None))
+            if not modes.any():
+                raise ValueError("near_nullspace holds no mode: give the rigid-body motions, a column each, or None")
+        arrays["near_nullspace"] = modes
+        for name, value in arrays.items():
+            object.__setattr__(self, name, value)
+        if self.bodies is not None:
+            object.__setattr__(self, "bodies", checked_bodies(self.bodies, n // dim))
+        if self.coupling is not None:
+            checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
+        if self.coupling is not None and not np.array_equal(self.coupling.fixed, arrays["fixed"]):
+            raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
+        self._check_fixed_at_contact()
+        check_bounds(self.law, len(self.contact))
+
+    def _check_fixed_at_contact(self) -> None:
+        fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
+        # a fixed Cartesian component must lie in the tangent plane, or the contact condition would be prescribed too
+        clash = (fixed & (np.abs(self.contact.normals) > 1e-8)).any(axis=1)
+        if clash.any():
+            i = int(np.argmax(clash))
+            raise ValueError(f"fixed: a component with a normal part is fixed at contact node {i} "
+                             f"(node {self.contact.nodes[i]}, normal {self.contact.normals[i].round(4).tolist()}); "
+                             "take the node out of the contact boundary or free the component")
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return self.contact.dim
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of degrees of freedom, fixed ones included."""
+        return self.matrix.shape[0]
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return self.n_dofs // self.dim
+
+
+def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:
+    return problem.coupling.relative(modes.make(problem))
+
+
+def _own_modes(problem: DiscreteProblem) -> np.ndarray:
+    return rigid_body_modes(problem.coordinates)
+
+
+DiscreteProblem.near_nullspace = made_on_demand("near_nullspace", "Rigid-body modes (n_dofs, k), or None.")

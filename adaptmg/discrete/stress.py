@@ -1,0 +1,175 @@
+r"""Strain and stress, element by element, from a P1 displacement.
+
+.. math:: \varepsilon = \tfrac12(\nabla u + \nabla u^T), \qquad
+   \sigma = \lambda\,\mathrm{tr}(\varepsilon - \varepsilon_0) I + 2\mu (\varepsilon - \varepsilon_0)
+
+with the initial strain :math:`\varepsilon_0`, if any, and the Lame constants as they enter the plane problem. Both are
+constant on an element, but for the hoop strain :math:`u_r / r` of axisymmetric bodies, whose mean over the volume is
+taken: its value at the centroid, :math:`\int u_r \big/ \int r`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants
+from adaptmg.discrete.loads import mean_initial_strain
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.loads import InitialStrain, Load
+from adaptmg.problem.materials import PlaneStress
+
+__all__ = ["StressData", "element_strain", "full_stress", "hoop_strain", "von_mises"]
+
+
+def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+    """Small-strain tensors in the plane (3D: full), initial strains included.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+    displacement : (n_nodes, dim) or (n_dofs,) array
+        m.
+
+    Returns
+    -------
+    (n_elements, dim, dim) array
+        Symmetric.
+    """
+    u = _nodal(mesh, displacement)
+    corners, values = mesh.points[mesh.elements], u[mesh.elements]
+    # with edge vectors as rows, du_edge = edge . grad(u), grad(u)[j, i] = d u_i / d x_j
+    gradient = np.linalg.solve(corners[:, 1:] - corners[:, :1], values[:, 1:] - values[:, :1])
+    return 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
+
+
+def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+    """Mean hoop strain u_r / r of axisymmetric elements.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        x = r, y = z.
+    displacement : (n_nodes, 2) or (n_dofs,) array
+        m.
+
+    Returns
+    -------
+    (n_elements,) array
+    """
+    u = _nodal(mesh, displacement)
+    if mesh.dim != 2:
+        raise ValueError(f"axisymmetric meshes are 2D (r, z), got a {mesh.dim}D mesh")
+    return u[mesh.elements, 0].sum(axis=1) / mesh.points[mesh.elements, 0].sum(axis=1)
+
+
+#: kinds of bodies in StressData
+_PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class StressData:
+    """What stresses follow from, beside a mesh and a displacement.
+
+    Attributes
+    ----------
+    lame, shear : (n_bodies,) arrays
+        Lame constants as they enter the stress, Pa.
+    kind : (n_bodies,) int8 array
+        0 for plane strain and solids, 1 for plane stress, 2 for axisymmetric bodies.
+    initial_strain : (n_elements, 3) array, or (0, 3) for none
+        Means on the elements of the strain that carries no stress.
+    """
+
+    lame: np.ndarray
+    shear: np.ndarray
+    kind: np.ndarray
+    initial_strain: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = ()) -> StressData:
+        """From materials (one, or body name -> Elastic) and the initial strains among loads."""
+        materials = body_materials(mesh, material)
+        kind = [_THIN if isinstance(one, PlaneStress) else _AXISYMMETRIC if is_axisymmetric(one) else _PLAIN
+                for one in materials]
+        strains = [load for load in loads if isinstance(load, InitialStrain)]
+        initial = mean_initial_strain(mesh, strains, axisymmetric=is_axisymmetric(materials)) if strains else None
+        return cls(*lame_constants(materials), np.array(kind, dtype=np.int8),
+                   np.zeros((0, 3)) if initial is None else initial)
+
+    @property
+    def axisymmetric(self) -> bool:
+        """Whether x is the radius r, and y the axial coordinate z."""
+        return bool((self.kind == _AXISYMMETRIC).any())
+
+    def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+        """Stress tensors (n_elements, 3, 3) as of :func:`full_stress`."""
+        if len(self.kind) != len(mesh.bodies) or len(self.initial_strain) not in (0, len(mesh.elements)):
+            raise ValueError(f"stress data of {len(self.kind)} bodies and {len(self.initial_strain)} elements do not "
+                             f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}")
+        dim, body, diagonal = mesh.dim, mesh.element_body, np.arange(3)
+        strain = np.zeros((len(mesh.elements), 3, 3))
+        strain[:, :dim, :dim] = element_strain(mesh, displacement)
+        if self.axisymmetric:
+            strain[:, 2, 2] = hoop_strain(mesh, displacement)
+        if len(self.initial_strain):
+            strain[:, diagonal, diagonal] -= self.initial_strain
+        thin = (self.kind == _THIN)[body]
+        # a sheet strains freely through its thickness: its Lame constant accounts for that
+        strain[thin, 2, 2] = 0.0
+        stress = 2 * self.shear[body][:, None, None] * strain
+        stress[:, diagonal, diagonal] += (self.lame[body] * np.trace(strain, axis1=1, axis2=2))[:, None]
+        stress[thin, 2, 2] = 0.0
+        return stress
+
+
+def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
+                ) -> np.ndarray:
+    """Cauchy stress tensors with the stress out of the plane, whatever the material.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+    material : Elastic or mapping
+        The same in all bodies, or body name -> Elastic.
+    displacement : (n_nodes, dim) or (n_dofs,) array
+        m.
+    loads : sequence of Load
+        Of the problem; initial strains among them carry no stress, the others are passed over.
+
+    Returns
+    -------
+    (n_elements, 3, 3) array
+        Pa; tension positive. In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress;
+        the shear stresses out of the plane are 0.
+    """
+    return StressData.of(mesh, material, loads).tensors(mesh, displacement)
+
+
+def von_mises(stress: np.ndarray) -> np.ndarray:
+    r"""Equivalent stress :math:`\sqrt{\tfrac32\, s : s}` of the full deviator s.
+
+    Parameters
+    ----------
+    stress : (n, 3, 3) array
+        Pa, from :func:`full_stress`.
+
+    Returns
+    -------
+    (n,) array
+        Pa.
+    """
+    if np.shape(stress)[1:] != (3, 3):
+        raise ValueError(f"stress must have shape (n, 3, 3), as of full_stress, got {np.shape(stress)}")
+    deviator = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+    return np.sqrt(1.5 * np.sum(deviator**2, axis=(1, 2)))
+
+
+def _nodal(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+    """The displacement as float (n_nodes, dim), its shape checked."""
+    u = np.asarray(displacement, dtype=np.float64)
+    if u.shape not in (mesh.points.shape, (mesh.points.size,)):
+        raise ValueError(f"displacement must have shape {mesh.points.shape}, got {u.shape}")
+    return u.reshape(mesh.points.shape)

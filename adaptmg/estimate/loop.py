@@ -1,0 +1,456 @@
+r"""AdaptiveWalk: from mesh to mesh: mark, refine, carry over, solve, estimate, keep.
+
+How a step of the adaptive loop is solved: from the step before, no further than its mesh deserves.
+
+Which meshes stay as levels of a hierarchy that grows.
+
+The rate of multigrid depends on the local size ratio of neighbours, the element size :math:`H` of the coarser over the
+:math:`h` of the finer at the same place (measured on a flat punch: 3.3, 6.5, 12, 24 give rates of .35-.64, .66-.82,
+.83, .88), its cost on the number of nodes on all levels. So with the 99 % quantile :math:`q` of :math:`H/h`
+
+- a mesh is put in between where q > 4.5 and the engine can make one (at 4 it has hardly more nodes than the coarser),
+- a level is dropped where it has nearly as many nodes as the next finer one, and q <= 3.5 holds without it (at 4, two
+  bisections of everything near a singularity, the flat punch's rate goes from .6 to .75 and the work of the loop up).
+
+Adapting with a load path: every mesh goes along the whole path, and is refined for its last load step or for all.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from adaptmg._runtime import one_blas_thread
+from adaptmg.discrete.load_steps import load_steps
+from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.loop_store import LoopStore, Meshes, StoredStep
+from adaptmg.estimate.step import (
+    Limits,
+    Step,
+    algebraic_tolerance,
+    estimate_of,
+    expected_estimate,
+    expected_seconds,
+    marks_of,
+    settled,
+    sound_mesh,
+)
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import LoadPath, step_problem
+from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.load_path import PathResult, solve_path
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid, WarmMultigrid
+from adaptmg.solver.record import Solver
+from adaptmg.solver.result import Result
+from adaptmg.solver.single_grid import SingleGrid
+from adaptmg.solver.solve import solve
+from adaptmg.transfer.interpolation import size_ratio
+
+__all__ = ["AdaptiveWalk", "Parts", "appended", "carried", "estimated_step", "posed_at", "solved", "takes", "thinned"]
+
+_LOG = logging.getLogger(__name__)
+
+Progress = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What the loop is made of; :func:`adaptmg.adapt` says what each is."""
+
+    indicator: Any
+    mark: Any
+    engine: Any
+    solver: Solver | None = None
+    load_path: LoadPath | None = None
+    adapt_on: str = "last"
+
+
+@dataclass
+class _Clock:
+    """Seconds by phase."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+
+    def take(self) -> dict[str, float]:
+        taken, self.seconds = self.seconds, {}
+        return taken
+
+
+class AdaptiveWalk:
+    """One run of the adaptive loop.
+
+    Parameters
+    ----------
+    start : Hierarchy
+        Its finest mesh is the first.
+    parts : Parts
+    limits : Limits
+    store : LoopStore or None
+    progress : callable or None
+    """
+
+    #: nodes of the next mesh over those of the last, below which it is not worth making
+    LEAST_GROWTH = 1.3
+    #: relative estimates that are rounding, as of solutions which are linear; of quantities, whose errors are products
+    #: of two energy errors (forces that equilibrium gives: 1e-17)
+    EXACT, EXACT_GOAL = 1e-8, 1e-13
+    #: times that an engine is asked for a mesh that is not too large
+    ATTEMPTS = 3
+    #: the estimate must fall by this factor over meshes of so many times the nodes, or the loop has come to an end
+    #: (coarse meshes that do not resolve a problem hardly better it at first)
+    PROGRESS, OVER = 0.95, 4.0
+    #: nodes from which that is asked: with fewer, contact may have none where it will be, and estimates mean little
+    RESOLVED = 500
+
+    def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: LoopStore | None,
+                 progress: Progress | None) -> None:
+        self.first, self.parts, self.limits, self.store, self.progress = start, parts, limits, store, progress
+        self.clock, self.meshes = _Clock(), Meshes(start)
+        self.clock.seconds |= start.timings
+        self.done: list[Step] = []
+        self.steering: Estimate | None = None
+
+    def steps(self) -> Iterator[Step]:
+        """The steps, those of the store first."""
+        for number, kept in enumerate(() if self.store is None else self.store.steps()):
+            self.clock.take()
+            self._remember(self._again(number, kept))
+            yield self.done[-1]
+        if not self.done:
+            yield self._next(self.first, None)
+        while True:
+            last = self.done[-1]
+            reason = self._reached(last)
+            if not reason:
+                mesh, reason = self._finer(last)
+            if reason:
+                last.ending.words = reason
+                _LOG.debug("the adaptive loop ends: %s", reason)
+                return
+            yield self._next(*self._grown(last, mesh))
+
+    def _reached(self, last: Step) -> str:
+        """Which limit a step has reached, in words; empty if none."""
+        limits, relative = self.limits, last.estimate.relative
+        if limits.tolerance is not None and relative <= limits.tolerance and last.settled is not False:
+            return f"tolerance met: the estimate is {relative:.3g}, {limits.tolerance:g} was asked for"
+        exact = self.EXACT if last.estimate.signed is None else self.EXACT_GOAL
+        if last.estimate.relative_energy <= exact or not last.estimate.squares.any():
+            return "no progress: the indicator finds no error beyond rounding"
+        if self._full(last.nodes):
+            return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"
+        if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
+            return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
+        for before in reversed(self.done[:-2]):
+            if before.nodes >= self.RESOLVED and last.nodes >= self.OVER * before.nodes:
+                falls = np.sqrt(last.estimate.squares.sum() / before.estimate.squares.sum())
+                if falls > self.PROGRESS:
+                    return (f"no progress: from {before.nodes} to {last.nodes} nodes the estimate falls by "
+                            f"{1 - falls:.1%} only")
+                break
+        return ""
+
+    def _full(self, nodes: int) -> bool:
+        """Whether so many nodes leave no room for another mesh."""
+        return self.limits.max_nodes is not None and nodes * self.LEAST_GROWTH > self.limits.max_nodes
+
+    @one_blas_thread()
+    def _finer(self, last: Step) -> tuple[MeshArrays | None, str]:
+        """The next mesh; or why there is none."""
+        self._tell("mesh", last.nodes)
+        most = self.limits.max_nodes
+        with self.clock.phase("mesh"):
+            mesh, estimate = last.hierarchy.finest.mesh, self._steering(last)
+            marked = marks_of(self.parts.mark, estimate)
+            if not marked.any():
+                return None, "no progress: the marking chooses no element"
+            asked = most
+            for _ in range(self.ATTEMPTS):
+                finer = self.parts.engine.refine(self.first.problem, mesh, estimate, marked, max_nodes=asked)
+                if finer is not None:
+                    finer = sound_mesh(self.parts.engine, "refine", self.first.problem, finer, mesh)
+                if finer is None or finer.n_nodes <= mesh.n_nodes:
+                    return None, f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes"
+                if most is None or finer.n_nodes <= most:
+                    return finer, ""
+                # sizes are met roughly only: ask for as much less
+                asked = int(0.98 * asked * most / finer.n_nodes)
+        return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {most} are allowed"
+
+    @one_blas_thread()
+    def _grown(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, np.ndarray]:
+        """The hierarchy with the next mesh, and the displacement of the last step on it."""
+        self._tell("assembly", mesh.n_nodes)
+        with self.clock.phase("levels"):
+            before = last.hierarchy
+            grown = appended(before, mesh, self.parts.engine)
+            start = carried(grown, len(before) - 1, last.result.displacement)
+            grown = thinned(grown, last=self._full(mesh.n_nodes))
+        made = {name: grown.timings[name] - before.timings.get(name, 0.0) for name in grown.timings}
+        for name, seconds in made.items():
+            # adding up: what the hierarchy spent is no part of choosing levels
+            self.clock.seconds[name] = self.clock.seconds.get(name, 0.0) + seconds
+            self.clock.seconds["levels"] -= seconds
+        return grown, start
+
+    @one_blas_thread()
+    def _next(self, hierarchy: Hierarchy, start: np.ndarray | None) -> Step:
+        """Solve, estimate and keep a step."""
+        number, last = len(self.done), self.done[-1] if self.done else None
+        self._tell("solve", hierarchy.finest.n_nodes)
+        with self.clock.phase("solve"):
+            result, path = self._solved(hierarchy, last, start)
+        self._tell("estimate", hierarchy.finest.n_nodes)
+        with self.clock.phase("estimate"):
+            result, estimate = self._estimated(hierarchy, result, path)
+        work = result.work_units if path is None else sum(one.work_units for one in path)
+        nonzeros, timings = hierarchy.finest.matrix.nnz, self.clock.take()
+        before = 0.0 if last is None else last.total_work_units * last.hierarchy.finest.matrix.nnz / nonzeros
+        step = Step(number, hierarchy, result, estimate, timings,
+                    sum(timings.values()) + (0.0 if last is None else last.total_seconds), work, work + before, path,
+                    self._settled(estimate))
+        with self.clock.phase("store"):
+            keys, extra = self.meshes.note(number, hierarchy)
+            if self.store is not None:
+                numbers = {"total_seconds": step.total_seconds, "work_units": step.work_units,
+                           "total_work_units": step.total_work_units}
+                self.store.put(number, StoredStep(result, estimate, keys, extra, numbers, timings, path))
+        self._remember(step)
+        return step
+
+    def _solved(self, hierarchy: Hierarchy, last: Step | None, start: np.ndarray | None
+                ) -> tuple[Result | None, PathResult | None]:
+        if self.parts.load_path is None:
+            return solved(hierarchy, self.parts.solver, last, start), None
+        solver = self.parts.solver
+        if solver is None and len(hierarchy) > 1:
+            solver = FullMultigrid(rtol="discretisation")
+        elif solver is not None and not takes(solver, hierarchy):
+            solver = None
+        return None, solve_path(hierarchy, self.parts.load_path, solver)
+
+    def _estimated(self, hierarchy: Hierarchy, result: Result | None, path: PathResult | None
+                   ) -> tuple[Result, Estimate]:
+        indicate = partial(estimate_of, self.parts.indicator)
+        if path is None:
+            estimate = indicate(hierarchy, result)
+        else:
+            k, estimate, self.steering = estimated_step(hierarchy, self.parts.load_path, path, self.parts.adapt_on,
+                                                        indicate)
+            result = path[k]
+        return result, estimate
+
+    def _steering(self, last: Step) -> Estimate:
+        """By which the next mesh is made: of a load path perhaps more than the estimate of the step."""
+        if last.path is None or self.parts.adapt_on == "last":
+            return last.estimate
+        if self.steering is None:  # the step is from a store
+            self._estimated(last.hierarchy, None, last.path)
+        return self.steering
+
+    def _again(self, number: int, kept: StoredStep) -> Step:
+        """A step from the store."""
+        hierarchy = self.meshes.take(number, kept.result.mesh, kept.extra, kept.levels)
+        # one mesh for both, with its source
+        result = replace(kept.result, mesh=hierarchy.finest.mesh)
+        return Step(number, hierarchy, result, kept.estimate, kept.timings, path=kept.path,
+                    settled=self._settled(kept.estimate), **kept.numbers)
+
+    def _settled(self, estimate: Estimate) -> bool | None:
+        return settled(estimate, self.done[-1].estimate if self.done else None)
+
+    def _remember(self, step: Step) -> None:
+        self.done.append(step)
+        self._tell("done", step.nodes)
+        _LOG.debug("%s", step)
+
+    def _tell(self, phase: str, nodes: int) -> None:
+        """Report what is being done."""
+        if self.progress is None:
+            return
+        last = self.done[-1] if self.done else None
+        done = sum(self.clock.seconds.values()) + (0.0 if last is None else last.total_seconds)
+        self.progress({"step": len(self.done) - (phase == "done"), "phase": phase, "nodes": nodes, "seconds": done,
+                       "estimate": float("nan") if last is None else last.estimate.relative,
+                       "expected_seconds": float("nan") if last is None else expected_seconds(self.done, self.limits)})
+
+
+#: dofs up to which a first mesh that stands alone is factorised
+_FACTORISED = 60_000
+#: the rate of the first cycle is taken for at least this, and for at most that (measured: strong singularities and
+#: pairs have .35 to .6, others .05 to .33; with .3 for one body a flat punch kept .18 of its estimate, with .5 .07)
+_RATE, _SLOWEST = 0.5, 0.9
+
+
+def solved(hierarchy: Hierarchy, solver: Solver | None, before: Step | None, start: np.ndarray | None) -> Result:
+    """The solution on the finest level.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+    solver : Solver or None
+        The user's; it starts from ``start`` too, unless it makes its own start. None, or multigrid on one level: by
+        truncated multigrid to a tenth of the error that the mesh is expected to have.
+    before : Step or None
+    start : (n_nodes, dim) array or None
+        The displacement of the step before on this mesh, m.
+
+    Raises
+    ------
+    NotConverged
+    """
+    if solver is not None and takes(solver, hierarchy):
+        return solve(hierarchy, solver, start=None if isinstance(solver, FullMultigrid) else start)
+    if len(hierarchy) == 1:
+        direct = hierarchy.finest.discrete.n_dofs <= _FACTORISED
+        return solve(hierarchy, ActiveSet() if direct else SingleGrid(), start=start)
+    if before is None or start is None:
+        return solve(hierarchy, FullMultigrid(rtol="discretisation"))
+    rtol = algebraic_tolerance(expected_estimate(before, hierarchy.finest.n_nodes, before.result.dim))
+    result = solve(hierarchy, WarmMultigrid(rtol=rtol, first_rate=_first_rate(before)), start=start, throw=False)
+    if result.status.ok:
+        return result
+    # where the status of a coarse mesh leads astray, a nested start is the safer way
+    again = solve(hierarchy, FullMultigrid(rtol=rtol))
+    return replace(again, work_units=again.work_units + result.work_units)
+
+
+def _first_rate(before: Step) -> float:
+    """What is taken for the rate of the first cycle: that of the mesh before where it was measured, and is slow."""
+    # not a number after a single cycle
+    measured = before.result.rate if np.isfinite(before.result.rate) else 0.0
+    return min(max(measured, _RATE), _SLOWEST)
+
+
+def takes(solver: Solver, hierarchy: Hierarchy) -> bool:
+    """Whether a solver can be used: multigrid needs two levels, which a loop that begins with a mesh has only then."""
+    return len(hierarchy) > 1 or not isinstance(solver, Multigrid)
+
+
+#: largest local size ratio (its 99 % quantile) between neighbours
+RATIO = 4.5
+#: the same where a level could be dropped: what it saves must not cost cycles
+THINNED = 3.5
+#: nodes of a level over those of the next coarser one below which the two are too close
+CLOSE = 1.7
+#: meshes put between two neighbours at most, and how many more nodes than the coarser one each must have
+MOST_BETWEEN, GROWTH = 4, 1.2
+
+
+def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Any) -> Hierarchy:
+    """With a finer mesh, and meshes between it and the present finest where the size ratio asks for them.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+    mesh : MeshArrays
+    engine : object
+        Asked for ``intermediate(problem, coarse, fine) -> MeshArrays``, if it offers that.
+    """
+    between = getattr(engine, "intermediate", None)
+    for _ in range(MOST_BETWEEN if callable(between) else 0):
+        finest = hierarchy.finest.mesh
+        if size_ratio(finest, mesh) <= RATIO:
+            break
+        middle = between(hierarchy.problem, finest, mesh)
+        if middle is not None:
+            middle = sound_mesh(engine, "intermediate", hierarchy.problem, middle, finest)
+        if middle is None or not GROWTH * finest.n_nodes <= middle.n_nodes <= mesh.n_nodes / GROWTH:
+            break
+        hierarchy = hierarchy.append(middle)
+    return hierarchy.append(mesh)
+
+
+def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
+    """Without levels next to the finest ones that are too close to their neighbours and can be missed.
+
+    A single one that is too close to the ``last`` mesh stays: to do without it would cost more than its cycles.
+    """
+    if last and (len(hierarchy) < 3 or hierarchy[-2].n_nodes >= CLOSE * hierarchy[-3].n_nodes):
+        return hierarchy
+    for level in (len(hierarchy) - 2, len(hierarchy) - 3):
+        if level < 1:
+            break
+        finer, this = hierarchy[level + 1], hierarchy[level]
+        if finer.n_nodes < CLOSE * this.n_nodes and size_ratio(hierarchy[level - 1].mesh, finer.mesh) <= THINNED:
+            hierarchy = hierarchy.without(level)
+    return hierarchy
+
+
+def carried(hierarchy: Hierarchy, below: int, displacement: np.ndarray) -> np.ndarray:
+    """A displacement of a level interpolated to the finest one, level by level.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+    below : int
+        Number of the level.
+    displacement : (n_nodes, dim) array
+        Of the bodies on that level, m.
+
+    Returns
+    -------
+    (n_nodes, dim) array
+        On the finest level, m: contact nodes follow the coarse contact surface, so that most keep their state.
+    """
+    values = hierarchy[below].discrete.relative(displacement)
+    for level in hierarchy.levels[below + 1:]:
+        values = level.prolongation @ values
+    return hierarchy.finest.discrete.physical(values)
+
+
+def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
+    """The hierarchy with the problem of load step ``k`` on the finest level, slips counted from the step before.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+        Of the problem as it is posed.
+    path : LoadPath
+    results : PathResult
+        Of the finest level.
+    k : int
+    """
+    problem, finest = hierarchy.problem, hierarchy.finest
+    factors = {name: float(values[k]) for name, values in path.resolved(problem).items()}
+    loads, discrete = load_steps(problem, finest.mesh, finest.discrete.coupling), finest.discrete
+    reference = discrete.contact.slip_reference
+    if k > 0:
+        reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
+    posed = finest.posing(discrete.with_step(loads.load(factors), loads.fixed_values(factors), reference))
+    return replace(hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors))
+
+
+def estimated_step(hierarchy: Hierarchy, path: LoadPath, results: PathResult, adapt_on: str,
+                   indicate: Callable[[Hierarchy, Any], Estimate]) -> tuple[int, Estimate, Estimate]:
+    """The last load step, or the one with the largest relative estimate: number, estimate, and what to refine by.
+
+    Of several load steps each element counts with its largest share in the relative estimate of any step: a mesh made
+    for one step alone is too coarse where others need it, and the loop would go to and fro between them.
+    """
+    steps = range(len(results)) if adapt_on == "worst" else (len(results) - 1,)
+    found = [(k, indicate(posed_at(hierarchy, path, results, k), results[k])) for k in steps
+             if adapt_on == "last" or results[k].displacement.any()]
+    if not found:
+        raise ValueError("load_path: nothing moves in any of its steps, so there is nothing to refine for")
+    k, worst = max(found, key=lambda pair: pair[1].relative)
+    # a quantity that is zero has no relative error: above 1 all steps count alike
+    weights = [min(one.relative, 1.0) ** 2 / (one.squares.sum() or 1.0) for _, one in found]
+    shares = np.max([weight * one.squares for weight, (_, one) in zip(weights, found, strict=True)], axis=0)
+    return k, worst, replace(worst, squares=shares)

@@ -1,0 +1,475 @@
+r"""Displacement and MeanDisplacement: a component at points, or its mean over a boundary.
+
+.. math:: J(u) = u_k(x), \qquad J(u) = \frac1{|\Gamma|} \int_\Gamma u_k .
+
+ContactForce and Opening: the force through a contact boundary or pair, and the gap that is left there.
+
+With nodal directions d_i at the contact nodes of a boundary (the normal against the body, the tangent, or an axis) and
+the residual of the equilibrium,
+
+.. math:: J(u) = \sum_i d_i \cdot (A u - b)_i, \qquad J(v) = (A d) \cdot v,
+
+so that the load drops out of the derivative. Tangents that a support holds are left out: there the force of contact
+cannot be told from that of the support. The gap is :math:`g_0 - u_n`, u_n between bodies relative.
+
+A mesh has chords in the place of curves, and the gap :math:`g_0` is linear between its nodes. What that changes in an
+opening is mostly far more than the error of the displacement; it follows from the gaps :math:`g_m` in the middle of the
+edges, on the curve: of a mean, with the edges halved there, :math:`\tfrac43 (J_{h/2} - J_h)`.
+
+Contact tractions that are known, as work on the bubbles of surface edges: nodal forces over lumped masses.
+
+Contact conditions of slaves are part of the spaces, in which Coulomb's friction does no work; Tresca's does, the part
+s / (s + mu p) of the friction. A master's bubble moves for itself, against all of the contact force. Linear in between
+nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
+from adaptmg.estimate.goal_view import Functional, GoalView
+from adaptmg.geometry.location import Location
+from adaptmg.mesh.bisection.onto_domain import curved_boundaries, on_surface
+from adaptmg.problem import ContactPair
+from adaptmg.transfer import PointLocator
+
+__all__ = ["ContactForce", "Displacement", "MeanDisplacement", "Opening", "axis_number", "friction_work", "master_work"]
+
+_AXES = {"x": 0, "y": 1, "z": 2}
+#: how far outside its element a point may lie, over the size of the element
+_OUTSIDE = 1e-6
+
+
+def axis_number(name: str, value: int | str, dim: int | None = None) -> int:
+    """The number of a component given as 0, 1, 2 or "x", "y", "z"."""
+    if isinstance(value, str) and value not in _AXES:
+        raise ValueError(f"{name} must be 'x', 'y', 'z' or 0, 1, 2, got {checks.shown(value)}")
+    number = _AXES[value] if isinstance(value, str) else checks.integer(name, value, 0, 2)
+    if dim is not None and number >= dim:
+        raise ValueError(f"{name} is {value!r}, but the problem is {dim}D")
+    return number
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """A component of the displacement at one point or several; each point is a quantity of its own.
+
+    Parameters
+    ----------
+    points : (dim,) or (n, dim) array-like
+        m.
+    component : int or str
+        0, 1, 2 or "x", "y", "z".
+    body : str, optional
+        Of which body; where two touch, a point lies in both.
+    """
+
+    points: Sequence[float] | Sequence[Sequence[float]]
+    component: int | str
+    body: str | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            shape = np.shape(self.points)
+        except ValueError:
+            raise ValueError("points must all have 2 or all have 3 coordinates, got "
+                             f"{checks.shown(self.points)}") from None
+        points = [] if 0 in shape else check_arrays.array("points", [self.points] if len(shape) == 1 else self.points,
+                                                          (None, None))
+        if not len(points) or points.shape[1] not in (2, 3):
+            raise ValueError(f"points must hold at least one point of 2 or 3 coordinates, got shape {shape}")
+        object.__setattr__(self, "points", tuple(tuple(float(c) for c in point) for point in points))
+        axis_number("component", self.component)
+        if self.body is not None:
+            checks.boundary_name("body", self.body)
+
+    def functionals(self, view: GoalView) -> list[Functional]:
+        """One functional a point."""
+        mesh = view.posed.mesh
+        k, points = axis_number("component", self.component, mesh.dim), np.array(self.points)
+        if points.shape[1] != mesh.dim:
+            raise ValueError(f"points have {points.shape[1]} coordinates in a {mesh.dim}D problem")
+        found, u = self._located(view, points), view.posed.result.displacement
+        result = []
+        for i, point in enumerate(self.points):
+            element, weights = found.element[i], found.weights[i]
+            nodal = np.zeros(mesh.points.shape)
+            nodal[mesh.elements[element], k] = weights
+            bubbles = np.zeros((len(view.bubbles.edges), mesh.dim))
+            bubbles[view.bubbles.element_edges[element], k] = view.bubbles.values_at(weights)
+            name = f"u_{'xyz'[k]} at ({', '.join(f'{c:g}' for c in point)})"
+            value = float(weights @ u[mesh.elements[element], k])
+            result.append(Functional(name, value, "m", view.load_of(nodal), bubbles))
+        return result
+
+    def _located(self, view: GoalView, points: np.ndarray) -> Location:
+        mesh = view.posed.mesh
+        if self.body is not None and self.body not in mesh.bodies:
+            raise ValueError(f"body {self.body!r} does not exist{checks.suggestion(self.body, mesh.bodies)}; the "
+                             f"bodies are {', '.join(mesh.bodies)}")
+        found = PointLocator(mesh, None if self.body is None else mesh.bodies.index(self.body)).locate(points)
+        outside = found.distance > _OUTSIDE * mesh.element_sizes[found.element]
+        if outside.any():
+            i = int(np.argmax(outside))
+            raise ValueError(f"points: {self.points[i]} lies {found.distance[i]:.3g} m outside the mesh")
+        return found
+
+
+@dataclass(frozen=True)
+class MeanDisplacement:
+    """The mean of a component of the displacement over a boundary (axisymmetric: weighted with the radius).
+
+    Parameters
+    ----------
+    boundary : str
+    component : int or str
+        0, 1, 2 or "x", "y", "z".
+    """
+
+    boundary: str
+    component: int | str
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+        axis_number("component", self.component)
+
+    def functionals(self, view: GoalView) -> list[Functional]:
+        """One functional."""
+        mesh, axisymmetric = view.posed.mesh, view.bubbles.axisymmetric
+        k = axis_number("component", self.component, mesh.dim)
+        facets = named_facets(mesh, self.boundary)
+        areas = np.linalg.norm(area_vectors(mesh.points, facets), axis=1)
+        shares = areas[:, None] * shape_integrals(mesh.points, facets, axisymmetric)
+        size = shares.sum()
+        nodal = np.zeros(mesh.points.shape)
+        np.add.at(nodal[:, k], facets, shares / size)
+        bubbles = np.zeros((len(view.bubbles.edges), mesh.dim))
+        bubbles[:, k] = view.bubbles.boundary_work(facets, np.ones((*facets.shape, 1)))[:, 0] / size
+        value = float(np.sum(nodal * view.posed.result.displacement))
+        return [Functional(f"mean u_{'xyz'[k]} on {self.boundary!r}", value, "m", view.load_of(nodal), bubbles)]
+
+
+def _contact_index(view: GoalView, name: str) -> tuple[np.ndarray, float]:
+    """Which contact nodes belong to a boundary, and the sign: -1 where it is the master of a pair."""
+    contact = view.posed.result.contact
+    masters = contact.masters or ("",) * len(contact.names)
+    if name == "contact":
+        return np.ones(len(contact.node), dtype=bool), 1.0
+    if name in contact.names:
+        return contact.boundary == contact.names.index(name), 1.0
+    pairs = [k for k, master in enumerate(masters) if master == name]
+    labels = [f"{slave} on {master}" if master else slave for slave, master in zip(contact.names, masters, strict=True)]
+    if name in labels:
+        return contact.boundary == labels.index(name), 1.0
+    if not pairs:
+        known = ("contact", *contact.names, *filter(None, masters))
+        raise ValueError(f"there is no contact on boundary {name!r}{checks.suggestion(name, known)}; contact is on "
+                         f"{', '.join(map(repr, labels))}")
+    return np.isin(contact.boundary, pairs), -1.0
+
+
+@dataclass(frozen=True)
+class ContactForce:
+    """Force through a contact boundary.
+
+    It is a sum over nodes. Beside a support that holds a tangent of the boundary its tangential part misses what acts
+    on half an edge, an error of first order in the size of that edge where friction acts there (on a plane of symmetry
+    it does not), which no estimate sees and no mark refines.
+
+    Parameters
+    ----------
+    boundary : str
+        A contact boundary, the slave, the master or the name ("slave on master") of a pair, or "contact" for all.
+    direction : str or int
+        "normal": the sum of the compressive nodal forces; "tangential" (2D): that of the tangential forces on the
+        slave, along the normal turned by +90 degrees; 0, 1, 2 or "x", "y", "z": the component of the force on the body
+        of this boundary.
+    """
+
+    boundary: str = "contact"
+    direction: int | str = "normal"
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+        if self.direction not in ("normal", "tangential"):
+            axis_number("direction", self.direction)
+
+    def functionals(self, view: GoalView) -> list[Functional]:
+        """One functional."""
+        posed, contact = view.posed, view.contact
+        mine, sign = _contact_index(view, self.boundary)
+        dim, discrete = posed.mesh.dim, posed.discrete
+        local = np.zeros((len(mine), dim))
+        if self.direction == "normal":
+            local[mine, 0] = -1.0
+        elif self.direction == "tangential":
+            if dim == 3:
+                raise ValueError("direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2")
+            local[mine, 1] = 1.0
+        else:
+            local[mine] = sign * contact.frames[mine, :, axis_number("direction", self.direction, dim)]
+        if discrete.exchange is not None:
+            # forces on the node that was posed are those of the equations over sigma
+            local = local / self._factors(discrete.exchange.sigma)[:, None]
+        vector = np.zeros((discrete.n_nodes, dim))
+        vector[contact.nodes] = np.einsum("nij,ni->nj", contact.frames, local)
+        flat = vector.reshape(-1)
+        # where a support holds, the force of contact cannot be told from its own
+        flat[discrete.fixed] = 0.0
+        action = view.bubbles.actions(posed.problem, discrete.physical(flat)[None])[1][0]
+        name = f"{self.direction if isinstance(self.direction, str) else 'xyz'[self.direction]} force on "
+        return [Functional(name + repr(self.boundary), float(flat @ contact.residual), "N", discrete.matrix @ flat,
+                           action)]
+
+    def _factors(self, sigma: np.ndarray) -> np.ndarray:
+        return np.abs(sigma) if self.direction in ("normal", "tangential") else sigma
+
+
+@dataclass(frozen=True)
+class Opening:
+    """The gap at a point of a contact boundary, or its mean over the boundary.
+
+    On boundaries that the domain knows as curved, and in front of a curved obstacle, the signed estimate contains what
+    the chords of the mesh change; on those of STEP files, combined solids and meshes without a domain it does not. Of a
+    pair only that part of the slave counts that faces the master: where the slave bends away, the end of this part
+    follows the mesh, and the mean with it, which the estimate does not see; name a boundary that ends before.
+
+    Parameters
+    ----------
+    boundary : str
+        A contact boundary, or the slave or name ("slave on master") of a pair.
+    point : (dim,) array-like, optional
+        On the boundary, m. Default: the mean, weighted with the lumped masses of the contact nodes.
+    """
+
+    boundary: str = "contact"
+    point: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+        if self.point is not None:
+            point = check_arrays.vector("point", self.point)
+            if len(point) not in (2, 3):
+                raise ValueError(f"point must have 2 or 3 coordinates, got {len(point)}")
+            object.__setattr__(self, "point", tuple(float(c) for c in point))
+
+    def functionals(self, view: GoalView) -> list[Functional]:
+        """One functional."""
+        contact, result, mesh = view.contact, view.posed.result.contact, view.posed.mesh
+        mine, sign = _contact_index(view, self.boundary)
+        if sign < 0:
+            raise ValueError(f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps")
+        of_boundary = {k: named_facets(mesh, result.names[k]) for k in np.unique(result.boundary[mine])}
+        facets = np.concatenate(list(of_boundary.values()))
+        if self.point is None:
+            weights = np.where(mine, result.weights, 0.0)
+            weights = weights / weights.sum()
+            areas = np.linalg.norm(area_vectors(mesh.points, facets), axis=1)
+            size = (areas[:, None] * shape_integrals(mesh.points, facets, view.bubbles.axisymmetric)).sum()
+            bubbles = view.bubbles.boundary_work(facets, np.ones((*facets.shape, 1)))[:, 0] / size
+            name = f"mean opening of {self.boundary!r}"
+            geometry = sum(_chords(view, k, own, float(weights @ result.gap)) for k, own in of_boundary.items()) / size
+        else:
+            weights, bubbles = self._at_point(view, facets)
+            geometry = bubbles * sum(_bumps(view, k, own) for k, own in of_boundary.items())
+            name = f"opening of {self.boundary!r} at ({', '.join(f'{c:g}' for c in self.point)})"
+        sigma = 1.0 if view.posed.discrete.exchange is None else np.abs(view.posed.discrete.exchange.sigma)
+        vector = np.zeros((view.posed.discrete.n_nodes, mesh.dim))
+        vector[contact.nodes] = -(weights * sigma)[:, None] * contact.frames[:, 0]
+        normals = np.zeros((mesh.n_nodes, mesh.dim))
+        normals[result.node] = result.frames[:, 0]
+        along = normals[view.bubbles.edges].sum(axis=1)
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        along = -bubbles[:, None] * np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+        if self.point is None:
+            along += self._of_masters(view, mine, size)
+        return [Functional(name, float(weights @ result.gap), "m", vector.reshape(-1), along, geometry)]
+
+    def _of_masters(self, view: GoalView, mine: np.ndarray, size: float) -> np.ndarray:
+        """What the bubbles (n_edges, dim) of the masters do to the mean: as those of the slave, they move outwards."""
+        result, mesh = view.posed.result.contact, view.posed.mesh
+        found = np.zeros((len(view.bubbles.edges), mesh.dim))
+        for k in np.unique(result.boundary[mine]):
+            if result.masters and result.masters[k]:
+                facets = _faced(view, k)
+                vectors = area_vectors(mesh.points, facets)
+                normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+                found -= view.bubbles.boundary_work(facets, np.repeat(normals[:, None], mesh.dim, axis=1)) / size
+        return found
+
+    def _at_point(self, view: GoalView, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of the contact nodes (n_contact,) and of the edges (n_edges,) at the point."""
+        mesh, point = view.posed.mesh, np.array(self.point)
+        if len(point) != mesh.dim:
+            raise ValueError(f"point has {len(point)} coordinates in a {mesh.dim}D problem")
+        k, shape = _nearest_facet(mesh.points, facets, point)
+        distance = np.linalg.norm(shape @ mesh.points[facets[k]] - point)
+        if distance > 1e-6 * np.ptp(mesh.points[facets[k]], axis=0).max():
+            raise ValueError(f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}")
+        weights, bubbles = np.zeros(len(view.contact.nodes)), np.zeros(len(view.bubbles.edges))
+        place = {node: i for i, node in enumerate(view.posed.result.contact.node)}
+        for corner, share in zip(facets[k], shape, strict=True):
+            if corner in place:
+                weights[place[corner]] += share
+            elif share > 1e-9:
+                raise ValueError(f"point {self.point}: node {corner} beside it carries no contact condition")
+        pairs = [(0, 1)] if mesh.dim == 2 else [(0, 1), (1, 2), (2, 0)]
+        for edge, (a, b) in zip(view.bubbles.of_facets(facets[k:k + 1])[0], pairs, strict=True):
+            bubbles[edge] += 4 * shape[a] * shape[b]
+        return weights, bubbles
+
+
+def _faced(view: GoalView, k: int) -> np.ndarray:
+    """Facets (n, dim) of the master of pair k whose nodes are all faced by contact nodes."""
+    result = view.posed.result.contact
+    facets = named_facets(view.posed.mesh, result.masters[k])
+    return facets[np.isin(facets, result.master_node[result.master_boundary == k]).all(axis=1)]
+
+
+def _ends(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ends (n, n_pairs) of the edges of facets."""
+    return (facets[:, :1], facets[:, 1:]) if facets.shape[1] == 2 else (facets, np.roll(facets, -1, axis=1))
+
+
+def _middles(view: GoalView, name: str, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middles (n, n_pairs, dim) of the edges of facets, on the curve, and how far (n, n_pairs) out of the chord, m."""
+    points, (a, b) = view.posed.mesh.points, _ends(facets)
+    middle, vectors = 0.5 * (points[a] + points[b]), area_vectors(points, facets)
+    normals = np.repeat((vectors / np.linalg.norm(vectors, axis=1, keepdims=True))[:, None], a.shape[1], axis=1)
+    places, known = middle, curved_boundaries(view.posed.problem.domain)
+    if name in known:
+        flat = (-1, points.shape[1])
+        places = on_surface(*known[name], points[a].reshape(flat), points[b].reshape(flat), normals.reshape(flat)
+                            ).reshape(middle.shape)
+    return places, np.einsum("npd,npd->np", places - middle, normals)
+
+
+def _middle_gaps(view: GoalView, k: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gaps (n_nodes,), middles of the edges of facets of contact boundary k, and gaps (n, n_pairs) there.
+
+    A node without a condition makes them NaN.
+    """
+    contact, result, mesh = view.posed.problem.contact[k], view.posed.result.contact, view.posed.mesh
+    gap, normal = np.full(mesh.n_nodes, np.nan), np.full(mesh.n_nodes, np.nan)
+    gap[result.node], normal[result.node] = result.gap, result.u_n
+    middles, out = _middles(view, contact.boundary, facets)
+    a, b = _ends(facets)
+    if isinstance(contact, ContactPair):
+        # gaps that are given know nothing of the curve
+        found = 0.5 * (gap[a] + gap[b]) - (out if contact.gap is None else 0.0)
+    else:
+        vectors, flat = area_vectors(mesh.points, facets), (-1, mesh.dim)
+        normals = np.repeat((vectors / np.linalg.norm(vectors, axis=1, keepdims=True))[:, None], a.shape[1], axis=1)
+        _, first = contact.obstacle.contact(middles.reshape(flat), normals.reshape(flat))
+        found = np.reshape(first, a.shape) - 0.5 * (normal[a] + normal[b])
+    # where bodies touch at both ends they do so between
+    return gap, middles, np.maximum(found, 0.0)
+
+
+def _bumps(view: GoalView, k: int, facets: np.ndarray) -> np.ndarray:
+    """By how much (n_edges,) the gap in the middle of an edge of contact boundary k exceeds that of its nodes, m."""
+    gap, _, found = _middle_gaps(view, k, facets)
+    a, b = _ends(facets)
+    result = np.zeros(len(view.bubbles.edges))
+    result[view.bubbles.of_facets(facets)] = np.nan_to_num(found - 0.5 * (gap[a] + gap[b]))
+    return result
+
+
+def _chords(view: GoalView, k: int, facets: np.ndarray, mean: float) -> np.ndarray:
+    """What the curves of contact boundary k change in a mean, times the size of the boundary, by edges (n_edges,)."""
+    gap, middles, found = _middle_gaps(view, k, facets)
+    result = _halved(view, facets, middles, gap[facets] - mean, found - mean)
+    master = view.posed.result.contact.masters[k] if view.posed.result.contact.masters else ""
+    if master and view.posed.problem.contact[k].gap is None:
+        faced = _faced(view, k)
+        middles, out = _middles(view, master, faced)
+        result += _halved(view, faced, middles, np.zeros(faced.shape), -out)
+    return result
+
+
+def _halved(view: GoalView, facets: np.ndarray, middles: np.ndarray, corners: np.ndarray, between: np.ndarray
+            ) -> np.ndarray:
+    """4/3 of what an integral over facets changes with their edges halved at ``middles``, by edges (n_edges,)."""
+    mesh, dim = view.posed.mesh, facets.shape[1]
+    m = mesh.n_nodes + np.arange(between.size).reshape(between.shape)
+    points = np.concatenate([mesh.points, middles.reshape(-1, dim)])
+    table = np.concatenate([facets, m], axis=1)
+    values = np.concatenate([corners, between], axis=1)
+    parts = [[0, 2], [2, 1]] if dim == 2 else [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+    change = -_integrals(view, points, facets, corners)
+    for part in parts:
+        change += _integrals(view, points, table[:, part], values[:, part])
+    result = np.zeros(len(view.bubbles.edges))
+    share = np.nan_to_num(4 / 3 * change / between.shape[1])
+    np.add.at(result, view.bubbles.of_facets(facets), np.repeat(share[:, None], between.shape[1], axis=1))
+    return result
+
+
+def _integrals(view: GoalView, points: np.ndarray, facets: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Integrals (n,) over facets of linear functions with values (n, dim) at their corners."""
+    areas = np.linalg.norm(area_vectors(points, facets), axis=1)
+    return areas * np.sum(shape_integrals(points, facets, view.bubbles.axisymmetric) * values, axis=1)
+
+
+def _nearest_facet(points: np.ndarray, facets: np.ndarray, x: np.ndarray) -> tuple[int, np.ndarray]:
+    """The facet that holds x best, and the barycentric weights (dim,) there, clipped to the facet."""
+    corners = points[facets]
+    sides = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    inner = np.einsum("nij,nj->ni", np.linalg.pinv(sides), x - corners[:, 0])
+    shape = np.maximum(np.column_stack([1 - inner.sum(axis=1), inner]), 0.0)
+    shape /= shape.sum(axis=1, keepdims=True)
+    distance = np.linalg.norm(np.einsum("nc,ncd->nd", shape, corners) - x, axis=1)
+    k = int(np.argmin(distance))
+    return k, shape[k]
+
+
+def friction_work(view: GoalView) -> np.ndarray:
+    """Work (n_edges, dim) of the friction that does not depend on pressure on the bubbles of contact surfaces, N."""
+    contact, given, mesh = view.contact, view.posed.result.contact, view.posed.mesh
+    result = np.zeros((len(view.bubbles.edges), mesh.dim))
+    if not contact.fixed_limit.any():
+        return result
+    share = np.divide(contact.fixed_limit, contact.limit, out=np.zeros_like(contact.limit), where=contact.limit > 0)
+    traction = np.zeros((mesh.n_nodes, mesh.dim))
+    traction[given.node] = share[:, None] * np.einsum("nk,nkd->nd", given.traction, given.frames[:, 1:])
+    for name in given.names:
+        facets = named_facets(mesh, name)
+        result += view.bubbles.boundary_work(facets, traction[facets])
+    return result
+
+
+def master_work(view: GoalView, reaction: np.ndarray) -> np.ndarray:
+    """Work of contact forces on the bubbles of master surfaces.
+
+    Parameters
+    ----------
+    view : GoalView
+    reaction : (n_dofs,) array
+        A v - f in the unknowns of the problem, of the solution or of a dual field, N.
+
+    Returns
+    -------
+    (n_edges, dim) array
+        N; zero elsewhere.
+    """
+    discrete, mesh = view.posed.discrete, view.posed.mesh
+    result = np.zeros((len(view.bubbles.edges), mesh.dim))
+    if discrete.coupling is None:
+        return result
+    # what is not of contact: reactions of supports
+    forces = np.where(discrete.fixed, 0.0, discrete.coupling.physical_forces(reaction)).reshape(-1, mesh.dim)
+    masters = view.posed.problem.masters
+    for name in dict.fromkeys(filter(None, masters)):
+        facets = named_facets(mesh, name)
+        areas = np.linalg.norm(area_vectors(mesh.points, facets), axis=1)
+        shares = areas[:, None] * shape_integrals(mesh.points, facets, view.bubbles.axisymmetric)
+        mass = np.bincount(facets.ravel(), weights=shares.ravel(), minlength=mesh.n_nodes)
+        traction = np.divide(forces, mass[:, None], out=np.zeros_like(forces), where=mass[:, None] > 0)
+        result += view.bubbles.boundary_work(facets, traction[facets])
+    return result

@@ -1,0 +1,219 @@
+r"""What the loop expects of its next meshes: estimates, tolerances, and when it will end.
+
+With N nodes in d dimensions good meshes have :math:`\eta \sim N^{-1/d}`; the cost of the meshes so far is about
+proportional to the nodes of the last, as they grow geometrically.
+
+Step: what each round of the adaptive loop yields. Printing it shows a line of a table.
+
+What the parts of a loop give: one's own too are held to their word, and named where they do not keep it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from adaptmg import _checks as checks
+from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.goal_view import GoalEstimate
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.soundness import check_mesh
+from adaptmg.problem import ContactProblem
+from adaptmg.solver.load_path import PathResult
+from adaptmg.solver.result import Result
+
+__all__ = ["Ending", "Limits", "Step", "algebraic_tolerance", "estimate_of", "expected_estimate", "expected_seconds",
+           "marks_of", "settled", "sound_mesh"]
+
+#: share of the expected estimate that the algebraic error may have
+SHARE = 0.1
+#: bounds of the tolerances that come from it: coarse meshes are cheap, and what is exact needs no more than this
+LOOSEST, TIGHTEST = 3e-2, 1e-10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """When the loop ends.
+
+    Parameters
+    ----------
+    tolerance : float, optional
+        For the relative estimate.
+    max_nodes : int, optional
+    max_seconds : float, optional
+    """
+
+    tolerance: float | None = None
+    max_nodes: int | None = None
+    max_seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.tolerance is None and self.max_nodes is None and self.max_seconds is None:
+            raise ValueError("give at least one of tolerance, max_nodes and max_seconds: the loop would never end")
+        if self.tolerance is not None:
+            object.__setattr__(self, "tolerance", checks.tolerance("tolerance", self.tolerance))
+        if self.max_nodes is not None:
+            checks.integer("max_nodes", self.max_nodes, 1)
+        if self.max_seconds is not None:
+            object.__setattr__(self, "max_seconds", checks.positive("max_seconds", self.max_seconds))
+
+
+def expected_estimate(before: Step, nodes: int, dim: int) -> float:
+    """The relative energy error that a mesh of so many nodes should have after a step."""
+    return before.estimate.relative_energy * (before.nodes / nodes) ** (1 / dim)
+
+
+def algebraic_tolerance(expected: float) -> float:
+    """Tolerance of a solve, relative to ||u||_A, on a mesh with an expected relative energy error; three digits."""
+    return float(f"{min(max(SHARE * expected, TIGHTEST), LOOSEST):.3g}")
+
+
+def expected_seconds(steps: Sequence[Step], limits: Limits) -> float:
+    """Seconds that the whole loop will have taken when the first limit stops it; NaN if nothing can be told."""
+    last, ends = steps[-1], []
+    if limits.max_nodes is not None:
+        ends.append(last.total_seconds * max(limits.max_nodes / last.nodes, 1.0))
+    if limits.tolerance is not None and last.estimate.relative > 0:
+        dim = last.result.dim
+        ends.append(last.total_seconds * max(last.estimate.relative / limits.tolerance, 1.0) ** dim)
+    if limits.max_seconds is not None:
+        ends.append(max(limits.max_seconds, last.total_seconds))
+    return min(ends) if ends else float("nan")
+
+
+def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
+    """:attr:`Step.settled` of an estimate, given that of the mesh before."""
+    if estimate.signed is None:
+        return None
+    if before is None or before.signed is None:
+        return False
+    (values, errors), (old_values, old_errors) = map(_values_and_errors, (estimate, before))
+    change = np.abs(values + errors - old_values - old_errors) if values.shape == old_values.shape else np.inf
+    return bool(((errors * old_errors > 0) & (change <= np.abs(errors))).all())
+
+
+def _values_and_errors(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    if isinstance(estimate, GoalEstimate):
+        return estimate.values, estimate.errors
+    return np.array([estimate.value]), np.array([estimate.signed])
+
+
+@dataclass
+class Ending:
+    """Why a loop stopped after a step; empty as long as it has not."""
+
+    words: str = ""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Step:
+    """A mesh of the adaptive loop, solved and estimated.
+
+    Attributes
+    ----------
+    number : int
+        0 for the start.
+    hierarchy : Hierarchy
+        All levels that were used; its finest is the mesh of the step.
+    result : Result
+        On it; of a load path that of the load step by which the mesh is refined.
+    estimate : Estimate
+    timings : dict of str to float
+        Seconds of this step by phase: "mesh" (marking and refining the mesh before), "assembly", "transfer", "levels"
+        (which meshes stay), "solve", "estimate", "store".
+    total_seconds : float
+        Of all steps so far.
+    work_units : float
+        Of the solve, in passes over the finest matrix of this step.
+    total_work_units : float
+        Of all solves so far, in passes over the finest matrix of this step.
+    path : PathResult or None
+        All load steps, where there is a load path.
+    settled : bool or None
+        Of a goal: whether its signed estimates can be trusted, which the first mesh never says: they have the sign of
+        those of the mesh before, and are no smaller than the change of the corrected values since then. Otherwise a
+        question mark is printed before the estimate, and the loop does not end by ``tolerance``. None for energy norms.
+    """
+
+    #: heading of the lines that steps print
+    HEADER: ClassVar[str] = (f"{'step':>4} {'nodes':>8} {'levels':>6} {'contact':>7} {'estimate':>9} {'cycles':>6} "
+                             f"{'work':>6} {'in all':>6} {'seconds':>8} {'in all':>8}")
+
+    number: int
+    hierarchy: Hierarchy
+    result: Result
+    estimate: Estimate
+    timings: Mapping[str, float]
+    total_seconds: float
+    work_units: float
+    total_work_units: float
+    path: PathResult | None = None
+    settled: bool | None = None
+    ending: Ending = field(default_factory=Ending)
+
+    @property
+    def nodes(self) -> int:
+        """Nodes of the mesh."""
+        return self.hierarchy.finest.n_nodes
+
+    @property
+    def seconds(self) -> float:
+        """Of this step, the mesh included."""
+        return float(sum(self.timings.values()))
+
+    @property
+    def outcome(self) -> str:
+        """Why the loop stopped after this step, in words; empty as long as it has not."""
+        return self.ending.words
+
+    def __repr__(self) -> str:
+        estimate = f"{'?' if self.settled is False else ''}{self.estimate.relative:.3%}"
+        line = (f"{self.number:>4} {self.nodes:>8} {len(self.hierarchy):>6} {len(self.result.contact):>7} "
+                f"{estimate:>9} {self.result.cycles:>6} {self.work_units:>6.1f} "
+                f"{self.total_work_units:>6.1f} {self.seconds:>8.3f} {self.total_seconds:>8.3f}")
+        return f"{line}  {self.outcome}" if self.outcome else line
+
+
+def estimate_of(indicator: Any, hierarchy: Hierarchy, result: Result) -> Estimate:
+    """The estimate of an indicator, of the elements of the finest mesh."""
+    estimate, name = indicator.indicate(hierarchy, result), f"the indicator {checks.shown(indicator)} returns"
+    checks.instance(f"what {name}", estimate, Estimate)
+    if len(estimate.squares) != len(hierarchy.finest.mesh.elements):
+        raise ValueError(f"{name} an estimate of {len(estimate.squares)} elements for a mesh of "
+                         f"{len(hierarchy.finest.mesh.elements)}")
+    return estimate
+
+
+def marks_of(mark: Any, estimate: Estimate) -> np.ndarray:
+    """The mask (n_elements,) that a marking chooses."""
+    given, name = mark.mark(estimate), f"mark: {checks.shown(mark)} must return a boolean mask over the elements"
+    try:
+        marked = np.asarray(given)
+    except (TypeError, ValueError):
+        marked = np.asarray(None)
+    if marked.dtype != bool:
+        raise TypeError(f"{name}, got {checks.described(given)}")
+    if marked.shape != estimate.squares.shape:
+        raise ValueError(f"{name} (shape {estimate.squares.shape}), got shape {marked.shape}")
+    return marked
+
+
+def sound_mesh(engine: Any, method: str, problem: ContactProblem, made: Any, like: MeshArrays | None = None
+               ) -> MeshArrays:
+    """A mesh that an engine has made: sound, with the problem's boundaries and the bodies of another mesh."""
+    name = f"engine {checks.shown(engine)}: what {method} returns"
+    checks.instance(name, made, MeshArrays, "MeshArrays")
+    try:
+        check_mesh(made)
+        if made.dim != problem.dim:
+            raise ValueError(f"it is {made.dim}D, the problem {problem.dim}D")
+        problem.check_boundaries(made.boundaries)
+        if like is not None and set(made.bodies) != set(like.bodies):
+            raise ValueError(f"its bodies are {', '.join(made.bodies)}, not {', '.join(like.bodies)}")
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{name} is no mesh of the problem: {error}") from error
+    return made

@@ -1,0 +1,395 @@
+r"""ElementStress: the stress of a discrete solution, as its elements have it.
+
+Constant on each element, but for what the hoop strain :math:`\varepsilon_\theta = u_r / r` of axisymmetric bodies adds
+to the normal components, :math:`\lambda\,\varepsilon_\theta`, and is itself, :math:`(\lambda + 2\mu)\,
+\varepsilon_\theta + \lambda (\varepsilon_r + \varepsilon_z)`: that is evaluated where it is asked for.
+
+With the gradient of the displacement from the edges of the element and the initial strain :math:`\varepsilon_0`,
+
+.. math:: \sigma = \lambda\,\mathrm{tr}(\varepsilon - \varepsilon_0) I + 2\mu (\varepsilon - \varepsilon_0).
+
+Neighbours: which element lies across each facet of an element, and which element a boundary facet belongs to.
+
+Facets are kept in buckets by their lowest node; two are the same if their lowest and highest nodes and the sums of
+their nodes agree. A bucket holds about a dozen of them (3D: some dozens), so that no table has to be sorted.
+
+Posed: a result with the problem, mesh and matrix it belongs to, checked before anything is estimated from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from adaptmg import _checks as checks
+from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.discrete.elasticity import body_materials
+from adaptmg.discrete.loads import load_vector
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.stress import StressData
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.solver.examine import energy_norm, euclidean_norm
+from adaptmg.solver.result import Result
+
+__all__ = ["ElementStress", "Neighbours", "Posed", "element_stress", "neighbours", "posed"]
+
+_THIN = 1
+
+
+@kernel
+def _plane(points, elements, body, u, lame, shear, thin, initial, stress):
+    """Write xx, yy, xy (n_elements, 3). ``thin`` (n_bodies,): plane stress; ``initial`` (n_elements or 0, 3)."""
+    strained = len(initial) > 0
+    for e in range(len(elements)):
+        a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
+        x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        det = x1 * y2 - y1 * x2
+        u1, v1 = u[b, 0] - u[a, 0], u[b, 1] - u[a, 1]
+        u2, v2 = u[c, 0] - u[a, 0], u[c, 1] - u[a, 1]
+        xx, yy = (u1 * y2 - u2 * y1) / det, (v2 * x1 - v1 * x2) / det
+        twice_xy = (u2 * x1 - u1 * x2 + v1 * y2 - v2 * y1) / det
+        out = 0.0
+        k = body[e]
+        if strained:
+            xx -= initial[e, 0]
+            yy -= initial[e, 1]
+            if not thin[k]:
+                out = -initial[e, 2]
+        pressure = lame[k] * (xx + yy + out)
+        stress[e, 0] = pressure + 2.0 * shear[k] * xx
+        stress[e, 1] = pressure + 2.0 * shear[k] * yy
+        stress[e, 2] = shear[k] * twice_xy
+
+
+@kernel
+def _solid(points, elements, body, u, lame, shear, initial, stress):
+    """Write xx, yy, zz, xy, yz, xz (n_elements, 6). ``initial`` (n_elements or 0, 3)."""
+    strained = len(initial) > 0
+    for e in range(len(elements)):
+        a, b, c, d = elements[e, 0], elements[e, 1], elements[e, 2], elements[e, 3]
+        x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+        x2, y2, z2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+        x3, y3, z3 = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1], points[d, 2] - points[a, 2]
+        gx1, gy1, gz1 = y2 * z3 - z2 * y3, z2 * x3 - x2 * z3, x2 * y3 - y2 * x3
+        gx2, gy2, gz2 = y3 * z1 - z3 * y1, z3 * x1 - x3 * z1, x3 * y1 - y3 * x1
+        gx3, gy3, gz3 = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+        det = x1 * gx1 + y1 * gy1 + z1 * gz1
+        u1, v1, w1 = u[b, 0] - u[a, 0], u[b, 1] - u[a, 1], u[b, 2] - u[a, 2]
+        u2, v2, w2 = u[c, 0] - u[a, 0], u[c, 1] - u[a, 1], u[c, 2] - u[a, 2]
+        u3, v3, w3 = u[d, 0] - u[a, 0], u[d, 1] - u[a, 1], u[d, 2] - u[a, 2]
+        xx = (u1 * gx1 + u2 * gx2 + u3 * gx3) / det
+        yy = (v1 * gy1 + v2 * gy2 + v3 * gy3) / det
+        zz = (w1 * gz1 + w2 * gz2 + w3 * gz3) / det
+        xy = (u1 * gy1 + u2 * gy2 + u3 * gy3 + v1 * gx1 + v2 * gx2 + v3 * gx3) / det
+        yz = (v1 * gz1 + v2 * gz2 + v3 * gz3 + w1 * gy1 + w2 * gy2 + w3 * gy3) / det
+        xz = (u1 * gz1 + u2 * gz2 + u3 * gz3 + w1 * gx1 + w2 * gx2 + w3 * gx3) / det
+        if strained:
+            xx -= initial[e, 0]
+            yy -= initial[e, 1]
+            zz -= initial[e, 2]
+        k = body[e]
+        pressure = lame[k] * (xx + yy + zz)
+        stress[e, 0] = pressure + 2.0 * shear[k] * xx
+        stress[e, 1] = pressure + 2.0 * shear[k] * yy
+        stress[e, 2] = pressure + 2.0 * shear[k] * zz
+        stress[e, 3], stress[e, 4], stress[e, 5] = shear[k] * xy, shear[k] * yz, shear[k] * xz
+
+
+@dataclass(frozen=True, eq=False)
+class ElementStress:
+    """Stress in a mesh.
+
+    Attributes
+    ----------
+    mesh : MeshArrays
+    displacement : (n_nodes, dim) array
+        m.
+    data : StressData
+    values : (n_elements, 3 or 6) array
+        xx, yy, xy or xx, yy, zz, xy, yz, xz, Pa; in axisymmetry without what the hoop strain adds.
+    """
+
+    mesh: MeshArrays
+    displacement: np.ndarray
+    data: StressData
+    values: np.ndarray
+
+    @property
+    def axisymmetric(self) -> bool:
+        """Whether integrals are weighted with 2 pi r."""
+        return self.data.axisymmetric
+
+    def hoop(self, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
+        """Hoop strain u_r / r (n, n_points) at barycentric points (n_points, k) of cells (n, k); 0 on the axis."""
+        radius = self.mesh.points[cells, 0] @ rule.T
+        moved = self.displacement[cells, 0] @ rule.T
+        return np.divide(moved, radius, out=np.zeros_like(radius), where=radius > 0)
+
+    def tractions(self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
+                  ) -> np.ndarray:
+        """Sigma n at points of facets.
+
+        Parameters
+        ----------
+        elements : (n,) int array
+            Whose stress.
+        normals : (n, dim) array
+        facets : (n, dim) int array
+            Nodes.
+        rule : (n_points, dim) array
+            Barycentric points.
+
+        Returns
+        -------
+        (n, n_points, dim) array
+            Pa.
+        """
+        s, n = self.values[elements], normals
+        if self.mesh.dim == 2:
+            plain = np.column_stack([s[:, 0] * n[:, 0] + s[:, 2] * n[:, 1], s[:, 2] * n[:, 0] + s[:, 1] * n[:, 1]])
+        else:
+            plain = np.column_stack([s[:, 0] * n[:, 0] + s[:, 3] * n[:, 1] + s[:, 5] * n[:, 2],
+                                     s[:, 3] * n[:, 0] + s[:, 1] * n[:, 1] + s[:, 4] * n[:, 2],
+                                     s[:, 5] * n[:, 0] + s[:, 4] * n[:, 1] + s[:, 2] * n[:, 2]])
+        result = np.repeat(plain[:, None, :], len(rule), axis=1)
+        if self.axisymmetric:
+            lame = self.data.lame[self.mesh.element_body[elements]]
+            result += (lame[:, None] * self.hoop(facets, rule))[:, :, None] * n[:, None, :]
+        return result
+
+
+def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData) -> ElementStress:
+    """The stress of a displacement (n_nodes, dim), m."""
+    if len(data.kind) != len(mesh.bodies) or len(data.initial_strain) not in (0, len(mesh.elements)):
+        raise ValueError(f"stress data of {len(data.kind)} bodies and {len(data.initial_strain)} elements do not "
+                         f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}")
+    u = np.ascontiguousarray(displacement, dtype=np.float64)
+    values = np.empty((len(mesh.elements), 3 if mesh.dim == 2 else 6))
+    initial = np.ascontiguousarray(data.initial_strain, dtype=np.float64)
+    lame, shear = (np.ascontiguousarray(part, dtype=np.float64) for part in (data.lame, data.shear))
+    if mesh.dim == 2:
+        thin = data.kind == _THIN
+        _plane(mesh.points, mesh.elements, mesh.element_body, u, lame, shear, thin, initial, values)
+    else:
+        _solid(mesh.points, mesh.elements, mesh.element_body, u, lame, shear, initial, values)
+    return ElementStress(mesh, u, data, values)
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """Who lies beside whom.
+
+    Attributes
+    ----------
+    across : (n_elements, dim + 1) int32 array
+        Element across the facet opposite each corner; -1 on the boundary of the mesh.
+    owner : (n_facets,) int32 array
+        Element of each boundary facet of the mesh, the one with the lower number where the facet lies inside.
+    corner : (n_facets,) int32 array
+        The corner of that element which lies opposite.
+    """
+
+    across: np.ndarray
+    owner: np.ndarray
+    corner: np.ndarray
+
+
+def neighbours(mesh: MeshArrays) -> Neighbours:
+    """Neighbours in a mesh.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        Facets that more than two elements share have the last two of them as neighbours.
+
+    Returns
+    -------
+    Neighbours
+
+    Raises
+    ------
+    ValueError
+        If a boundary facet belongs to no element.
+    """
+    n, k = mesh.elements.shape
+    across = np.full((n, k), -1, dtype=np.int32)
+    owner, corner = (np.full(len(mesh.facets), -1, dtype=np.int32) for _ in range(2))
+    start = np.zeros(mesh.n_nodes + 1, dtype=np.int64)
+    codes, highs, sums = np.empty(n * k, np.int32), np.empty(n * k, np.int32), np.empty(n * k, np.int64)
+    find_neighbours(mesh.elements, mesh.facets, start, codes, highs, sums, across, owner, corner)
+    if len(owner) and owner.min() < 0:
+        i = int(np.argmin(owner))
+        raise ValueError(f"mesh: boundary facet {i} of nodes {mesh.facets[i].tolist()} belongs to no element")
+    return Neighbours(across, owner, corner)
+
+
+@inner_kernel
+def _keys(nodes, left_out):
+    """Lowest and highest node and the sum of nodes, the corner ``left_out`` (-1: none) apart."""
+    low, high, total = 2**62, -1, 0
+    for k in range(len(nodes)):
+        if k != left_out:
+            v = nodes[k]
+            low, high, total = min(low, v), max(high, v), total + v
+    return low, high, total
+
+
+@inner_kernel
+def _fill_buckets(elements, start, codes, highs, sums):
+    """Facets, as element * corners + corner, by lowest node: those of node i in start[i] .. start[i + 1]."""
+    n, k = elements.shape
+    for e in range(n):
+        for c in range(k):
+            low, high, total = _keys(elements[e], c)
+            start[low + 1] += 1
+    for i in range(len(start) - 1):
+        start[i + 1] += start[i]
+    for e in range(n):
+        for c in range(k):
+            low, high, total = _keys(elements[e], c)
+            at = start[low]
+            codes[at], highs[at], sums[at] = e * k + c, high, total
+            start[low] = at + 1
+    for i in range(len(start) - 1, 0, -1):
+        start[i] = start[i - 1]
+    start[0] = 0
+
+
+@kernel
+def find_neighbours(elements, facets, start, codes, highs, sums, across, owner, corner):
+    """Fill ``across``, ``owner`` and ``corner``, which come as -1; ``start`` comes as 0, the others as they are."""
+    k = elements.shape[1]
+    _fill_buckets(elements, start, codes, highs, sums)
+    for i in range(len(start) - 1):
+        for a in range(start[i], start[i + 1]):
+            for b in range(a + 1, start[i + 1]):
+                if highs[a] == highs[b] and sums[a] == sums[b]:
+                    across[codes[a] // k, codes[a] % k] = codes[b] // k
+                    across[codes[b] // k, codes[b] % k] = codes[a] // k
+    for f in range(len(facets)):
+        low, high, total = _keys(facets[f], -1)
+        for a in range(start[low], start[low + 1]):
+            if owner[f] < 0 and highs[a] == high and sums[a] == total:
+                owner[f] = codes[a] // k
+                corner[f] = codes[a] % k
+
+
+_LOADS_AGREE = 1e-6  # relative; the result's are known to rounding
+_ROUNDING = 1e-13  # of A u, over the diagonal times u: bodies that their supports move strain no element
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """What a result solves.
+
+    Attributes
+    ----------
+    problem : ContactProblem
+    mesh : MeshArrays
+    discrete : DiscreteProblem
+    result : Result
+    """
+
+    problem: ContactProblem
+    mesh: MeshArrays
+    discrete: DiscreteProblem
+    result: Result
+
+    @cached_property
+    def stress(self) -> ElementStress:
+        """Stress on each element."""
+        data = self.result.stress_data
+        if data is None:
+            data = StressData.of(self.mesh, self.problem.material, self.problem.loads)
+        return element_stress(self.mesh, self.result.displacement, data)
+
+    @cached_property
+    def neighbours(self) -> Neighbours:
+        """Who lies beside whom."""
+        return neighbours(self.mesh)
+
+    @cached_property
+    def young(self) -> np.ndarray:
+        """Young's modulus of each element (n_elements,), Pa."""
+        of_bodies = np.array([one.young for one in body_materials(self.mesh, self.problem.material)])
+        return of_bodies[self.mesh.element_body]
+
+    @cached_property
+    def norm(self) -> float:
+        """||u_h||_A, sqrt(N m): of displacements, prescribed ones included."""
+        return energy_norm(*self._moved)
+
+    @cached_property
+    def _moved(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unknowns and the forces A u (n_dofs,), between bodies relative."""
+        unknowns = self.discrete.relative(self.result.displacement).reshape(-1)
+        return unknowns, self.discrete.matrix @ unknowns
+
+    def check_loads(self) -> None:
+        """ValueError unless the loads of the problem are those under which the result was found.
+
+        The result says under which: b = A u - (reactions and contact forces).
+        """
+        coupling, (unknowns, forces) = self.discrete.coupling, self._moved
+        exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
+        if exerted.shape != forces.shape:
+            raise ValueError(f"result.reaction must have {forces.size} components, got {exerted.shape}")
+        load = forces - (exerted if coupling is None else coupling.relative_forces(exerted))
+        rounding = _ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
+        allowed = max(_LOADS_AGREE * max(euclidean_norm(forces), euclidean_norm(load)), rounding)
+        if euclidean_norm(load - self.discrete.load) <= allowed:
+            return
+        posed = load_vector(self.mesh, self.problem.loads, self.problem.material)
+        posed = posed if coupling is None else coupling.relative_forces(posed)
+        if not euclidean_norm(load - posed) <= allowed:
+            raise ValueError("result was found under other loads than those of hierarchy.problem: for step k of a load "
+                             "path give dataclasses.replace(hierarchy, problem=step_problem(problem, factors)) with "
+                             "the factors of the step (adaptmg.problem.step_problem)")
+
+
+def posed(hierarchy: Hierarchy, result: Result) -> Posed:
+    """Checked to belong together.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+        Of a ContactProblem; its finest mesh counts.
+    result : Result
+        Of :func:`adaptmg.solve` on it.
+
+    Raises
+    ------
+    TypeError
+        On other things.
+    ValueError
+        Without a problem or mesh, of a result of another mesh or found under other loads, or one with values that are
+        not finite.
+    """
+    checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
+    checks.instance("result", result, Result, "a Result")
+    mesh, discrete = hierarchy.finest.mesh, hierarchy.finest.discrete
+    if hierarchy.problem is None or mesh is None:
+        raise ValueError("hierarchy has no ContactProblem or no mesh (it comes from matrices): loads, materials and "
+                         "elements are needed to estimate an error; make it by Hierarchy.uniform, graded or "
+                         "from_meshes")
+    if result.mesh is None:
+        raise ValueError("result has no mesh (it comes from a bare DiscreteProblem): solve on a Hierarchy of a "
+                         "ContactProblem")
+    own = result.mesh
+    if own is not mesh and not (own.points.shape == mesh.points.shape and own.elements.shape == mesh.elements.shape
+                                and np.array_equal(own.elements, mesh.elements)
+                                and np.array_equal(own.points, mesh.points)):
+        raise ValueError(f"result is of another mesh ({own.n_nodes} nodes) than the finest of hierarchy "
+                         f"({mesh.n_nodes} nodes): give the hierarchy it was solved on, or hierarchy.truncated(...)")
+    if not np.isfinite(result.displacement).all():
+        i = int(np.argmin(np.isfinite(result.displacement).all(axis=1)))
+        raise ValueError(f"result.displacement must be finite, got {result.displacement[i]} at node {i}: the solver "
+                         f"ended with {result.status.name}")
+    this = Posed(hierarchy.problem, mesh, discrete, result)
+    this.check_loads()
+    return this

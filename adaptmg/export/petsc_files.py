@@ -1,0 +1,364 @@
+r"""PETSc's binary format: matrices, vectors and index sets as bytes.
+
+All numbers are big-endian, integers of 32 bits, reals of 64, as PETSc reads and writes them where it was configured
+without 64-bit indices and with real scalars in double precision (its default; PETSc manual, MatLoad, VecLoad, ISLoad):
+
+==========  ==========================================================================================================
+matrix      1211216, rows, columns, nonzeros; nonzeros of each row; column of each nonzero, row by row; value of each
+vector      1211214, length; values
+index set   1211218, length; indices
+==========  ==========================================================================================================
+
+Entries of a matrix that are stored are written, zeros too: blocks stay whole, so that the file can also be loaded as
+BAIJ, with its block size from the ``.info`` file beside it.
+
+petsc: a discrete problem, with its hierarchy, as a folder of files that PETSc loads (MatLoad, VecLoad, ISLoad).
+
+The folder appears complete or not at all. ``manifest.json`` says what every file is, in words, with unit, size and
+block size; ``README.txt`` says the same to people, and how to load it.
+
+What of a hierarchy goes into files for PETSc: names, meanings, units, contents.
+
+Each part is a matrix, a vector or an index set. Those of level k begin with ``levelK_``; level 0 is the coarsest.
+
+README.txt of an export for PETSc: what the files are, and how they are loaded.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _checks as checks
+from adaptmg._files import waiting_folder, write_bytes
+from adaptmg._text import printable
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.level import Level
+from adaptmg.solver.result import versions
+
+__all__ = ["LARGEST", "Part", "index_set", "matrix", "options", "parts_of_level", "petsc", "readme", "vector"]
+
+MATRIX, VECTOR, INDEX_SET = 1211216, 1211214, 1211218
+#: the largest integer of a PETSc with 32-bit indices
+LARGEST = 2**31 - 1
+
+
+def matrix(name: str, values: sparse.sparray) -> bytes:
+    """A sparse matrix, BSR or CSR, in the rows of its dofs; columns of a row in increasing order."""
+    rows, columns = values.shape
+    _check(name, "nonzeros", values.nnz)
+    _check(name, "rows or columns", max(rows, columns))
+    counts, indices, data = _rows(values)
+    head = struct.pack(">4i", MATRIX, rows, columns, len(data))
+    return b"".join((head, counts.astype(">i4").tobytes(), indices.astype(">i4").tobytes(),
+                     data.astype(">f8").tobytes()))
+
+
+def vector(name: str, values: np.ndarray) -> bytes:
+    """An array of reals, flattened row by row."""
+    flat = np.asarray(values, dtype=np.float64).reshape(-1)
+    _check(name, "values", len(flat))
+    return struct.pack(">2i", VECTOR, len(flat)) + flat.astype(">f8").tobytes()
+
+
+def index_set(name: str, values: np.ndarray) -> bytes:
+    """An array of integers."""
+    flat = np.asarray(values).reshape(-1)
+    _check(name, "indices", len(flat))
+    if len(flat):
+        _check(name, "as an index", int(flat.max()))
+    return struct.pack(">2i", INDEX_SET, len(flat)) + flat.astype(">i4").tobytes()
+
+
+def options(kind: str, block: int) -> bytes:
+    """The ``.info`` file: options that PETSc reads before it loads; ``kind`` is "mat" or "vec"."""
+    return f"-{kind}load_block_size {block}\n".encode()
+
+
+def _rows(values: sparse.sparray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nonzeros of each row, columns and values row by row, columns sorted."""
+    if values.format != "bsr":
+        # a copy, as sorting and summing change the matrix in place
+        found = sparse.csr_array(values, dtype=np.float64, copy=True)
+        found.sum_duplicates()
+        return np.diff(found.indptr), found.indices, found.data
+    found = values.copy() if not values.has_canonical_format else values
+    found.sum_duplicates()
+    high, wide = found.blocksize
+    per_block_row = np.diff(found.indptr)
+    columns = (wide * found.indices[:, None] + np.arange(wide)).reshape(-1)
+    # the rows of the blocks of a block row, one after another: (row in the block, block, column in the block)
+    order = _row_by_row(found.indptr, high)
+    return (np.repeat(per_block_row * wide, high), columns.reshape(-1, wide)[order // high].reshape(-1),
+            found.data.reshape(-1, wide)[order].reshape(-1))
+
+
+def _row_by_row(indptr: np.ndarray, high: int) -> np.ndarray:
+    """Rows of blocks, numbered block by block (``high * block + row``), in the order of the rows of the matrix."""
+    counts = np.diff(indptr)
+    block = np.arange(indptr[-1], dtype=np.int64)
+    # within its block row a block stands at position ``at``; row r of it comes after r times the blocks of the row
+    at, start, width = block - np.repeat(indptr[:-1], counts), np.repeat(indptr[:-1], counts), np.repeat(counts, counts)
+    place = high * start[:, None] + np.arange(high) * width[:, None] + at[:, None]
+    order = np.empty(high * len(block), dtype=np.int64)
+    order[place.reshape(-1)] = (high * block[:, None] + np.arange(high)).reshape(-1)
+    return order
+
+
+def _check(name: str, what: str, size: int) -> None:
+    if size > LARGEST:
+        raise ValueError(f"{name} has {size} {what}, more than the {LARGEST} that PETSc counts with its default "
+                         "32-bit indices: export a coarser hierarchy, or a single level of it")
+
+
+_MANIFEST, _README = "manifest.json", "README.txt"
+_FORMAT = "adaptmg for PETSc, 1"
+
+
+def petsc(problem: Hierarchy | DiscreteProblem, directory: str | os.PathLike[str]) -> Path:
+    """Write matrices, loads, prolongations and contact data for PETSc.
+
+    Parameters
+    ----------
+    problem : Hierarchy or DiscreteProblem
+        Of a hierarchy every level is written, ``level0_...`` the coarsest.
+    directory : path
+        Made here; its parent must exist. One that this function wrote before is replaced; another must be empty.
+
+    Returns
+    -------
+    pathlib.Path
+        The manifest: what every file holds.
+
+    Raises
+    ------
+    ValueError
+        If a matrix has more than 2^31 - 1 nonzeros, which PETSc's default 32-bit indices cannot count; nothing is
+        written then.
+    OSError
+        If the directory holds other files, is a file, or cannot be written.
+
+    Notes
+    -----
+    Unknown ``dim * node + component``. A u - b is zero but at fixed dofs and at contact nodes, where u.n <= g0,
+    p = -r.n >= 0, p (g0 - u.n) = 0, |f_t| <= s + friction p. For several bodies the unknowns at contact nodes are
+    relative to the other body, and ``coupling`` gives displacements.
+    """
+    if isinstance(problem, DiscreteProblem):
+        problem = Hierarchy.single(problem)
+    checks.instance("problem", problem, Hierarchy, "a Hierarchy or a DiscreteProblem")
+    target = Path(os.path.realpath(checks.file_path("directory", directory)))
+    _check_target(target)
+    parts = [part for number, level in enumerate(problem.levels) for part in parts_of_level(number, level)]
+    manifest = _manifest(problem, parts)
+    with waiting_folder(target.parent) as waiting:
+        made = waiting / "new"
+        made.mkdir()
+        for part in parts:
+            write_bytes(made / f"{part.name}.petsc", part.content())
+            if (info := part.info()) is not None:
+                write_bytes(made / f"{part.name}.petsc.info", info)
+        write_bytes(made / _README, readme(problem, parts).encode())
+        write_bytes(made / _MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False).encode())
+        if target.exists():
+            os.replace(target, waiting / "old")
+        os.replace(made, target)
+    return target / _MANIFEST
+
+
+def _manifest(problem: Hierarchy, parts: Sequence[Part]) -> dict[str, object]:
+    finest = problem.finest.discrete
+    return {"format": _FORMAT, "problem": printable(finest.name), "dim": finest.dim, "levels": len(problem),
+            "scalars": "real, 64 bits, big-endian", "integers": "32 bits, big-endian",
+            "contact_boundaries": [printable(name) for name in finest.contact.names],
+            "versions": versions(), "files": [part.described() for part in parts]}
+
+
+def _check_target(target: Path) -> None:
+    """OSError unless there is nothing, an empty folder, or an older export and nothing else."""
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"directory: there is no folder {str(target.parent)!r} to make {target.name!r} in")
+    if not target.exists():
+        return
+    if not target.is_dir():
+        raise NotADirectoryError(f"directory must be a folder, but {str(target)!r} is a file")
+    foreign = sorted({entry.name for entry in target.iterdir()} - _written(target))
+    if foreign:
+        raise FileExistsError(f"directory {str(target)!r} holds other files, {foreign[0]!r} for one: give a new folder")
+
+
+def _written(target: Path) -> set[str]:
+    """Names of the files of an older export; empty where there is none."""
+    try:
+        manifest = json.loads((target / _MANIFEST).read_text(encoding="utf-8"))
+        files = [entry["file"] for entry in manifest["files"]] if manifest["format"].startswith(_FORMAT[:17]) else []
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return set()
+    return {*files, *(f"{name}.info" for name in files), _README, _MANIFEST}
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One file.
+
+    Attributes
+    ----------
+    name : str
+        Of the file, without its suffix.
+    kind : {"Mat", "Vec", "IS"}
+    meaning, unit : str
+    values : sparse matrix or array
+    block : int
+        Block size, 1 for none.
+    """
+
+    name: str
+    kind: str
+    meaning: str
+    unit: str
+    values: sparse.sparray | np.ndarray
+    block: int = 1
+
+    def content(self) -> bytes:
+        """The file."""
+        write = {"Mat": matrix, "Vec": vector, "IS": index_set}[self.kind]
+        return write(self.name, self.values)
+
+    def info(self) -> bytes | None:
+        """The file beside it that tells PETSc the block size; None for an index set.
+
+        Where there are no blocks too: PETSc takes a size that it read for one file for those read later as well.
+        """
+        return None if self.kind == "IS" else options(self.kind.lower(), self.block)
+
+    def described(self) -> dict[str, object]:
+        """Its entry in the manifest."""
+        shape = list(self.values.shape) if self.kind == "Mat" else int(np.size(self.values))
+        entry = {"file": f"{self.name}.petsc", "kind": self.kind, "meaning": self.meaning, "unit": self.unit,
+                 "size": shape, "block_size": self.block}
+        return entry | ({"nonzeros": int(self.values.nnz)} if self.kind == "Mat" else {})
+
+
+def parts_of_level(number: int, level: Level) -> Iterator[Part]:
+    """All of one level."""
+    prefix = f"level{number}_"
+    if level.discrete is None:
+        block = level.matrix.blocksize[0]
+        yield Part(f"{prefix}matrix", "Mat", "Galerkin matrix P' A P of this coarse space, fixed dofs left out", "N/m",
+                   level.matrix, block)
+    else:
+        yield from _discrete(prefix, level.discrete)
+    if level.prolongation is not None:
+        yield _prolongation(f"{prefix}prolongation", level, level.prolongation,
+                            f"P from level {number - 1} to level {number}, in unknowns")
+    if level.surface_prolongation is not None:
+        yield _prolongation(f"{prefix}surface_prolongation", level, level.surface_prolongation,
+                            "the same with weights >= 0 and sums 1 in the rows of contact nodes")
+
+
+def _prolongation(name: str, level: Level, P: sparse.csr_array, meaning: str) -> Part:
+    """A prolongation between dofs; a nodal one acts on every component."""
+    dim = 1 if P.shape[0] == level.matrix.shape[0] else level.matrix.blocksize[0]
+    by_dof = P if dim == 1 else sparse.csr_array(sparse.kron(P, sparse.eye_array(dim), format="csr"))
+    return Part(name, "Mat", meaning, "1", by_dof, dim)
+
+
+def _discrete(prefix: str, discrete: DiscreteProblem) -> Iterator[Part]:
+    dim, coupling = discrete.dim, discrete.coupling
+    yield Part(f"{prefix}matrix", "Mat", "A, stiffness with no boundary condition applied", "N/m", discrete.matrix, dim)
+    yield Part(f"{prefix}load", "Vec", "b, load", "N", discrete.load, dim)
+    yield Part(f"{prefix}fixed", "IS", "dofs that are prescribed", "", np.flatnonzero(discrete.fixed))
+    yield Part(f"{prefix}fixed_values", "Vec", "prescribed values at those dofs, 0 elsewhere", "m",
+               discrete.fixed_values, dim)
+    if discrete.coordinates is not None:
+        yield Part(f"{prefix}coordinates", "Vec", "positions of the nodes", "m", discrete.coordinates, dim)
+    modes = discrete.near_nullspace
+    for k in range(0 if modes is None else modes.shape[1]):
+        yield Part(f"{prefix}mode{k}", "Vec", f"near null space, mode {k} of {modes.shape[1]} (a rigid motion)", "",
+                   modes[:, k], dim)
+    if coupling is not None:
+        identity = sparse.eye_array(discrete.n_dofs, format="csr")
+        yield Part(f"{prefix}coupling", "Mat", "T: displacement u = T w of the unknowns w, which at contact nodes are "
+                   "relative to the other body", "1", sparse.csr_array(coupling.physical(identity)), dim)
+    yield from _contact(prefix, discrete)
+
+
+def _contact(prefix: str, discrete: DiscreteProblem) -> Iterator[Part]:
+    contact, dim = discrete.contact, discrete.dim
+    slip_limit, friction = discrete.law.bounds(len(contact))
+    prefix, size = f"{prefix}contact_", "m in 2D, m^2 in 3D"
+    yield Part(f"{prefix}nodes", "IS", "nodes that may touch; dofs are dim * node + component", "", contact.nodes)
+    yield Part(f"{prefix}normals", "Vec", "unit normals n out of the body, a block a contact node", "1",
+               contact.normals, dim)
+    yield Part(f"{prefix}gaps", "Vec", "initial gaps g0; u.n <= g0", "m", contact.gaps)
+    yield Part(f"{prefix}weights", "Vec", "boundary mass: nodal force over weight is traction", size, contact.weights)
+    yield Part(f"{prefix}slip_limit", "Vec", "s in |f_t| <= s + friction * p", "N", slip_limit)
+    yield Part(f"{prefix}friction", "Vec", "friction coefficient in |f_t| <= s + friction * p", "1", friction)
+    yield Part(f"{prefix}slip_reference", "Vec", "displacement against which slip is measured", "m",
+               contact.slip_reference, dim)
+    yield Part(f"{prefix}boundary", "IS", "index of the contact boundary of each contact node", "", contact.boundary)
+
+
+_TEXT = """\
+{name}: {levels} for PETSc, written by adaptmg
+
+PETSc's binary format (big-endian, 32-bit integers, real double scalars): load with a PETSc of default configuration.
+Block sizes stand in the .info files, which PETSc reads by itself. manifest.json says all this to programs.
+
+What is posed. Find u (dof = dim * node + component, dim {dim}) with r = A u - b zero but at
+  fixed dofs        u = fixed_values there
+  contact nodes     u.n <= g0,  p = -r.n >= 0,  p (g0 - u.n) = 0,  |f_t| <= slip_limit + friction p,
+                    f_t, the tangential part of r, opposite to the slip u_t - slip_reference_t
+n are the unit normals out of the body. A has no boundary condition applied.{coupling}
+
+Files
+{files}
+
+In Python (petsc4py)
+
+    import numpy
+    from petsc4py import PETSc
+    def load(new, name):
+        viewer = PETSc.Viewer().createBinary(f"{{name}}.petsc", "r")
+        return new.load(viewer)
+    A = load(PETSc.Mat(), "{finest}matrix")
+    b = load(PETSc.Vec(), "{finest}load")
+    fixed = load(PETSc.IS(), "{finest}fixed")
+    nodes = load(PETSc.IS(), "{finest}contact_nodes").getIndices()
+    u = load(PETSc.Vec(), "{finest}fixed_values")
+    # the linear problem in which the contact nodes do not move
+    held = numpy.union1d(fixed.getIndices(), ({dim} * nodes[:, None] + numpy.arange({dim})).ravel())
+    A.zeroRowsColumns(held.astype(PETSc.IntType), 1.0, u, b)
+{prolongation}
+In C
+
+    MatCreate(comm, &A); MatSetType(A, MATAIJ);
+    PetscViewerBinaryOpen(comm, "{finest}matrix.petsc", FILE_MODE_READ, &viewer); MatLoad(A, viewer);
+"""
+
+
+def readme(problem: Hierarchy, parts: Sequence[Part]) -> str:
+    """The whole text."""
+    finest = problem.finest.discrete
+    prefix = f"level{len(problem) - 1}_"
+    several = len(problem) > 1
+    coupling = ("\nSeveral bodies: the unknowns w at contact nodes are relative to the other body; A, b and the\n"
+                "contact conditions are in these, and the displacement is u = T w, T in the files 'coupling'."
+                if finest.coupling is not None else "")
+    widest = max(len(part.name) for part in parts)
+    files = "\n".join(f"  {part.name.ljust(widest)}  {part.kind.ljust(3)}  {part.meaning}"
+                      f"{f' [{part.unit}]' if part.unit else ''}" for part in parts)
+    prolongation = ""
+    if several:
+        prolongation = (f'    P = load(PETSc.Mat(), "{prefix}prolongation")   # PC of type mg: '
+                        f"pc.setMGInterpolation({len(problem) - 1}, P)\n")
+    return _TEXT.format(name=printable(finest.name), levels=f"{len(problem)} level{'s' if several else ''}",
+                        dim=finest.dim, coupling=coupling, files=files, finest=prefix, prolongation=prolongation)

@@ -1,0 +1,338 @@
+r"""Intersection of simplices and the moments of shape functions over it (kernels, 2D and 3D alike).
+
+A fine element is cut by the d + 1 half-spaces :math:`\mu_m \ge 0` of a coarse one (:math:`\mu` its barycentric
+coordinates) by bisecting edges: while a piece has a corner a with :math:`\mu_m > 0` and one b with
+:math:`\mu_m < 0`, it is split at the point of the edge ab where :math:`\mu_m = 0`, into pieces with the fractions t and
+1 - t of its volume. What is left consists of simplices on which all shape functions are affine, so that with V the
+volume of a piece
+
+.. math:: \int \lambda_i \lambda_j = \frac{V}{(d+1)(d+2)} \Big(\sum_v \lambda_i(v)\lambda_j(v)
+          + \sum_v \lambda_i(v) \sum_v \lambda_j(v)\Big)
+
+is exact. No topological case is told apart, and a sliver only makes a piece of small volume.
+
+Convex polygons in a plane: intersection, difference and moments (kernels).
+
+A polygon is an array (room, 2) of which the first n rows are its corners, counter-clockwise; repeated corners and
+polygons without area are allowed. Half-planes are taken off one by one (Sutherland and Hodgman 1974,
+doi:10.1145/360767.360802); the point where an edge crosses a line is computed only between corners strictly on
+different sides, so that coincident edges need no tolerance: at worst they leave a sliver.
+
+Moments are kept as area A, centroid c and covariance
+
+.. math:: S = \frac1A \int (x - c)(x - c)^T
+
+so that those of a small polygon far from the origin lose no digits. They are merged from triangles, whose negative
+areas (rounding) count as zero: centroids stay inside, covariances positive.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adaptmg._runtime import inner_kernel, kernel
+
+__all__ = ["MOMENTS", "PIECES", "ROOM", "SNAP", "add_visible", "clip", "common_moments", "keep_left", "polygon_moments",
+           "separated"]
+
+PIECES = 32
+"""Room for pieces on the stack. A half-space splits a tetrahedron along a path of at most 3 bisections, which leave one
+piece waiting each: 4 half-spaces need 13."""
+
+SNAP = 1e-13
+"""Barycentric coordinates smaller than this count as zero."""
+
+
+@kernel
+def common_moments(mu, k, pieces, levels, moments):
+    """Moments of the fine shape functions over the intersection of a fine and a coarse element.
+
+    Parameters
+    ----------
+    mu : (k, k) array
+        Coarse barycentric coordinate m of the fine corner v at [v, m], snapped.
+    k : int
+        dim + 1.
+    pieces : (PIECES, 1 + 2 k k) array
+        Scratch: a piece is its volume fraction, and fine and coarse barycentric coordinates of its corners.
+    levels : (PIECES,) int array
+        Scratch: the half-space to cut a piece by next.
+    moments : (k, k) array
+        Result: the integrals of lambda_i lambda_j over the intersection, for a fine element of volume 1.
+
+    Returns
+    -------
+    float
+        Volume of the intersection over that of the fine element.
+    """
+    kk = k * k
+    moments[:] = 0.0
+    pieces[0, 0] = 1.0
+    for v in range(k):
+        for m in range(k):
+            pieces[0, 1 + v * k + m] = 1.0 if v == m else 0.0
+            pieces[0, 1 + kk + v * k + m] = mu[v, m]
+    levels[0] = 0
+    depth = 1
+    covered = 0.0
+    while depth > 0:
+        top = depth - 1
+        m = levels[top]
+        if m == k:
+            covered += pieces[top, 0]
+            _add_moments(pieces, top, k, moments)
+            depth -= 1
+            continue
+        inner, outer, n_inner = -1, -1, 0
+        for v in range(k):
+            value = pieces[top, 1 + kk + v * k + m]
+            if value > 0.0:
+                inner = v
+                n_inner += 1
+            elif value < 0.0:
+                outer = v
+        if n_inner == 0:
+            depth -= 1
+        elif outer < 0:
+            levels[top] = m + 1
+        else:
+            if n_inner > 1:
+                # the half that keeps the outer corner still has an inner one
+                for c in range(1 + 2 * kk):
+                    pieces[depth, c] = pieces[top, c]
+                levels[depth] = m
+                _cut(pieces, depth, inner, outer, m, k)
+                depth += 1
+            _cut(pieces, top, outer, inner, m, k)
+    return covered
+
+
+@kernel
+def _cut(pieces, at, moved, kept, m, k):
+    """Move a corner of a piece along the edge towards the corner ``kept`` to where mu_m = 0."""
+    kk = k * k
+    first, second = 1 + moved * k, 1 + kept * k
+    a, b = pieces[at, kk + first + m], pieces[at, kk + second + m]
+    t = b / (b - a)
+    for c in range(k):
+        pieces[at, first + c] = (1.0 - t) * pieces[at, second + c] + t * pieces[at, first + c]
+        pieces[at, kk + first + c] = (1.0 - t) * pieces[at, kk + second + c] + t * pieces[at, kk + first + c]
+    # exactly on the plane, or rounding would have it cut again
+    pieces[at, kk + first + m] = 0.0
+    pieces[at, 0] *= t
+
+
+@inner_kernel
+def _add_moments(pieces, at, k, moments):
+    scale = pieces[at, 0] / (k * (k + 1))
+    for i in range(k):
+        sum_i = 0.0
+        for v in range(k):
+            sum_i += pieces[at, 1 + v * k + i]
+        for j in range(i + 1):
+            product, sum_j = 0.0, 0.0
+            for v in range(k):
+                product += pieces[at, 1 + v * k + i] * pieces[at, 1 + v * k + j]
+                sum_j += pieces[at, 1 + v * k + j]
+            moments[i, j] += scale * (product + sum_i * sum_j)
+            if i != j:
+                moments[j, i] = moments[i, j]
+
+
+ROOM = 12
+"""Room for the corners of a triangle cut by another one: 6, more where rounding bends edges; the rest is for safety."""
+
+MOMENTS = 6
+"""Area, centroid (2), covariance xx, xy, yy."""
+
+
+@kernel
+def _side(polygon, i, ax, ay, bx, by):
+    """Twice the area of the triangle of a, b and corner i: positive to the left of the line from a to b."""
+    return (bx - ax) * (polygon[i, 1] - ay) - (by - ay) * (polygon[i, 0] - ax)
+
+
+@inner_kernel
+def keep_left(polygon, n, ax, ay, bx, by, out):
+    """Write the part of a polygon to the left of the line from a to b to ``out``; returns its number of corners.
+
+    Corners beyond the room of ``out`` are dropped: only rounding makes so many, on an edge along the line.
+    """
+    kept, room = 0, len(out)
+    if n == 0:
+        return kept
+    last = n - 1
+    side_last = _side(polygon, last, ax, ay, bx, by)
+    for i in range(n):
+        side = _side(polygon, i, ax, ay, bx, by)
+        if kept < room and ((side > 0.0 and side_last < 0.0) or (side < 0.0 and side_last > 0.0)):
+            t = side_last / (side_last - side)
+            for c in range(2):
+                out[kept, c] = (1.0 - t) * polygon[last, c] + t * polygon[i, c]
+            kept += 1
+        if kept < room and side >= 0.0:
+            out[kept, 0], out[kept, 1] = polygon[i, 0], polygon[i, 1]
+            kept += 1
+        last, side_last = i, side
+    return kept
+
+
+@kernel
+def clip(polygon, n, window, m, out, spare):
+    """Write the intersection of two polygons to ``out``.
+
+    Parameters
+    ----------
+    polygon, window : (room, 2) arrays
+        With n and m corners.
+    out, spare : (room, 2) arrays
+        With room for n + m + 1 corners. Result and scratch; neither may be ``polygon`` or ``window``.
+
+    Returns
+    -------
+    int
+        Number of corners of the result; below 3 there is none.
+    """
+    count = n
+    for i in range(n):
+        out[i, 0], out[i, 1] = polygon[i, 0], polygon[i, 1]
+    for i in range(m):
+        j = i + 1 if i + 1 < m else 0
+        left = keep_left(out, count, window[i, 0], window[i, 1], window[j, 0], window[j, 1], spare)
+        for k in range(left):
+            out[k, 0], out[k, 1] = spare[k, 0], spare[k, 1]
+        count = left
+        if count < 3:
+            return 0
+    return count
+
+
+@inner_kernel
+def _separated_by_edge(polygon, n, window, m, tolerance):
+    """Whether ``polygon`` lies to the right of an edge of ``window``, but for a strip as wide as ``tolerance``."""
+    for i in range(m):
+        j = i + 1 if i + 1 < m else 0
+        ax, ay, bx, by = window[i, 0], window[i, 1], window[j, 0], window[j, 1]
+        length = np.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
+        # the direction of a shorter edge is rounding
+        if length <= tolerance:
+            continue
+        apart = True
+        for k in range(n):
+            if _side(polygon, k, ax, ay, bx, by) > tolerance * length:
+                apart = False
+                break
+        if apart:
+            return True
+    return False
+
+
+@inner_kernel
+def separated(polygon, n, window, m, tolerance):
+    """Whether an edge of one of two polygons separates them, but for a strip as wide as ``tolerance``."""
+    for c in range(2):
+        low, high, window_low, window_high = np.inf, -np.inf, np.inf, -np.inf
+        for i in range(n):
+            low, high = min(low, polygon[i, c]), max(high, polygon[i, c])
+        for i in range(m):
+            window_low, window_high = min(window_low, window[i, c]), max(window_high, window[i, c])
+        if low >= window_high - tolerance or window_low >= high - tolerance:
+            return True
+    return _separated_by_edge(polygon, n, window, m, tolerance) or _separated_by_edge(window, m, polygon, n, tolerance)
+
+
+@inner_kernel
+def _add_triangle(moments, polygon, i, j, k):
+    """Merge the moments of the triangle of three corners into ``moments`` (MOMENTS,)."""
+    area = 0.5 * _side(polygon, k, polygon[i, 0], polygon[i, 1], polygon[j, 0], polygon[j, 1])
+    if not area > 0.0:
+        return
+    x = (polygon[i, 0] + polygon[j, 0] + polygon[k, 0]) / 3.0
+    y = (polygon[i, 1] + polygon[j, 1] + polygon[k, 1]) / 3.0
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for corner in (i, j, k):
+        dx, dy = polygon[corner, 0] - x, polygon[corner, 1] - y
+        xx += dx * dx / 12.0
+        xy += dx * dy / 12.0
+        yy += dy * dy / 12.0
+    total = moments[0] + area
+    share = area / total
+    dx, dy = x - moments[1], y - moments[2]
+    rest = share * (1.0 - share)
+    moments[0] = total
+    moments[1] += share * dx
+    moments[2] += share * dy
+    moments[3] += share * (xx - moments[3]) + rest * dx * dx
+    moments[4] += share * (xy - moments[4]) + rest * dx * dy
+    moments[5] += share * (yy - moments[5]) + rest * dy * dy
+
+
+@kernel
+def polygon_moments(polygon, n, moments):
+    """Moments of a polygon, written to ``moments`` (MOMENTS,): area, centroid, covariance."""
+    for c in range(MOMENTS):
+        moments[c] = 0.0
+    for i in range(1, n - 1):
+        _add_triangle(moments, polygon, 0, i, i + 1)
+
+
+@kernel
+def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states, piece, moments):
+    """Moments of what is left of a polygon when triangles hide parts of it.
+
+    Its triangles are cut along the edges of one blocker after the other, depth first: what lies outside an edge goes
+    on to the next blocker, what lies inside all of them is hidden.
+
+    Parameters
+    ----------
+    polygon : (room, 2) array
+        With n corners.
+    blockers : (n_triangles, 3, 2) array
+        Counter-clockwise, with an area; they may overlap.
+    hiding : (room,) array of int
+        The first ``n_hiding`` are those that hide parts of this polygon.
+    tolerance : float
+        Width of overlaps that are passed over, m.
+    stack : (room, 3, 2) array, states : (room, 2) array
+        Scratch: triangles, and the blocker and its edge to cut them by next. Room: n + 12 for each that hides, as a
+        cut leaves at most 4 triangles.
+    piece : (2, ROOM, 2) array
+        Scratch.
+    moments : (MOMENTS,) array
+        Result.
+    """
+    for c in range(MOMENTS):
+        moments[c] = 0.0
+    depth = _push(polygon, n, 0, 0, stack, states, 0)
+    while depth > 0:
+        depth -= 1
+        at, edge = states[depth, 0], states[depth, 1]
+        if at == n_hiding:
+            _add_triangle(moments, stack[depth], 0, 1, 2)
+            continue
+        blocker = blockers[hiding[at]]
+        if edge == 0 and separated(stack[depth], 3, blocker, 3, tolerance):
+            states[depth, 0] = at + 1
+            depth += 1
+            continue
+        if edge == 3:
+            continue
+        end = edge + 1 if edge < 2 else 0
+        ax, ay, bx, by = blocker[edge, 0], blocker[edge, 1], blocker[end, 0], blocker[end, 1]
+        inside = keep_left(stack[depth], 3, ax, ay, bx, by, piece[0])
+        outside = keep_left(stack[depth], 3, bx, by, ax, ay, piece[1])
+        depth = _push(piece[0], inside, at, edge + 1, stack, states, depth)
+        depth = _push(piece[1], outside, at + 1, 0, stack, states, depth)
+
+
+@inner_kernel
+def _push(polygon, n, at, edge, stack, states, depth):
+    """Put the triangles of a polygon with their state on the stack; returns its new depth."""
+    for i in range(1, n - 1):
+        for c in range(2):
+            stack[depth, 0, c] = polygon[0, c]
+            stack[depth, 1, c] = polygon[i, c]
+            stack[depth, 2, c] = polygon[i + 1, c]
+        states[depth, 0], states[depth, 1] = at, edge
+        depth += 1
+    return depth

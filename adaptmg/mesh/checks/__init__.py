@@ -1,1 +1,0 @@
-"""Is a mesh sound, does a body lie over itself, how well shaped are its elements?"""

@@ -1,0 +1,282 @@
+r"""graded and sized: independent Netgen meshes that are finer where contact is expected, or where a size field says.
+
+The size field of :func:`graded`, for a bulk size H, a contact ratio q and a grading g, is
+
+.. math:: h(x) = \min\bigl(H,\; H/q + g \,\mathrm{dist}(x, \text{contact boundaries})\bigr).
+
+Netgen loses its way where sizes differ by more than about 16 in a coarse mesh (it fails, or takes minutes): sizes up
+to that ratio are asked from Netgen, and the rest is bisected on top, element by element, until no element and no
+boundary facet is larger than sqrt(2) times the field, by the edge of the equilateral one of the same volume. Bisection
+makes sizes jump by halves; :func:`sized` with more than two rounds lets Netgen go on by itself, eight times the ratio a
+round, which follows the field more closely and takes longer. Nodes that
+bisection puts on the chord of an arc are moved onto the arc. Meshes of different sizes are not nested. The bodies of an
+:class:`~adaptmg.problem.Assembly` are meshed apart, each by the distance from its own contact boundaries.
+
+measures: areas or volumes of the bodies of a domain before it is meshed, and the lengths of plane boundaries.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from adaptmg import _checks as checks
+from adaptmg.mesh.arrays import MeshArrays, distance_to_boundaries, facet_keys, facet_table, require_simple
+from adaptmg.mesh.bisection.children import as_initial
+from adaptmg.mesh.bisection.onto_domain import onto_domain
+from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.netgen_plane import (
+    SizeField,
+    expected_nodes,
+    finished,
+    guessed_nodes,
+    netgen_mesh,
+    plane_measures,
+    refuse_too_many,
+)
+from adaptmg.mesh.netgen_solid import scaled_shape, solid_mesh
+from adaptmg.mesh.step import step_mesh, step_shapes
+from adaptmg.mesh.structured import boundaries_of, merged, per_body
+from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
+from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
+
+__all__ = ["check_domain", "graded", "measures", "sized"]
+
+SizeFunction = float | Callable[[np.ndarray], np.ndarray]
+
+_NETGEN_RATIO = 16.0
+# by which sizes may fall further in each round after the second, and what Netgen is told of the field then: its
+# triangles have about 1.2 times the edges they are asked for
+_FURTHER, _TOLD = 8.0, 0.85
+# an element is bisected when its size is this many times the field: halving then leaves it no smaller than 1 / sqrt(2)
+_TOO_LARGE = math.sqrt(2)
+# sizes down to 1e-9 of the domain; far below, neighbouring nodes would round to the same point
+_MAX_BISECTIONS = 30
+
+
+def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries: str | Sequence[str] = (),
+           contact_ratio: float | Mapping[str, float] = 1.0, grading: float = 0.3, *, rounds: int = 1) -> MeshArrays:
+    """Mesh a domain, finer near some boundaries.
+
+    Parameters
+    ----------
+    domain : Rectangle, Polygon, Outline, Box, Cylinder, Cut or another solid, Assembly of these, or StepFile
+        What to mesh. A StepFile is treated like an assembly of its solids.
+    size : float; of an assembly also a mapping of str to float
+        Edge length far from contact, m; a mapping names each body.
+    contact_boundaries : str or sequence of str
+        Where the edges have the length ``size / contact_ratio``; in an assembly the names are "body.edge".
+    contact_ratio : float; of an assembly also a mapping of str to float
+        >= 1. A few hundred are fine in 2D; in 3D the number of nodes grows with its square. A single number does not
+        concern bodies without contact boundaries.
+    grading : float
+        Growth of the edge length per distance from contact, above 0 and at most 1.
+    rounds : int
+        How often Netgen meshes again by the size field (only for ratios above 1; solids have their own number, see
+        :func:`adaptmg.mesh.netgen_solid.solid_mesh`).
+
+    Returns
+    -------
+    MeshArrays
+        With its source; the same arrays for the same arguments. Nodes lie on arcs, edges are their chords (of at most
+        about 35 degrees). The bodies of an assembly share no nodes, see :func:`adaptmg.mesh.merged`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        On an unknown domain or boundary, sizes <= 0, a ratio < 1, an outline that crosses itself, sizes that ask for
+        more than 5 million nodes (3D: 2 million), or where Netgen fails.
+    """
+    check_domain(domain)
+    names = (contact_boundaries,) if isinstance(contact_boundaries, str) else tuple(contact_boundaries)
+    if isinstance(domain, StepFile):
+        return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), _grading(grading))
+    for name in names:
+        if name not in domain.boundaries:
+            raise ValueError(f"contact_boundaries: boundary {name!r} does not exist; "
+                             f"the boundaries are {', '.join(dict.fromkeys(domain.boundaries))}")
+    if isinstance(domain, Assembly):
+        sizes, ratios = (per_body(what, value, domain.bodies)
+                         for what, value in (("size", size), ("contact_ratio", contact_ratio)))
+        mine = {body: boundaries_of(body, names) for body in domain.bodies}
+        if names and not isinstance(contact_ratio, Mapping):
+            ratios = {body: ratio if mine[body] else 1.0 for body, ratio in ratios.items()}
+        return merged({body: graded(part, sizes[body], mine[body], ratios[body], grading, rounds=rounds)
+                       for body, part in domain.parts.items()})
+    size = checks.positive("size", size)
+    ratio = _ratio(contact_ratio)
+    if ratio > 1 and not names:
+        raise ValueError(f"contact_ratio is {contact_ratio!r}, but contact_boundaries is empty")
+    return _graded_body(domain, size, names, ratio, _grading(grading), checks.integer("rounds", rounds, 0))
+
+
+def _ratio(value: float) -> float:
+    ratio = checks.number("contact_ratio", value)
+    if not ratio >= 1:
+        raise ValueError(f"contact_ratio must be >= 1 (contact is never coarser than the bulk), got {value!r}")
+    return ratio
+
+
+def _contact_sizes(size: float | Mapping[str, float], names: Sequence[str], ratio: float | Mapping[str, float]
+                   ) -> dict[str, float]:
+    """Edge length along each contact boundary "body.edge", where only the mesher knows the bodies."""
+    def of(what: str, value: float | Mapping[str, float], body: str) -> float:
+        if isinstance(value, Mapping) and body not in value:
+            raise ValueError(f"{what} names {', '.join(map(repr, value))}, but not the body {body!r} of a contact "
+                             "boundary")
+        return value[body] if isinstance(value, Mapping) else value
+
+    bodies = {name: name.split(".")[0] for name in names}
+    return {name: checks.positive("size", of("size", size, body)) / _ratio(of("contact_ratio", ratio, body))
+            for name, body in bodies.items()}
+
+
+def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: float, grading: float,
+                 rounds: int) -> MeshArrays:
+    """See :func:`graded`; one body, checked arguments."""
+    if isinstance(domain, SolidDomain):
+        return solid_mesh(domain, size, dict.fromkeys(names, size / ratio), grading)
+    if ratio == 1:
+        mesh = netgen_mesh(domain, lambda x: np.full(len(x), size), size, {}, grading, 0)
+        return finished(domain, mesh) if isinstance(domain, Outline) else mesh
+
+    def field(contact_size: float) -> SizeField:
+        return lambda x: np.minimum(size, contact_size + grading * distance_to_boundaries(domain, names, x))
+
+    # the ratio asked from Netgen is the wanted one over a power of two: what bisection then makes up exactly
+    steps = max(0, math.ceil(math.log2(ratio / _NETGEN_RATIO)))
+    near = size / ratio
+    start = near * 2**steps
+    # before Netgen works for minutes on a mesh that bisection would then find too large
+    refuse_too_many(guessed_nodes(domain, size, dict.fromkeys(names, near), grading), domain)
+    mesh = netgen_mesh(domain, field(start), size, dict.fromkeys(names, start), grading, rounds)
+    return _bisected_to(mesh, field(near), domain)
+
+
+def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunction],
+          max_size: float | Mapping[str, float], rounds: int = 2, *, grading: float = 0.3) -> MeshArrays:
+    """Mesh a domain by a size field.
+
+    Parameters
+    ----------
+    domain : Rectangle, Polygon, Outline, Box, Cylinder, Cut or another solid, Assembly of these, or StepFile
+        What to mesh. A StepFile is treated like an assembly of its solids.
+    size_function : callable or float; of an assembly also a mapping of str to these
+        Points (n, dim) in m -> wanted edge length (n,) in m, for instance an
+        :class:`adaptmg.mesh.SizeNear`. It is read at centroids of elements: a dip much narrower than the elements
+        around it can be missed. A mapping names each body.
+    max_size : float; of an assembly also a mapping of str to float
+        No edge is to be longer, m.
+    rounds : int
+        How often Netgen meshes again with the sizes at the centroids of the mesh before, >= 1; two bring it near
+        the field within sixteenths of ``max_size``, each further one eight times as deep, and one or two more draw
+        it close. Where it is still too coarse, elements are bisected.
+    grading : float
+        Growth of the edge length per distance that Netgen allows, above 0 and at most 1.
+
+    Returns
+    -------
+    MeshArrays
+        With its source; the same arrays for the same arguments. See :func:`graded` for arcs and bodies.
+
+    Raises
+    ------
+    TypeError, ValueError
+        On an unknown domain, sizes <= 0 or not finite, sizes that ask for more than 5 million nodes (3D: 2
+        million), or where Netgen fails.
+    """
+    check_domain(domain)
+    if isinstance(domain, StepFile):
+        return step_mesh(domain, max_size, None, _grading(grading), size_function)
+    if isinstance(domain, Assembly):
+        fields, limits = (per_body(what, value, domain.bodies)
+                          for what, value in (("size_function", size_function), ("max_size", max_size)))
+        return merged({body: sized(part, fields[body], limits[body], rounds, grading=grading)
+                       for body, part in domain.parts.items()})
+    max_size = checks.positive("max_size", max_size)
+    rounds = checks.integer("rounds", rounds, 1)
+    grading = _grading(grading)
+    if isinstance(domain, SolidDomain):
+        return solid_mesh(domain, max_size, None, grading, size_function)
+
+    def wanted(x: np.ndarray) -> np.ndarray:
+        result = checks.field("size_function", size_function, x)
+        if not (result > 0).all():
+            i = int(np.argmin(result))
+            raise ValueError(f"size_function must be > 0, got {result[i]} at {tuple(float(c) for c in x[i])}")
+        return np.minimum(result, max_size)
+
+    # Netgen alone sees a field that is cut off at the ratio it can take
+    def limited(told: float, ratio: float) -> SizeField:
+        return lambda x: np.maximum(told * wanted(x), max_size / ratio)
+
+    fields: SizeField | list[SizeField] = limited(1.0, _NETGEN_RATIO)
+    if rounds > 2:
+        fields = [limited(_TOLD, _NETGEN_RATIO * _FURTHER**max(0, k - 1)) for k in range(rounds)]
+    mesh = netgen_mesh(domain, fields, max_size, {}, grading, rounds)
+    return _bisected_to(mesh, wanted, domain)
+
+
+def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArrays:
+    """Bisect until no element is too large for the field."""
+    mesh = finished(domain, mesh) if isinstance(domain, Outline) else mesh
+    for _ in range(_MAX_BISECTIONS):
+        wanted = field(mesh.points[mesh.elements].mean(axis=1))
+        large = _equilateral_size(mesh.volumes, mesh.dim) > _TOO_LARGE * wanted
+        large[_owners_of_large_facets(mesh, field)] = True
+        if not large.any():
+            return as_initial(mesh)
+        refuse_too_many(expected_nodes(mesh, wanted), domain)
+        mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
+    raise ValueError(f"the size field cannot be reached: after {_MAX_BISECTIONS} bisections {large.sum()} elements of "
+                     f"{domain!r} are still too large; does it tend to zero at a point?")
+
+
+def _owners_of_large_facets(mesh: MeshArrays, field: SizeField) -> np.ndarray:
+    """Elements with a boundary facet that is too large for the field on the facet: centroids lie off the boundary."""
+    corners = mesh.points[mesh.facets]
+    sides = corners[:, 1:] - corners[:, :1]
+    gram = np.linalg.det(sides @ sides.transpose(0, 2, 1))
+    sizes = _equilateral_size(np.sqrt(gram) / (mesh.dim - 1), mesh.dim - 1)
+    large = sizes > _TOO_LARGE * field(corners.mean(axis=1))
+    table = facet_table(mesh.elements, mesh.n_nodes)
+    return table.first[table.find(facet_keys(mesh.facets[large], mesh.n_nodes))]
+
+
+def _equilateral_size(measure: np.ndarray, dim: int) -> np.ndarray:
+    """Edge of the equilateral simplex of the same measure: refinement halves it, unlike the longest edge."""
+    if dim == 1:
+        return measure
+    return np.sqrt(measure * 4 / math.sqrt(3)) if dim == 2 else np.cbrt(measure * 6 * math.sqrt(2))
+
+
+def check_domain(domain: Domain) -> None:
+    """TypeError or ValueError unless it is a domain that can be meshed."""
+    if isinstance(domain, Polygon | Outline):
+        require_simple(domain)
+    elif not isinstance(domain, Rectangle | Box | SolidDomain | StepFile | Assembly):
+        raise TypeError("domain must be a Rectangle, a Polygon, an Outline, a Box or another solid, an Assembly of "
+                        f"these, or a StepFile, got {domain!r}")
+
+
+def _grading(value: float) -> float:
+    grading = checks.positive("grading", value)
+    if not grading <= 1:
+        raise ValueError(f"grading must be at most 1, got {value!r}")
+    return grading
+
+
+def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
+    """Area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of each boundary by its name."""
+    check_domain(domain)
+    if isinstance(domain, Assembly):
+        found = {body: measures(part) for body, part in domain.parts.items()}
+        return ([volume for volumes, _ in found.values() for volume in volumes],
+                {f"{body}.{name}": length for body, (_, lengths) in found.items() for name, length in lengths.items()})
+    if domain.dim == 2:
+        area, lengths = plane_measures(domain)
+        return [area], lengths
+    shapes = step_shapes(domain).values() if isinstance(domain, StepFile) else [scaled_shape(domain)]
+    return [shape.mass * scale**3 for shape, _, _, scale in shapes], {}

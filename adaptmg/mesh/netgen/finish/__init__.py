@@ -1,1 +1,0 @@
-"""What is made of Netgen's drafts, in arrays: better shapes, and uniform refinement."""

@@ -1,0 +1,203 @@
+r"""resized: a mesh of a domain in one call of Netgen, told the wanted sizes at many points at once.
+
+:func:`adaptmg.mesh.sized` learns a size function by drafts, as it knows nothing of it. Where sizes are known on a mesh
+and grow slowly (adaptive meshes, :mod:`adaptmg.estimate.remesh`), Netgen follows them at once. Uniform
+refinement of a mesh of twice the sizes, every element cut in four (3D: eight) with new nodes on the curves, is cheaper
+still: a k-fold refinement asks Netgen for :math:`2^k h` and so for :math:`2^{-kd}` of the nodes. Sizes must then grow
+:math:`2^k` times more slowly.
+
+Most of Netgen's time goes into better shapes. Of plane domains and boxes this is done here, in arrays
+(:mod:`adaptmg.mesh`), of a draft and again of what is made of it: a fiftieth of the time for shapes
+as good or better. Other solids, whose new nodes must go onto faces that OCC knows, are left to Netgen.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import netgen.meshing
+import ngsolve
+import numpy as np
+from netgen.occ import OCCGeometry, Solid
+
+from adaptmg import _checks as checks
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.improve import halved, improved
+from adaptmg.mesh.netgen_guard import interruptible
+from adaptmg.mesh.netgen_plane import extent, finished, one_mesh, onto_outline, refine_uniformly
+from adaptmg.mesh.netgen_solid import CURVATURE, check_volume, in_metres, ordered, read_shape, scaled_shape
+from adaptmg.mesh.ngsolve_bridge import with_source
+from adaptmg.mesh.soundness import check_mesh
+from adaptmg.mesh.step import step_shapes
+from adaptmg.mesh.structured import merged, per_body
+from adaptmg.problem.plane_domains import Domain, Outline
+from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
+
+__all__ = ["PointSizes", "resized"]
+
+# Netgen takes no notice of sizes within 1.2 of what it knows: told twice, it keeps to within a tenth either way. Its
+# drafts in the plane are finer than asked for, its tetrahedra are so where it is to improve them; with these factors
+# the expected number of nodes comes out
+_PASSES, _PLAIN = {2: (1.03, 0.935), 3: (1.1,)}, {3: (1.0,)}
+_STEPS_NAME = {2: "optsteps2d", 3: "optsteps3d"}
+# how often Netgen improves shapes: of drafts, and of what is not improved here
+_STEPS, _ALL_STEPS = {2: 0, 3: 2}, 3
+# rounds of improvement of a draft, and after refinement
+_ROUNDS, _ROUNDS_AFTER = {2: 8, 3: 1}, {2: 1, 3: 2}
+# area or volume that a refined element must have, over its longest edge to the power of the dimension
+_FLAT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PointSizes:
+    """Wanted edge lengths at points, so dense that sizes between them need not be known.
+
+    Parameters
+    ----------
+    points : (n, dim) array
+        m.
+    sizes : (n,) array
+        m, > 0.
+    """
+
+    points: np.ndarray
+    sizes: np.ndarray
+
+    def __post_init__(self) -> None:
+        points, sizes = (np.asarray(a, dtype=np.float64) for a in (self.points, self.sizes))
+        if points.ndim != 2 or len(points) == 0 or sizes.shape != points.shape[:1]:
+            raise ValueError(f"points and sizes must have shapes (n, dim) and (n,) with n > 0, got {points.shape} and "
+                             f"{sizes.shape}")
+        if not (np.isfinite(points).all() and np.isfinite(sizes).all() and (sizes > 0).all()):
+            raise ValueError("points must be finite, sizes finite and > 0")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "sizes", sizes)
+
+    def options(self, lower: np.ndarray, scale: float, grading: float, refinements: int, *, draft: bool
+                ) -> netgen.meshing.MeshingParameters:
+        """What Netgen is to be told about the domain moved by ``-lower`` and divided by ``scale``.
+
+        A ``draft`` is improved afterwards (:mod:`adaptmg.mesh`).
+        """
+        dim = self.points.shape[1]
+        steps, passes = (_STEPS[dim], _PASSES[dim]) if draft else (_ALL_STEPS, _PLAIN[dim])
+        factor = 2**refinements / scale
+        largest = float(self.sizes.max())
+        # Netgen's threads spend more time waiting than the work takes
+        options = netgen.meshing.MeshingParameters(maxh=factor * largest, grading=grading, parallel_meshing=False,
+                                                   **{_STEPS_NAME[dim]: steps})
+        places = np.zeros((3, len(self.points)))
+        places[:dim] = ((self.points - lower) / scale).T
+        # lists of numbers, column by column: a list a point would keep the garbage collector busy
+        columns = places.tolist()
+        for share in passes:
+            deque(map(options.RestrictH, *columns, (share * factor * self.sizes).tolist()), maxlen=0)
+        return options
+
+
+def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, grading: float = 0.3,
+            refinements: int = 0) -> MeshArrays:
+    """Mesh a domain by sizes at points.
+
+    Parameters
+    ----------
+    domain : Rectangle, Polygon, Outline, Box, Cylinder, Cut or another solid, Assembly of these, or StepFile
+        What to mesh.
+    sizes : PointSizes; of several bodies a mapping of str to these
+        For each body.
+    grading : float
+        Growth of the edge length per distance that Netgen allows, above 0 and at most 1.
+    refinements : int
+        How often a coarser mesh of Netgen is refined uniformly, >= 0 (module docstring).
+
+    Returns
+    -------
+    MeshArrays
+        With its source; the same arrays for the same arguments. See :func:`adaptmg.mesh.graded` for arcs and bodies.
+
+    Raises
+    ------
+    TypeError, ValueError
+        On an unknown domain, bodies without sizes, or where Netgen fails.
+    """
+    refinements = checks.integer("refinements", refinements, 0)
+    grading = checks.positive("grading", grading)
+    if isinstance(domain, Assembly):
+        mine = per_body("sizes", sizes, domain.bodies)
+        return merged({body: resized(part, mine[body], grading=grading, refinements=refinements)
+                       for body, part in domain.parts.items()})
+    if isinstance(domain, StepFile):
+        return _step(domain, sizes, grading, refinements)
+    checks.instance("sizes", sizes, PointSizes)
+    if isinstance(domain, SolidDomain):
+        shape = scaled_shape(domain)
+        return _attempts(domain, grading, refinements, lambda g, k: ordered(domain, _shape(*shape, sizes, g, k)))
+    if not isinstance(domain, Domain):
+        raise TypeError(f"domain must be a plane domain, a solid, an Assembly of these or a StepFile, got {domain!r}")
+    return _attempts(domain, grading, refinements, lambda g, k: _plane_or_box(domain, sizes, g, k))
+
+
+def _attempts(domain: Domain, grading: float, refinements: int, mesh: Callable[[float, int], MeshArrays]) -> MeshArrays:
+    """The first mesh that comes out sound.
+
+    Where Netgen fails, slower growth of sizes (which only makes the mesh finer) often helps; in the end no refinement.
+    """
+    why: Exception | None = None
+    for factor, k in ((1.0, refinements), (0.7, refinements), (0.7, 0), (0.5, 0)):
+        try:
+            return mesh(factor * grading, k)
+        except (netgen.meshing.NgException, RuntimeError, ValueError) as error:
+            why = error
+    raise ValueError(f"Netgen could not mesh {domain!r} by the given sizes ({why}); start from a finer mesh, or take "
+                     "a smaller gradation") from why
+
+
+def _plane_or_box(domain: Domain, sizes: PointSizes, grading: float, refinements: int) -> MeshArrays:
+    """A mesh of straight or circular edges, or of a box: Netgen's draft, improved and refined in arrays."""
+    lower, scale = extent(domain)
+    options = sizes.options(lower, scale, grading, refinements, draft=True)
+    draft = check_mesh(one_mesh(domain, lower, scale, {}, options, draft=True))
+    mesh = improved(draft, _ROUNDS[domain.dim])
+    for _ in range(refinements):
+        mesh = halved(mesh)
+        if isinstance(domain, Outline):
+            mesh = _onto_arcs(domain, mesh)
+    if refinements:
+        mesh = improved(mesh, _ROUNDS_AFTER[domain.dim])
+    return finished(domain, mesh) if isinstance(domain, Outline) else with_source(mesh)
+
+
+def _onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
+    """A refined mesh with its boundary nodes on the outline; sound if none of its elements became flat."""
+    result = onto_outline(domain, mesh)
+    if not (result.volumes > _FLAT * result.element_sizes**2).all():
+        raise ValueError("elements at an arc became flat")
+    object.__setattr__(result, "sound", mesh.sound)
+    return result
+
+
+def _step(domain: StepFile, sizes: PointSizes | Mapping[str, PointSizes], grading: float, refinements: int
+          ) -> MeshArrays:
+    shapes = step_shapes(domain)
+    meshes = {}
+    for (body, shape), own in zip(shapes.items(), per_body("sizes", sizes, list(shapes)).values(), strict=True):
+        checks.instance(f"sizes[{body!r}]", own, PointSizes)
+        meshes[body] = _attempts(domain, grading, refinements,
+                                 lambda g, k, shape=shape, own=own: with_source(_shape(*shape, own, g, k)))
+    return merged(meshes)
+
+
+def _shape(shape: Solid, names: list[str], lower: np.ndarray, scale: float, sizes: PointSizes, grading: float,
+           refinements: int) -> MeshArrays:
+    """One scaled shape of OCC."""
+    for i, face in enumerate(shape.faces):
+        face.name = str(i)
+    options = netgen.meshing.MeshingParameters(sizes.options(lower, scale, grading, refinements, draft=False),
+                                               curvaturesafety=CURVATURE / 2 ** (refinements / 2))
+    made = interruptible(OCCGeometry(shape).GenerateMesh, mp=options)
+    refine_uniformly(made, refinements)
+    unit = read_shape(ngsolve.Mesh(made))
+    check_volume(unit, shape.mass)
+    return in_metres(unit, names, lower, scale)

@@ -1,0 +1,334 @@
+r"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every generator and reader ends here.
+
+Netgen does not raise when a face fails, it returns a mesh with holes; a misspelt boundary name gives an empty
+integral without a word. Both are found here: every facet belongs to two elements, or to one element and one named
+boundary facet.
+
+quality: how well shaped the elements are. Angles are those of triangles and the dihedral angles of tetrahedra. The
+aspect ratio is the longest edge h over the inradius r, :math:`h / (2\sqrt{3}\, r)` in 2D and
+:math:`h / (2\sqrt{6}\, r)` in 3D with r = dim volume / surface: 1 for an equilateral element.
+
+check_overlap: does a body lie over itself, overlapping_bodies: over another? For meshes of strangers.
+
+Where every two neighbours lie on opposite sides of their facet (:func:`adaptmg.mesh.check_mesh`), a mesh can still wind
+twice around a node (in 3D: an edge), so that the angles there add up to :math:`4\pi`, or run into another part of
+itself; then its boundary lies inside it, and so do boundary nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from adaptmg.mesh.arrays import (
+    FacetTable,
+    MeshArrays,
+    components,
+    element_facets,
+    facet_keys,
+    facet_table,
+    same_orientation,
+)
+
+__all__ = ["MeshQuality", "check_mesh", "check_overlap", "overlapping_bodies", "quality"]
+
+# volume over longest edge to the power dim (0.43 for an equilateral triangle), below which an element is degenerate
+_FLAT = 1e-10
+
+
+def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
+    """Return the mesh if it is sound.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        What to check.
+    boundaries : sequence of str
+        Boundaries that must exist and have facets.
+
+    Returns
+    -------
+    MeshArrays
+        The same object.
+
+    Raises
+    ------
+    TypeError
+        If it is no MeshArrays.
+    ValueError
+        No elements; wrong shapes; a node number out of range; an inverted or degenerate element; an unused node; a
+        fold (two neighbours on the same side of their facet); a hole (a facet of one element that is no boundary
+        facet), a boundary facet inside the mesh, given twice, or oriented inwards; a named boundary that is missing; a
+        body of several pieces.
+    """
+    if not isinstance(mesh, MeshArrays):
+        raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}; as_mesh converts")
+    if not mesh.sound:
+        _check_shapes(mesh)
+        _check_elements(mesh)
+        table = facet_table(mesh.elements, mesh.n_nodes)
+        _check_closed(mesh, table)
+        _check_bodies(mesh, table)
+        object.__setattr__(mesh, "sound", True)
+    _check_names(mesh, (boundaries,) if isinstance(boundaries, str) else boundaries)
+    return mesh
+
+
+def _at(points: np.ndarray) -> str:
+    """Position for a message: the mean of some points."""
+    return "(" + ", ".join(f"{c:.6g}" for c in points.mean(axis=0)) + ")"
+
+
+def _check_shapes(mesh: MeshArrays) -> None:
+    points, dim = mesh.points, mesh.points.shape[-1]
+    if points.ndim != 2 or dim not in (2, 3):
+        raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
+    for name, width in (("elements", dim + 1), ("facets", dim)):
+        array = getattr(mesh, name)
+        if len(array) == 0:
+            raise ValueError(f"the mesh has no {'elements' if name == 'elements' else 'boundary facets'}")
+        if array.ndim != 2 or array.shape[1] != width:
+            raise ValueError(f"{name} must have shape (n, {width}) in {dim}D, got {array.shape}")
+        if array.min() < 0 or array.max() >= len(points):
+            bad = int(np.argmax(((array < 0) | (array >= len(points))).any(axis=1)))
+            raise ValueError(f"{name}[{bad}] = {array[bad].tolist()} names a node that does not exist; "
+                             f"there are {len(points)} nodes, counted from 0")
+    for name, count, names in (("facet_labels", len(mesh.facets), mesh.boundaries),
+                               ("element_body", len(mesh.elements), mesh.bodies)):
+        index, what = getattr(mesh, name), "boundaries" if name == "facet_labels" else "bodies"
+        if index.shape != (count,):
+            raise ValueError(f"{name} must have shape ({count},), got {index.shape}")
+        if index.min() < 0 or index.max() >= len(names):
+            raise ValueError(f"{name} must index {what} ({len(names)} names), got {index.min()} to {index.max()}")
+        if len(set(names)) < len(names):
+            raise ValueError(f"{what} must be distinct, got {names}")
+
+
+def _check_elements(mesh: MeshArrays) -> None:
+    unit = "m^2" if mesh.dim == 2 else "m^3"
+    inverted = np.flatnonzero(mesh.volumes < 0)
+    flat = np.flatnonzero(np.abs(mesh.volumes) <= _FLAT * mesh.element_sizes**mesh.dim)
+    for bad, what in ((flat, "degenerate"), (inverted, "inverted")):
+        if len(bad):
+            e = int(bad[0])
+            raise ValueError(f"{len(bad)} of {len(mesh.elements)} elements are {what}; element {e} at "
+                             f"{_at(mesh.points[mesh.elements[e]])} has volume {mesh.volumes[e]:.4g} {unit}, "
+                             f"nodes {mesh.elements[e].tolist()}")
+    used = np.zeros(mesh.n_nodes, dtype=bool)
+    used[mesh.elements] = True
+    if not used.all():
+        i = int(np.argmin(used))
+        raise ValueError(f"{np.count_nonzero(~used)} of {mesh.n_nodes} nodes belong to no element; node {i} at "
+                         f"{_at(mesh.points[i:i + 1])}; leave them out and renumber")
+
+
+def _check_closed(mesh: MeshArrays, table: FacetTable) -> None:
+    kind = "edge" if mesh.dim == 2 else "face"
+
+    def fail(bad: np.ndarray, what: str, facets: np.ndarray) -> None:
+        if bad.any():
+            facet = facets[int(np.argmax(bad))]
+            raise ValueError(f"{np.count_nonzero(bad)} {what}; one with nodes {facet.tolist()} at "
+                             f"{_at(mesh.points[facet])}")
+
+    fail(table.counts > 2, f"{kind}s belong to more than two elements (overlapping elements)", table.facets)
+    fail(table.folded, f"{kind}s have both their elements on the same side: the mesh is folded over (tangled) there, "
+         "or holds an element twice", table.facets)
+    row = table.find(facet_keys(mesh.facets, mesh.n_nodes))
+    fail(row < 0, f"boundary facets are no {kind} of any element", mesh.facets)
+    fail(table.counts[row] == 2, "boundary facets lie inside the mesh", mesh.facets)
+    named = np.bincount(row, minlength=len(table.keys))
+    fail(named > 1, "boundary facets are given twice", table.facets)
+    fail((table.counts == 1) & (named == 0), f"{kind}s belong to one element and to no boundary (the mesh has a hole, "
+         "or part of its boundary has no name)", table.facets)
+    fail(~same_orientation(mesh.facets, table.facets[row]), "boundary facets have their normal inwards", mesh.facets)
+
+
+def _check_bodies(mesh: MeshArrays, table: FacetTable) -> None:
+    part = components(table, mesh.element_body)
+    elements_of = np.bincount(part)
+    body_of = np.empty(len(elements_of), dtype=np.int64)
+    body_of[part] = mesh.element_body
+    pieces = np.bincount(body_of, minlength=len(mesh.bodies))
+    for body in np.flatnonzero(pieces != 1):
+        name = mesh.bodies[body]
+        if pieces[body] == 0:
+            raise ValueError(f"body {name!r} has no elements")
+        sizes = np.sort(elements_of[body_of == body])[::-1]
+        shown = ", ".join(map(str, sizes[:8])) + (", ..." if len(sizes) > 8 else "")
+        raise ValueError(f"body {name!r} consists of {len(sizes)} pieces, of {shown} elements; "
+                         "give each piece a body (material) name of its own, or join them")
+
+
+def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:
+    present = np.bincount(mesh.facet_labels, minlength=len(mesh.boundaries)) > 0
+    known = [name for name, there in zip(mesh.boundaries, present, strict=True) if there]
+    for name in boundaries:
+        if name not in known:
+            raise ValueError(f"boundary {name!r} does not exist; the boundaries are {', '.join(known)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshQuality:
+    """Shape and size of the elements of a mesh.
+
+    Parameters
+    ----------
+    min_angle, max_angle : float
+        Smallest and largest angle (3D: dihedral angle), degrees.
+    h_min, h_max : float
+        Shortest and longest edge, m.
+    aspect_ratio : float
+        Of the worst element, 1 for an equilateral one.
+    """
+
+    min_angle: float
+    max_angle: float
+    h_min: float
+    h_max: float
+    aspect_ratio: float
+
+
+def quality(mesh: MeshArrays) -> MeshQuality:
+    """Measure the elements of a mesh.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        A sound mesh, see :func:`adaptmg.mesh.check_mesh`.
+
+    Returns
+    -------
+    MeshQuality
+    """
+    dim = mesh.dim
+    corners = mesh.points[mesh.elements]
+    edges = np.stack([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(dim + 1) for j in range(i)])
+    sides = mesh.points[element_facets(mesh.elements)]
+    first = sides[:, :, 1] - sides[:, :, 0]
+    if dim == 2:
+        normals = np.stack([first[..., 1], -first[..., 0]], axis=-1)
+        measures = np.linalg.norm(normals, axis=-1)
+    else:
+        normals = np.cross(first, sides[:, :, 2] - sides[:, :, 0])
+        measures = 0.5 * np.linalg.norm(normals, axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    # between two facets the angle inside is pi minus the one between the outward normals
+    cosines = np.stack([-(normals[:, i] * normals[:, j]).sum(axis=1) for i in range(dim + 1) for j in range(i)])
+    angles = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+    inradius = dim * mesh.volumes / measures.sum(axis=1)
+    equilateral = 2 * np.sqrt(3.0) if dim == 2 else 2 * np.sqrt(6.0)
+    return MeshQuality(min_angle=float(angles.min()), max_angle=float(angles.max()), h_min=float(edges.min()),
+                       h_max=float(edges.max()), aspect_ratio=float((edges.max(axis=0) / inradius).max() / equilateral))
+
+
+# the boundary this deep inside an element, in barycentric coordinates: the two sides of a curved slit, cut into
+# chords apart, may cross by less
+_DEEP = 0.05
+
+
+def check_overlap(mesh: MeshArrays) -> MeshArrays:
+    """Return the mesh if none of its bodies lies over itself.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        One that :func:`adaptmg.mesh.check_mesh` has passed.
+
+    Returns
+    -------
+    MeshArrays
+        The same object.
+
+    Raises
+    ------
+    ValueError
+        Elements wind more than once around a node or edge, or the boundary lies inside elements of its body.
+    """
+    total, corners = _turns(mesh)
+    if total.max() > 2 * np.pi * (1 + 1e-6):
+        k = int(np.argmax(total))
+        what = "node" if mesh.dim == 2 else "edge with nodes"
+        raise ValueError(f"the elements around {what} {np.atleast_1d(corners[k]).tolist()} at "
+                         f"{_place(mesh.points[np.atleast_1d(corners[k])].mean(axis=0))} fill "
+                         f"{np.degrees(total[k]):.0f} degrees, more than 360: the mesh lies over itself (tangled)")
+    for number, name in enumerate(mesh.bodies):
+        inside = _buried(mesh, number, number)
+        if len(inside):
+            raise ValueError(f"the boundary of body {name!r} lies inside other elements of it at {len(inside)} places, "
+                             f"one of them {_place(inside[0])}: the body lies over itself (overlapping elements)")
+    return mesh
+
+
+def _place(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{c:.6g}" for c in point) + ")"
+
+
+def _turns(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
+    """Sum of the angles of elements around each node (3D: dihedral, around each edge), and these nodes."""
+    x = mesh.points
+    if mesh.dim == 2:
+        total = np.zeros(mesh.n_nodes)
+        for k in range(3):
+            a, b, c = (mesh.elements[:, (k + i) % 3] for i in range(3))
+            u, v = x[b] - x[a], x[c] - x[a]
+            angle = np.arctan2(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0], (u * v).sum(axis=1))
+            total += np.bincount(a, angle, minlength=mesh.n_nodes)
+        return total, np.arange(mesh.n_nodes)
+    keys, angles = [], []
+    for i, j in combinations(range(4), 2):
+        k, m = sorted({0, 1, 2, 3} - {i, j})
+        a, b = mesh.elements[:, i], mesh.elements[:, j]
+        along = x[b] - x[a]
+        first, second = (np.cross(along, x[mesh.elements[:, n]] - x[a]) for n in (k, m))
+        angles.append(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1)))
+        keys.append(np.minimum(a, b).astype(np.int64) * mesh.n_nodes + np.maximum(a, b))
+    edge, row = np.unique(np.concatenate(keys), return_inverse=True)
+    total = np.bincount(row, np.concatenate(angles))
+    return total, np.stack([edge // mesh.n_nodes, edge % mesh.n_nodes], axis=1)
+
+
+def overlapping_bodies(mesh: MeshArrays, apart: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Those pairs of bodies of which one lies deep inside elements of the other, and a place (dim,) where it does."""
+    box = {}
+    for k in np.unique(mesh.element_body).tolist():
+        points = mesh.points[mesh.elements[mesh.element_body == k]].reshape(-1, mesh.dim)
+        box[k] = points.min(axis=0), points.max(axis=0)
+    for a, b in apart:
+        if (box[a][0] < box[b][1]).all() and (box[b][0] < box[a][1]).all():
+            places = np.concatenate([_buried(mesh, a, b), _buried(mesh, b, a)])
+            if len(places):
+                yield a, b, places[0]
+
+
+def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
+    """Boundary nodes of a body, and centroids of its boundary facets, deep inside elements of another; places (n, dim).
+
+    Centroids as well: in extruded meshes nodes may lie in planes that no element crosses. Both may be the same body.
+    """
+    own = np.zeros(mesh.n_nodes, dtype=bool)
+    own[mesh.elements[mesh.element_body == body]] = True
+    elements = mesh.elements[mesh.element_body == other]
+    facets = mesh.facets[own[mesh.facets].all(axis=1)]
+    if len(facets) == 0:
+        return np.empty((0, mesh.dim))
+    places = np.concatenate([mesh.points[np.unique(facets)], mesh.points[facets].mean(axis=1)])
+    tree = cKDTree(places)
+    corners = mesh.points[elements]
+    centre = corners.mean(axis=1)
+    reach = np.sqrt(np.square(corners - centre[:, None]).sum(axis=2).max(axis=1))
+    near = np.flatnonzero(tree.query(centre, distance_upper_bound=float(reach.max()))[0] < reach)
+    found = tree.query_ball_point(centre[near], reach[near])
+    element = np.repeat(near, [len(f) for f in found])
+    place = np.concatenate([np.empty(0, dtype=np.int64), *map(np.asarray, found)]).astype(np.int64)
+    base = corners[element, 0]
+    edges = (corners[element, 1:] - base[:, None]).transpose(0, 2, 1)
+    weights = np.linalg.solve(edges, (places[place] - base)[:, :, None])[:, :, 0]
+    deep = np.minimum(weights.min(axis=1, initial=1.0), 1 - weights.sum(axis=1)) > _DEEP
+    return places[np.unique(place[deep])]

@@ -1,0 +1,377 @@
+r"""The coarse correction problem, common to the paper's and the monotone correction.
+
+At a fine iterate w with residual :math:`r = b - A w` (contact forces kept in it) the coarse unknown E solves
+
+.. math:: \min_E\ \tfrac12 E^T A_c E - (\hat P^T r)^T E + \sum_k G_k\,|U_k + E_{t,k}|,\qquad E_{n,k} \le D_k,
+
+steps d-g of the paper. The corrections differ in how they choose D (gap), U (slip) and G (sliding limit).
+
+CorrectionLevels: the coarse spaces below one fine problem, in local components.
+
+With the nodal prolongation P (fine values = P coarse values in every Cartesian component) the local one is
+:math:`\hat P = F_f\,(P \otimes I)\,F_c^T`, F the contact frames, rows and columns of fixed dofs zeroed. Between a fine
+and a coarse contact node the block is :math:`P_{ik}` times the identity (3D: times the rotation nearest to
+:math:`t_f \cdot t_c` in the tangential part), so that normal goes to normal and slip to slip also on curved boundaries.
+Coarse matrices are Galerkin products :math:`\hat P^T A \hat P`, or those of the coarse discretisations.
+
+Monotone correction: coarse contact data that can only lower the fine Tresca energy.
+
+With :math:`S_k = \{i : P_{ik} > 0\}`
+
+.. math:: D_k = \min_{S_k} (g_0 - u_n),\quad U_k = \mathrm{minmod}_{S_k}(u_t - u_t^{prev}),\quad G = P^T g .
+
+For contact rows of P that are >= 0 with row sums 1, Galerkin coarse matrices and one normal over each S_k the coarse
+functional majorises the fine one, so the energy with g frozen cannot rise, and E = 0 at the solution (the idea of
+monotone multigrid, Kornhuber 1994, doi:10.1007/BF03325426; Krause 2009, doi:10.1137/070682514). Elsewhere nothing is
+claimed.
+
+The paper's correction, its choices selectable (steps a-g of 'Multigrid in Structure Assembling Problem').
+
+The paper keeps as coarse slip U and limit G those of the first complete coarse solution ('initial'), and as coarse
+displacement for the non-penetration condition 'the smallest value of u among the value on the same node and on the
+two adjacent ones on the fine grid'. Read as the smallest opening that is safe; read literally (the smallest u_n,
+which is <= 0) it is the largest opening, and stalls or cycles. A frozen G cannot be exact on the fine grid: the
+iteration stops changing before the contact conditions hold, which :class:`adaptmg.Result` reports as STALLED. On the
+bars of the paper it is G that matters: with ``limit="summed"`` and the smallest gap every choice of U converged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _checks as checks
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact
+from adaptmg.transfer.constraints import (
+    Supports,
+    injected_gap,
+    injected_limit,
+    injected_slip,
+    largest_gap,
+    minmod_slip,
+    smallest_gap,
+    summed_limit,
+    supports,
+)
+
+__all__ = ["Correction", "CorrectionLevel", "CorrectionLevels", "InitialContact", "Monotone", "PaperCorrection",
+           "Recorder", "contact_weights", "correction_contact", "correction_levels", "local_prolongation",
+           "sliding_limit"]
+
+@dataclass(frozen=True, eq=False)
+class InitialContact:
+    """What the first solution on a level leaves behind (the paper's U0 and G0).
+
+    Attributes
+    ----------
+    slip : (n_contact, dim - 1) array
+        m.
+    limit : (n_contact,) array
+        Sliding limit, N.
+    """
+
+    slip: np.ndarray
+    limit: np.ndarray
+
+
+class Correction(Protocol):
+    """How contact data go to the next coarser level.
+
+    Attributes
+    ----------
+    needs_initial : bool
+        Whether the first coarse solutions must be computed and passed as ``initial``.
+    """
+
+    @property
+    def needs_initial(self) -> bool: ...
+
+    def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
+                  initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Coarse gap D, slip U and limit G.
+
+        Parameters
+        ----------
+        reach : Supports
+            Which fine contact nodes interpolate from each coarse one, and with which weights.
+        opening : (n_contact fine,) array
+            g0 - u_n >= 0, m.
+        slip : (n_contact fine, dim - 1) array
+            m.
+        limit : (n_contact fine,) array
+            Sliding limit, N.
+        initial : InitialContact or None
+            Of the coarse level.
+
+        Returns
+        -------
+        gap (n_contact coarse,), slip (n_contact coarse, dim - 1), limit (n_contact coarse,)
+        """
+
+
+class Recorder(Protocol):
+    """What the multigrid ingredients report to; :class:`adaptmg.solver.record.Run` is one."""
+
+    def count(self, passes: float, nonzeros: int) -> None:
+        """Count matrix passes."""
+
+    def visit(self, level: int, action: str, times: int = 1) -> None:
+        """Note an action on a level."""
+
+
+def sliding_limit(system: LocalSystem, contact: NodalContact, residual: np.ndarray) -> np.ndarray:
+    """s + mu p with p = max(0, r_n), r = b - A w (n_contact,), N."""
+    normal_force = np.maximum(residual.reshape(-1, system.dim)[system.nodes, 0], 0.0)
+    return contact.limit + contact.friction * normal_force
+
+
+def correction_contact(correction: Correction, reach: Supports, system: LocalSystem, coarse: LocalSystem,
+                       contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray,
+                       initial: InitialContact | None) -> NodalContact:
+    """The contact data of the coarse correction problem at a fine iterate."""
+    values = unknowns.reshape(-1, system.dim)[system.nodes]
+    fine_slip = values[:, 1:] - contact.slip_reference
+    # |E| is a bound of what a correction changes in a slip that is held along one tangent
+    fine_slip[contact.driven] = 0.0
+    gap, slip, limit = _transported(correction, coarse, correction.transport(
+        reach, contact.gap - values[:, 0], fine_slip, sliding_limit(system, contact, residual), initial))
+    slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
+    return NodalContact(gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit))
+
+
+def _transported(correction: Correction, coarse: LocalSystem, found: object) -> tuple[np.ndarray, ...]:
+    """What a correction, a user's own perhaps, hands to the coarse contact nodes, its types and shapes checked."""
+    n, name = len(coarse.nodes), f"correction: transport of {checks.shown(correction)}"
+    if not isinstance(found, (tuple, list)) or len(found) != 3:
+        raise TypeError(f"{name} must return gap, slip and limit, got {checks.shown(found)}")
+    shapes = {"gap": (n,), "slip": (n, coarse.dim - 1), "limit": (n,)}
+    for (what, shape), array in zip(shapes.items(), found, strict=True):
+        if not isinstance(array, np.ndarray) or array.dtype != np.float64 or array.shape != shape:
+            given = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else checks.shown(array)
+            raise TypeError(f"{name} must return a {what} of float64 {shape}, coarse contact nodes first, got {given}")
+    return tuple(found)
+
+
+@dataclass(eq=False)
+class CorrectionLevel:
+    """One level of the coarse correction.
+
+    Attributes
+    ----------
+    system : LocalSystem
+        Matrix on this level, local components.
+    prolongation, restriction : bsr_array or None
+        From the next coarser level (n_dofs, n_dofs coarse), and its transpose; None on the coarsest.
+    contact_prolongation : csr_array (n_contact, n_contact coarse) or None
+        Weights between contact nodes.
+    """
+
+    system: LocalSystem
+    prolongation: sparse.bsr_array | None = None
+    restriction: sparse.bsr_array | None = None
+    contact_prolongation: sparse.csr_array | None = None
+
+    @cached_property
+    def supports(self) -> Supports:
+        """The fine contact nodes that each coarse one reaches; ValueError if a weight is negative."""
+        return supports(self.contact_prolongation)
+
+    @property
+    def proven(self) -> bool:
+        """Whether the monotone correction from the next coarser level is proven: contact rows >= 0 with sums 1."""
+        weights = self.contact_prolongation
+        if weights is None:
+            return True
+        sums = np.asarray(weights.sum(axis=1)).ravel()
+        return bool((weights.data >= 0).all() and np.abs(sums - 1).max(initial=0.0) < 1e-10)
+
+
+@dataclass(eq=False)
+class CorrectionLevels:
+    """Levels, coarsest first, below one fine problem.
+
+    Attributes
+    ----------
+    levels : list of CorrectionLevel
+    fine : LocalProblem
+        The problem on the last level.
+    """
+
+    levels: list[CorrectionLevel]
+    fine: LocalProblem
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+    def __getitem__(self, number: int) -> CorrectionLevel:
+        return self.levels[number]
+
+    @property
+    def operator_complexity(self) -> float:
+        """Nonzeros on all levels over those of the finest."""
+        return sum(level.system.nonzeros for level in self.levels) / self.levels[-1].system.nonzeros
+
+
+def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
+                      coarse_matrices: str = "galerkin") -> CorrectionLevels:
+    """Level ``finest`` of a hierarchy and those below it.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+    problems : list of LocalProblem
+        Its levels in local components, coarsest first.
+    finest : int
+        Level number, 0 = coarsest.
+    coarse_matrices : {"galerkin", "discretised"}
+        Where the coarse matrices come from; on nested meshes both are the same. Only Galerkin matrices make the
+        monotone correction provable.
+    """
+    fine = problems[finest]
+    levels = [CorrectionLevel(fine.system)]
+    for k in range(finest, 0, -1):
+        upper, lower = problems[k], problems[k - 1]
+        nodal = hierarchy[k].contact_prolongation
+        levels[0].prolongation = local_prolongation(nodal, upper, lower)
+        levels[0].restriction = sparse.bsr_array(levels[0].prolongation.T)
+        levels[0].contact_prolongation = contact_weights(nodal, upper.discrete, lower.discrete)
+        finer = levels[1] if len(levels) > 1 else None
+        system = local_galerkin(levels[0], lower.system, finer) if coarse_matrices == "galerkin" else lower.system
+        levels.insert(0, CorrectionLevel(system))
+    return CorrectionLevels(levels, fine)
+
+
+def contact_weights(nodal: sparse.csr_array, fine: DiscreteProblem, coarse: DiscreteProblem) -> sparse.csr_array:
+    """The part of a nodal prolongation between contact nodes (n_contact fine, n_contact coarse)."""
+    weights = sparse.csr_array(nodal[fine.contact.nodes][:, coarse.contact.nodes])
+    weights.eliminate_zeros()
+    weights.sort_indices()
+    return weights
+
+
+def local_prolongation(nodal: sparse.csr_array, fine: LocalProblem, coarse: LocalProblem) -> sparse.bsr_array:
+    """A nodal prolongation in local components (n_dofs fine, n_dofs coarse), zero at fixed dofs."""
+    dim = fine.system.dim
+    nodal = sparse.csr_array(nodal)
+    rows = np.repeat(np.arange(nodal.shape[0]), np.diff(nodal.indptr))
+    columns = nodal.indices
+    blocks = nodal.data[:, None, None] * np.eye(dim)
+    at_row, at_column = fine.system.contact_of[rows], coarse.system.contact_of[columns]
+    turned = np.flatnonzero((at_row >= 0) | (at_column >= 0))
+    if turned.size:
+        left = np.broadcast_to(np.eye(dim), (turned.size, dim, dim)).copy()
+        right = left.copy()
+        i, j = at_row[turned], at_column[turned]
+        left[i >= 0] = fine.frames[i[i >= 0]]
+        right[j >= 0] = coarse.frames[j[j >= 0]]
+        rotation = np.einsum("nij,nkj->nik", left, right)
+        both = (i >= 0) & (j >= 0)
+        rotation[both] = _tangential_part(rotation[both])
+        blocks[turned] = nodal.data[turned, None, None] * rotation
+    free_rows = (~fine.system.fixed).reshape(-1, dim)[rows]
+    free_columns = (~coarse.system.fixed).reshape(-1, dim)[columns]
+    blocks *= free_rows[:, :, None] & free_columns[:, None, :]
+    shape = (fine.system.n_dofs, coarse.system.n_dofs)
+    return sparse.bsr_array((blocks, columns, nodal.indptr), shape=shape)
+
+
+def _tangential_part(rotation: np.ndarray) -> np.ndarray:
+    """Normal to normal exactly; tangents by the nearest rotation, the identity in 2D."""
+    result = np.zeros_like(rotation)
+    result[:, 0, 0] = 1.0
+    if rotation.shape[1] == 2:
+        result[:, 1, 1] = 1.0
+        return result
+    u, _, vt = np.linalg.svd(rotation[:, 1:, 1:])
+    result[:, 1:, 1:] = u @ vt
+    return result
+
+
+def local_galerkin(level: CorrectionLevel, coarse: LocalSystem, finer: CorrectionLevel | None = None) -> LocalSystem:
+    """The Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale diagonal.
+
+    Dofs of ``level`` that ``finer``, the next level, does not see have such a diagonal, which is left out.
+    """
+    dim = coarse.dim
+    prolongation, restriction = level.prolongation, level.restriction
+    if finer is not None:
+        taken = sparse.diags_array((np.asarray(abs(finer.prolongation).sum(axis=0)).ravel() > 0).astype(float))
+        prolongation, restriction = taken @ prolongation, restriction @ taken
+    product = sparse.csr_array(restriction @ level.system.matrix @ prolongation)
+    diagonal = product.diagonal()
+    empty = ~(diagonal > 0)
+    fill = np.where(empty, diagonal[~empty].mean() if (~empty).any() else 1.0, 0.0)
+    matrix = sparse.bsr_array(product + sparse.diags_array(fill), blocksize=(dim, dim)).sorted_indices()
+    return LocalSystem.from_matrix(matrix, coarse.fixed, coarse.nodes)
+
+
+@dataclass(frozen=True)
+class Monotone:
+    """The energy-decreasing correction; no options."""
+
+    @property
+    def needs_initial(self) -> bool:
+        """It needs no first coarse solution."""
+        return False
+
+    def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
+                  initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See :class:`adaptmg.multigrid.corrections.Correction`."""
+        stick = (slip == 0.0).all(axis=1)
+        return smallest_gap(reach, opening), minmod_slip(reach, slip, stick), summed_limit(reach, limit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperCorrection:
+    """The correction of the paper.
+
+    Parameters
+    ----------
+    gap : {"smallest", "largest", "injected"}
+        Opening of a coarse contact node: smallest over the fine nodes it reaches (the paper's choice, read safely),
+        largest (read literally), or that of the fine node with the largest weight (nested: the coincident one).
+    slip : {"initial", "injected", "minmod"}
+        Slip offset U: of the first coarse solution (the paper's choice), of the coincident fine node, or the
+        smallest common slip.
+    limit : {"initial", "injected", "summed"}
+        Sliding limit G: of the first coarse solution (the paper's choice), that of the fine node with the largest
+        weight (a nodal force, hence too small on the coarse grid: for comparison), or the sum P'g.
+    """
+
+    gap: str = "smallest"
+    slip: str = "initial"
+    limit: str = "initial"
+
+    def __post_init__(self) -> None:
+        checks.choice("gap", self.gap, ("smallest", "largest", "injected"))
+        checks.choice("slip", self.slip, ("initial", "injected", "minmod"))
+        checks.choice("limit", self.limit, ("initial", "injected", "summed"))
+
+    @property
+    def needs_initial(self) -> bool:
+        """Whether the first coarse solution is kept."""
+        return "initial" in (self.slip, self.limit)
+
+    def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
+                  initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See :class:`adaptmg.multigrid.corrections.Correction`."""
+        gap = {"smallest": smallest_gap, "largest": largest_gap, "injected": injected_gap}[self.gap](reach, opening)
+        if self.slip == "initial":
+            coarse_slip = initial.slip
+        elif self.slip == "injected":
+            coarse_slip = injected_slip(reach, slip)
+        else:
+            coarse_slip = minmod_slip(reach, slip, (slip == 0.0).all(axis=1))
+        if self.limit == "initial":
+            coarse_limit = initial.limit
+        elif self.limit == "injected":
+            coarse_limit = injected_limit(reach, limit)
+        else:
+            coarse_limit = summed_limit(reach, limit)
+        return gap, coarse_slip, coarse_limit

@@ -1,0 +1,200 @@
+r"""Numba kernels of the linear cycle: Gauss-Seidel in half passes, on a matrix that is stored in parts.
+
+For :math:`(L + D + U)\,u = f`, stored as :class:`~adaptmg.multigrid.split_matrix.SplitMatrix`, not necessarily
+symmetric. From zero: forward (L), keeping :math:`s = f - L u`; backward (U), keeping the change :math:`\delta`; then
+the residual is :math:`-L\delta` (L). After the coarse correction: forward (L and U), keeping s; backward (U). Two
+symmetric sweeps and a residual in three passes.
+Arguments in the order of the function: ``zero`` (dim zeros, see :mod:`adaptmg.smoother.blocks`; one for coarse spaces
+that know no nodes); indptr, indices, data of a half; ``inverse`` of the diagonal blocks.
+
+Numba kernels of transfers in the cycle: restriction by scatter, prolongation fused with what follows it.
+
+A nodal prolongation P acts on every component, one of dofs is taken as of nodes with one component (``zero`` tells
+their number, see :mod:`adaptmg.smoother.blocks`); the transpose is applied from the same arrays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adaptmg._runtime import kernel
+from adaptmg.smoother.blocks import add, in_loop, inner, read, scale, subtract, times, write
+from adaptmg.smoother.kernels import minus_row
+
+__all__ = ["LINES", "add_prolonged", "backward_change", "backward_full", "backward_kept", "combine", "dot",
+           "forward_from_zero", "forward_full", "forward_residual", "product_of_change", "residual", "restrict",
+           "shorten", "stiff_squares", "zero_at"]
+
+#: lines of the cache that a row of a half fills (2D)
+LINES = 2
+
+
+@kernel
+def forward_from_zero(zero, l_indptr, l_indices, lower, inverse, load, u, kept):
+    """u = (L + D)^-1 f, kept = f - L u."""
+    dim = np.uint64(len(zero))
+    for node in range(len(l_indptr) - 1):
+        i = np.uint64(node)
+        at = dim * i
+        r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
+        write(kept, at, r)
+        write(u, at, times(inverse, dim * at, r))
+
+
+@kernel
+def forward_residual(zero, u_indptr, u_indices, upper, u, result):
+    """The residual after :func:`forward_from_zero`: minus U times u."""
+    dim = np.uint64(len(zero))
+    for node in range(len(u_indptr) - 1):
+        i = np.uint64(node)
+        write(result, dim * i, minus_row(i, 1, u_indptr, u_indices, upper, u, zero, LINES))
+
+
+@kernel
+def backward_change(zero, u_indptr, u_indices, upper, inverse, u, kept):
+    """Backward sweep that takes f - L u from ``kept`` and leaves the change of u there."""
+    dim = np.uint64(len(zero))
+    for node in range(len(u_indptr) - 2, -1, -1):
+        i = np.uint64(node)
+        at = dim * i
+        r = minus_row(i, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
+        new = times(inverse, dim * at, r)
+        write(kept, at, subtract(new, read(u, at, zero)))
+        write(u, at, new)
+
+
+@kernel
+def residual(zero, l_indptr, l_indices, lower, kept):
+    """The residual after :func:`backward_change`, minus L times the change, in place of the change."""
+    dim = np.uint64(len(zero))
+    for node in range(len(l_indptr) - 2, -1, -1):
+        i = np.uint64(node)
+        write(kept, dim * i, minus_row(i, -1, l_indptr, l_indices, lower, kept, zero, LINES))
+
+
+@kernel
+def forward_full(zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u, kept):
+    """Forward sweep from any u, kept = f - L u."""
+    dim = np.uint64(len(zero))
+    for node in range(len(l_indptr) - 1):
+        i = np.uint64(node)
+        at = dim * i
+        r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
+        write(kept, at, r)
+        r = minus_row(i, 1, u_indptr, u_indices, upper, u, r, LINES)
+        write(u, at, times(inverse, dim * at, r))
+
+
+@kernel
+def backward_kept(zero, u_indptr, u_indices, upper, inverse, u, kept):
+    """Backward sweep that takes f - L u from ``kept``."""
+    dim = np.uint64(len(zero))
+    for node in range(len(u_indptr) - 2, -1, -1):
+        i = np.uint64(node)
+        at = dim * i
+        r = minus_row(i, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
+        write(u, at, times(inverse, dim * at, r))
+
+
+@kernel
+def backward_full(zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u):
+    """Backward sweep from any u."""
+    dim = np.uint64(len(zero))
+    for node in range(len(l_indptr) - 2, -1, -1):
+        i = np.uint64(node)
+        at = dim * i
+        r = minus_row(i, -1, u_indptr, u_indices, upper, u, read(load, at, zero), LINES)
+        r = minus_row(i, -1, l_indptr, l_indices, lower, u, r, LINES)
+        write(u, at, times(inverse, dim * at, r))
+
+
+ONE = np.uint64(1)
+
+
+@kernel
+def zero_at(vector, positions):
+    """Set entries to zero."""
+    for k in range(len(positions)):
+        vector[positions[k]] = 0.0
+
+
+@kernel
+def dot(a, b):
+    """a'b, not through BLAS: its threads cost more than they gain."""
+    total = 0.0
+    for at in range(len(a)):
+        total += a[at] * b[at]
+    return total
+
+
+@kernel
+def stiff_squares(dim, inverse, u):
+    """|D u|^2, D one over the diagonals of the inverse blocks, 0 where these are not positive."""
+    total = 0.0
+    for at in range(len(u)):
+        i, k = at // dim, at % dim
+        diagonal = inverse[(i * dim + k) * dim + k]
+        if diagonal > 0.0:
+            total += ((1.0 / diagonal) * u[at]) ** 2
+    return total
+
+
+@kernel
+def product_of_change(r, new, old):
+    """r'(new - old)."""
+    total = 0.0
+    for at in range(len(r)):
+        total += r[at] * (new[at] - old[at])
+    return total
+
+
+@kernel
+def shorten(alpha, old, new):
+    """new = old + alpha (new - old)."""
+    for at in range(len(old)):
+        new[at] = old[at] + alpha * (new[at] - old[at])
+
+
+@kernel
+def restrict(zero, indptr, indices, weights, r, coarse):
+    """coarse = P' r; returns r'r."""
+    dim = np.uint64(len(zero))
+    coarse[:] = 0.0
+    squares = 0.0
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        own = read(r, dim * i, zero)
+        squares += inner(own, own)
+        for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + ONE])):
+            j = dim * np.uint64(indices[k])
+            write(coarse, j, add(read(coarse, j, zero), scale(weights[k], own)))
+    return squares
+
+
+@in_loop
+def _plus_prolonged(i, indptr, indices, weights, coarse, e):
+    """E plus P coarse at node i."""
+    for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + ONE])):
+        e = add(e, scale(weights[k], read(coarse, np.uint64(len(e)) * np.uint64(indices[k]), e)))
+    return e
+
+
+@kernel
+def add_prolonged(zero, indptr, indices, weights, coarse, u):
+    """u += P coarse."""
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        at = np.uint64(len(zero)) * i
+        write(u, at, add(read(u, at, zero), _plus_prolonged(i, indptr, indices, weights, coarse, zero)))
+
+
+@kernel
+def combine(zero, indptr, indices, weights, coarse, u, first, second, alpha_1, alpha_2):
+    """second = u + alpha_1 (first - u) + alpha_2 (second - u) + P coarse."""
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        at = np.uint64(len(zero)) * i
+        e = read(u, at, zero)
+        e = add(e, add(scale(alpha_1, subtract(read(first, at, zero), e)),
+                       scale(alpha_2, subtract(read(second, at, zero), e))))
+        write(second, at, _plus_prolonged(i, indptr, indices, weights, coarse, e))

@@ -1,1 +1,0 @@
-"""The linear multigrid below the finest level of the truncated method."""

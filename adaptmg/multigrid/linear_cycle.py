@@ -1,0 +1,271 @@
+"""LinearCycle: a V-cycle on the (truncated) linear coarse problems, two symmetric sweeps and a residual a level.
+
+The coarsest ones are solved by LU factors, or by a user's own solver.
+
+What one's own linear solver and smoother must offer to take part in the linear cycle, and how they are called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from scipy import linalg, sparse
+from scipy.sparse.linalg import splu
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.multigrid import half_sweeps
+from adaptmg.multigrid.corrections import Recorder
+from adaptmg.multigrid.half_sweeps import add_prolonged, restrict, zero_at
+from adaptmg.multigrid.split_matrix import SplitMatrix
+from adaptmg.smoother.blocks import ZERO
+
+__all__ = ["CoarseFactors", "LevelVectors", "LinearCycle", "LinearSmoother", "LinearSolve", "OwnSmoother", "OwnSolve",
+           "regular_matrix"]
+
+@dataclass(eq=False)
+class LevelVectors:
+    """What the cycle keeps on a level (n_dofs,) each."""
+
+    load: np.ndarray
+    solution: np.ndarray
+    kept: np.ndarray
+
+    @classmethod
+    def zeros(cls, n: int) -> LevelVectors:
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n))
+
+
+@dataclass(eq=False)
+class LinearCycle:
+    """V-cycles for the linear problem on any of the levels.
+
+    Parameters
+    ----------
+    levels : list of SplitMatrix
+        Coarsest first.
+    prolongations : list of csr_array
+        Between neighbours, of nodes (n_nodes, n_nodes coarse) or of dofs (n_dofs, n_dofs coarse).
+    recorder : Recorder
+        Counts passes, and notes the way.
+    sweeps : sequence of int
+        By level, smoothing before and after the coarse correction: 1 (forward, then backward; 2 passes a level) or 2
+        (symmetric both times; 3 passes).
+    coarse_solve : LinearSolve, optional
+        In place of LU factors on the coarsest level.
+    coarse_smoother : LinearSmoother, optional
+        In place of the symmetric sweeps.
+    """
+
+    levels: list[SplitMatrix]
+    prolongations: list[sparse.csr_array]
+    recorder: Recorder
+    sweeps: Sequence[int]
+    coarse_solve: LinearSolve | None = None
+    coarse_smoother: LinearSmoother | None = None
+    factors: CoarseFactors = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.factors = CoarseFactors(self.levels[0], self.coarse_solve)
+        self._vectors: dict[int, LevelVectors] = {}
+        self._own: dict[int, OwnSmoother] = {}
+
+    def renew(self, number: int) -> None:
+        """Take the matrices below level ``number`` as they are now."""
+        self.factors.renew()
+        if self.coarse_smoother is not None:
+            self._own = {k: OwnSmoother(self.coarse_smoother, self.levels[k]) for k in range(1, number)}
+
+    def vectors(self, number: int) -> LevelVectors:
+        """Load and solution of a level, made when first asked for."""
+        if number not in self._vectors:
+            self._vectors[number] = LevelVectors.zeros(self.levels[number].n_dofs)
+        return self._vectors[number]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of matrices, prolongations and vectors, bytes."""
+        vectors = sum(v.load.nbytes + v.solution.nbytes + v.kept.nbytes for v in self._vectors.values())
+        transfers = sum(P.data.nbytes + P.indices.nbytes + P.indptr.nbytes for P in self.prolongations)
+        return sum(level.nbytes for level in self.levels) + transfers + vectors
+
+    def solve(self, number: int) -> np.ndarray:
+        """One cycle from zero for the load of a level; returns its solution."""
+        v = self.vectors(number)
+        if number == 0:
+            passes = self.factors.solve(v.load, v.solution)
+            if passes:
+                self.recorder.count(passes, self.levels[0].nonzeros)
+            self.recorder.visit(0, "solve")
+            return v.solution
+        level, nodal = self.levels[number], self.prolongations[number - 1]
+        passes = self._before(number, v)
+        self.recorder.visit(number, "smooth", self.sweeps[number])
+        below = self.vectors(number - 1)
+        components = ZERO[level.n_dofs // nodal.shape[0]]
+        restrict(components, nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
+        zero_at(below.load, self.levels[number - 1].fixed)
+        self.recorder.visit(number, "restrict")
+        correction = self.solve(number - 1)
+        add_prolonged(components, nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
+        zero_at(v.solution, level.fixed)
+        self.recorder.visit(number, "prolong")
+        passes += self._after(number, v)
+        self.recorder.visit(number, "smooth", self.sweeps[number])
+        self.recorder.count(passes, level.nonzeros)
+        return v.solution
+
+    def _before(self, number: int, v: LevelVectors) -> float:
+        """Smooth from zero; the residual is left in ``kept``. Returns the passes, those of the residual included."""
+        level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
+        if self._own:
+            v.solution[:] = 0.0
+            passes = self._own[number].smooth(v.load, v.solution)
+            v.kept[:] = v.load - self._own[number].matrix @ v.solution
+            return passes + 1
+        half_sweeps.forward_from_zero(zero, *level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
+        if sweeps == 1:
+            half_sweeps.forward_residual(zero, *level.upper_arrays, v.solution, v.kept)
+        else:
+            half_sweeps.backward_change(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)
+            half_sweeps.residual(zero, *level.lower_arrays, v.kept)
+        # forward and residual: L, U; forward, backward, residual: L, U, L
+        return 1 if sweeps == 1 else 1.5
+
+    def _after(self, number: int, v: LevelVectors) -> float:
+        """Smooth the corrected solution; returns the passes."""
+        level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
+        if self._own:
+            return self._own[number].smooth(v.load, v.solution)
+        if sweeps == 1:
+            half_sweeps.backward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
+        else:
+            half_sweeps.forward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution,
+                                     v.kept)
+            half_sweeps.backward_kept(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)
+        # backward: L, U; forward, backward: L, U, U
+        return 1 if sweeps == 1 else 1.5
+
+
+class CoarseFactors:
+    """Solves with the coarsest matrix; a singular one is shifted by a small part of its diagonal before it is
+    factorised, dense or sparse by its size.
+
+    Parameters
+    ----------
+    level : SplitMatrix
+    own : LinearSolve, optional
+        Solves in place of the factors.
+    """
+
+    #: a pivot below this times the largest means singular, and the shift that mends it, over the diagonal
+    SINGULAR, SHIFT = 1e-13, 1e-6
+    #: dofs up to which dense factors are quicker
+    DENSE = 1500
+
+    def __init__(self, level: SplitMatrix, own: LinearSolve | None = None) -> None:
+        self.level, self.own = level, own
+        scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
+        self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
+        self._solve: Callable[[np.ndarray], np.ndarray] | None = None
+        self._own_solve: OwnSolve | None = None
+
+    def renew(self) -> None:
+        """Factorise the matrix as it is now."""
+        matrix = regular_matrix(self.level, self._scale)
+        if self.own is not None:
+            self._own_solve = OwnSolve(self.own, matrix)
+            return
+        factorise = _dense_factors if matrix.shape[0] <= self.DENSE else _sparse_factors
+        self._solve = factorise(matrix, self.SINGULAR)
+        if self._solve is None:
+            self._solve = factorise(matrix + sparse.diags_array(self.SHIFT * self._scale), 0.0)
+
+    def solve(self, load: np.ndarray, result: np.ndarray) -> float:
+        """Solve into ``result`` (n_dofs,); returns the passes over the matrix, 0 for factors."""
+        if self._own_solve is not None:
+            return self._own_solve.solve(load, result)
+        result[:] = self._solve(load)
+        return 0.0
+
+
+def _dense_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Solves with a matrix, or None if a pivot is below ``singular`` times the largest."""
+    # LAPACK itself: scipy's wrapper warns of what the caller mends
+    factors, pivots, _ = linalg.lapack.dgetrf(matrix.toarray())
+    sizes = np.abs(factors.diagonal())
+    if singular and not sizes.min() > singular * sizes.max():
+        return None
+    return lambda load: linalg.lapack.dgetrs(factors, pivots, load)[0]
+
+
+def _sparse_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
+    """As :func:`_dense_factors`, by SuperLU."""
+    try:
+        factors = splu(sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A")
+    except RuntimeError:
+        # an exactly vanishing pivot
+        return None
+    sizes = np.abs(factors.U.diagonal())
+    return None if singular and not sizes.min() > singular * sizes.max() else factors.solve
+
+
+class LinearSolve(Protocol):
+    """One's own solver of the coarsest linear problems."""
+
+    def setup(self, matrix: sparse.csr_array) -> Any:
+        """Prepare for a matrix (n_dofs, n_dofs): return an object with ``solve(rhs (n_dofs,)) -> (n_dofs,) array``.
+
+        Called whenever the contact status changes the matrix. It has a diagonal entry alone where dofs are fixed or
+        truncated; with Coulomb friction it is not symmetric; where only contact holds a body it may be singular. An
+        object with a number ``passes``, the passes over the matrix that its last solve took, has them counted as work.
+        """
+
+
+class LinearSmoother(Protocol):
+    """One's own smoother of the linear problems between the coarsest level and the finest."""
+
+    def setup(self, matrix: sparse.csr_array) -> Any:
+        """Prepare for a matrix as :meth:`LinearSolve.setup`: return an object with ``smooth(rhs, x) -> passes``.
+
+        That improves x (n_dofs,) in place and returns the passes over the matrix that it took.
+        """
+
+
+def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
+    """The matrix of a level with entries of ``scale`` (n_dofs,) on the diagonal where rows are empty."""
+    matrix = sparse.csr_array(level.matrix())
+    empty = np.asarray(abs(matrix).sum(axis=1)).reshape(-1) == 0
+    return matrix + sparse.diags_array(np.where(empty, scale, 0.0))
+
+
+class OwnSolve:
+    """A :class:`LinearSolve` set up for a matrix."""
+
+    def __init__(self, own: LinearSolve, matrix: sparse.csr_array) -> None:
+        self._solver = checks.offers("coarse_solve: what setup returns", own.setup(matrix), "solve",
+                                     "an object with solve(rhs) -> solution")
+
+    def solve(self, load: np.ndarray, result: np.ndarray) -> float:
+        """Solve into ``result``; returns the passes it took."""
+        # a copy: what is handed out may be changed
+        result[:] = check_arrays.array("coarse_solve: what solve returns", self._solver.solve(load.copy()), load.shape)
+        return checks.nonnegative("coarse_solve: passes", getattr(self._solver, "passes", 0.0))
+
+
+class OwnSmoother:
+    """A :class:`LinearSmoother` set up for a level as its matrix is now."""
+
+    def __init__(self, own: LinearSmoother, level: SplitMatrix) -> None:
+        diagonal = level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2).reshape(-1)
+        self.matrix = regular_matrix(level, np.full(level.n_dofs, np.abs(diagonal).max()))
+        self._smoother = checks.offers("coarse_smoother: what setup returns", own.setup(self.matrix), "smooth",
+                                       "an object with smooth(rhs, x) -> passes")
+
+    def smooth(self, load: np.ndarray, unknowns: np.ndarray) -> float:
+        """Improve ``unknowns`` in place; returns the passes it took."""
+        passes = self._smoother.smooth(load.copy(), unknowns)
+        return checks.nonnegative("coarse_smoother: the passes that smooth returns", passes)

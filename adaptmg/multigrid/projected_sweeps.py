@@ -1,0 +1,358 @@
+r"""Numba kernels of the nonlinear smoothing: projected Gauss-Seidel in half passes, on a symmetric matrix.
+
+Unknowns are Cartesian; the exact node solve of :mod:`adaptmg.smoother.node_solve` works in the frame of the contact
+node. Both sweeps read L only, each row for two purposes, as :math:`U = L^T`. The backward sweep scatters
+:math:`-L_i^T u_i` to the nodes before, so that :math:`t = f - U u` is complete when its node is reached, and keeps t.
+The forward sweep scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i: what t has become at the end
+is the residual f - A u.
+
+Arguments: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`), and of a contact ``contact_of`` (n_nodes,) index
+or -1; ``frames`` (n_contact * dim^2,) rows normal, tangents; ``blocks`` (n_contact * dim (dim + 1) / 2,) upper
+triangles of the local diagonal blocks; ``gap, reference, limit, friction``; ``values`` (n_contact * dim,) the local
+unknowns, which hold gap and reference exactly where the node touches and sticks.
+
+Where two bodies touch, the smoothing of the interface limits the rate: most of the error that is left lies within a few
+elements of it. In local sweeps there the change :math:`\delta_i` of node i alters the residual by
+:math:`-A_{ji}\delta_i = -A_{ij}^T\delta_i` at its neighbours j, so that they cost the rows of their nodes, no more.
+In relative coordinates a master node carries its followers along. That is what contact wants; but where the contact is
+open and the slave body much stiffer there (a soft tip before a solid wall) such sweeps hardly move the master. Masters
+whose followers are all open are therefore moved alone, the followers staying where they are,
+:math:`w_j \leftarrow w_j - W_{ji}\delta_i`, unless that would close one of them.
+
+Interface: the nodes near contact between bodies, swept more often than the others, and their rows of the matrix.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.discrete.coordinates import Coupling
+from adaptmg.multigrid.half_sweeps import LINES
+from adaptmg.multigrid.split_matrix import SplitMatrix
+from adaptmg.smoother.blocks import (
+    add,
+    inner,
+    inverse_square,
+    minus_times,
+    multiply,
+    negative,
+    read,
+    read_upper,
+    subtract,
+    times,
+    transposed_times,
+    write,
+)
+from adaptmg.smoother.compiling import likely
+from adaptmg.smoother.kernels import minus_row, minus_transposed_row
+from adaptmg.smoother.node_solve import read_reference, solve
+
+__all__ = ["Interface", "backward", "energy_product", "forward", "local", "solve_at"]
+
+ONE = np.uint64(1)
+
+
+# fastmath said, so that it does not depend on which of the sweeps is compiled first
+@inner_kernel(fastmath=False)
+def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
+    """Solve contact node k; ``c`` is the Cartesian force without the diagonal block."""
+    dim = np.uint64(len(c))
+    frame = dim * dim * k
+    w = solve(read_upper(blocks, k, c), times(frames, frame, c), gap[k], read_reference(reference, k, c), limit[k],
+              friction[k])
+    write(values, dim * k, w)
+    return transposed_times(frames, frame, w)
+
+
+@kernel
+def backward(zero, l_indptr, l_indices, lower, inverse, load, contact_of, frames, blocks, gap, reference, limit,
+             friction, values, u, kept):
+    """Backward projected sweep, kept = f - U u."""
+    dim = np.uint64(len(zero))
+    for at in range(len(load)):
+        kept[at] = load[at]
+    for node in range(len(l_indptr) - 2, -1, -1):
+        i = np.uint64(node)
+        at = dim * i
+        # kept comes last: it is the one to wait for, as the node before has just written to it
+        r = minus_row(i, -1, l_indptr, l_indices, lower, u, zero, LINES)
+        r = add(read(kept, at, zero), r)
+        if likely(contact_of[i] < 0):
+            new = times(inverse, dim * at, r)
+        else:
+            new = solve_at(np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction, values, r)
+        write(u, at, new)
+        minus_transposed_row(i, -1, l_indptr, l_indices, lower, new, kept)
+
+
+@kernel(fastmath={"contract"})
+def forward(zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, blocks, gap, reference, limit,
+            friction, values, u, kept):
+    """Forward projected sweep after :func:`backward`; ``kept`` becomes f - A u.
+
+    ``diagonal`` (n_contact * dim^2,) are the Cartesian diagonal blocks of the contact nodes.
+    """
+    dim = np.uint64(len(zero))
+    for node in range(len(l_indptr) - 1):
+        i = np.uint64(node)
+        at = dim * i
+        r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(kept, at, zero), LINES)
+        if likely(contact_of[i] < 0):
+            new = times(inverse, dim * at, r)
+            write(kept, at, zero)
+        else:
+            k = np.uint64(contact_of[i])
+            new = solve_at(k, frames, blocks, gap, reference, limit, friction, values, r)
+            write(kept, at, minus_times(r, diagonal, dim * dim * k, new))
+        change = subtract(new, read(u, at, zero))
+        write(u, at, new)
+        minus_transposed_row(i, 1, l_indptr, l_indices, lower, change, kept)
+
+
+@kernel
+def energy_product(zero, l_indptr, l_indices, lower, inverse, new, old):
+    """(new - old)' A (new - old) from L and the inverse diagonal blocks: half a pass."""
+    dim = np.uint64(len(zero))
+    total = 0.0
+    for node in range(len(l_indptr) - 1):
+        i = np.uint64(node)
+        at = dim * i
+        change = subtract(read(new, at, zero), read(old, at, zero))
+        total += inverse_square(inverse, dim * at, change)
+        for entry in range(np.uint64(l_indptr[i]), np.uint64(l_indptr[i + ONE])):
+            j = dim * np.uint64(l_indices[entry])
+            other = subtract(read(new, j, zero), read(old, j, zero))
+            total += 2.0 * inner(change, times(lower, dim * dim * entry, other))
+    return total
+
+
+@inner_kernel
+def _changed(p, i, d, indptr, indices, blocks, diagonal, defect):
+    """Take a change d of node i, at position p, out of the residual: its own and that of its neighbours."""
+    dim = np.uint64(len(d))
+    size, at = dim * dim, dim * i
+    write(defect, at, subtract(read(defect, at, d), times(diagonal, size * p, d)))
+    for entry in range(np.uint64(indptr[p]), np.uint64(indptr[p + ONE])):
+        j = dim * np.uint64(indices[entry])
+        write(defect, j, subtract(read(defect, j, d), transposed_times(blocks, size * entry, d)))
+
+
+@inner_kernel
+def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, contact_of,
+           frames, gap, limit, values, u, defect):
+    """Move a master without its followers, if all are open and stay so; whether it was done."""
+    dim = np.uint64(len(zero))
+    size = dim * dim
+    begin, end = np.uint64(follow_indptr[p]), np.uint64(follow_indptr[p + ONE])
+    r = read(defect, dim * i, zero)
+    for s in range(begin, end):
+        j = np.uint64(nodes[followers[s]])
+        if contact_of[j] < 0:
+            return False
+        k = np.uint64(contact_of[j])
+        if values[dim * k] >= gap[k] or limit[k] > 0.0:
+            return False
+        r = subtract(r, multiply(read(weights, dim * s, zero), read(defect, dim * j, zero)))
+    d = times(alone, size * p, r)
+    for s in range(begin, end):
+        k = np.uint64(contact_of[nodes[followers[s]]])
+        behind = negative(multiply(read(weights, dim * s, zero), d))
+        if values[dim * k] + times(frames, size * k, behind)[0] >= gap[k]:
+            return False
+    write(u, dim * i, add(read(u, dim * i, zero), d))
+    _changed(p, i, d, indptr, indices, blocks, diagonal, defect)
+    for s in range(begin, end):
+        q = np.uint64(followers[s])
+        j = np.uint64(nodes[q])
+        k = np.uint64(contact_of[j])
+        behind = negative(multiply(read(weights, dim * s, zero), d))
+        write(u, dim * j, add(read(u, dim * j, zero), behind))
+        write(values, dim * k, add(read(values, dim * k, zero), times(frames, size * k, behind)))
+        _changed(q, j, behind, indptr, indices, blocks, diagonal, defect)
+    return True
+
+
+@kernel
+def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, inverse,
+          contact_of, frames, own_blocks, gap, reference, limit, friction, values, u, defect):
+    """Projected sweep over positions ``order`` of an :class:`~adaptmg.multigrid.projected_sweeps.Interface`.
+
+    ``defect`` is f - A u before and after.
+    """
+    dim = np.uint64(len(zero))
+    for entry in range(len(order)):
+        p = np.uint64(order[entry])
+        i = np.uint64(nodes[p])
+        at = dim * i
+        now = read(u, at, zero)
+        if contact_of[i] >= 0:
+            force = minus_times(read(defect, at, zero), diagonal, dim * dim * p, negative(now))
+            new = solve_at(np.uint64(contact_of[i]), frames, own_blocks, gap, reference, limit, friction, values,
+                           force)
+            change = subtract(new, now)
+        elif follow_indptr[p + ONE] > follow_indptr[p] and _alone(
+                zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone,
+                contact_of, frames, gap, limit, values, u, defect):
+            continue
+        else:
+            change = times(inverse, dim * at, read(defect, at, zero))
+            new = add(now, change)
+        write(u, at, new)
+        _changed(p, i, change, indptr, indices, blocks, diagonal, defect)
+
+
+@kernel
+def _count(indptr, indices, place, result):
+    """Row pointers of the rows (without diagonal) of the nodes with ``place`` >= 0."""
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = np.int64(indices[k])
+            if place[i] >= 0:
+                result[place[i] + 1] += 1
+            if place[j] >= 0:
+                result[place[j] + 1] += 1
+    for i in range(len(result) - 1):
+        result[i + 1] += result[i]
+
+
+@kernel
+def _fill(dim, indptr, indices, lower, place, row_indptr, columns, blocks):
+    """Columns and blocks of those rows; a block above the diagonal is the transpose of the one below."""
+    size = dim * dim
+    at = row_indptr[:-1].copy()
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = np.int64(indices[k])
+            p, q = place[i], place[j]
+            if p >= 0:
+                columns[at[p]] = j
+                for c in range(size):
+                    blocks[size * at[p] + c] = lower[size * k + c]
+                at[p] += 1
+            if q >= 0:
+                columns[at[q]] = i
+                for a in range(dim):
+                    for b in range(dim):
+                        blocks[size * at[q] + dim * a + b] = lower[size * k + dim * b + a]
+                at[q] += 1
+
+
+@kernel
+def _add(dim, p, node, left, right, nodes, indptr, columns, blocks, diagonal, result, at):
+    """result += diag(left) A diag(right) for the block in row ``p`` (a position) and column ``node``."""
+    size = dim * dim
+    if nodes[p] == node:
+        for a in range(dim):
+            for b in range(dim):
+                result[at + dim * a + b] += left[a] * diagonal[size * p + dim * a + b] * right[b]
+        return
+    for k in range(indptr[p], indptr[p + 1]):
+        if np.int64(columns[k]) == node:
+            for a in range(dim):
+                for b in range(dim):
+                    result[at + dim * a + b] += left[a] * blocks[size * k + dim * a + b] * right[b]
+            return
+
+
+@kernel
+def _alone_blocks(dim, nodes, indptr, columns, blocks, diagonal, follow_indptr, followers, weights, result):
+    """Blocks D'AD of the motion D of each node that leaves its followers where they are."""
+    one = np.ones(dim)
+    left, right = np.empty(dim), np.empty(dim)
+    for p in range(len(nodes)):
+        at = dim * dim * p
+        _add(dim, p, nodes[p], one, one, nodes, indptr, columns, blocks, diagonal, result, at)
+        for s in range(follow_indptr[p], follow_indptr[p + 1]):
+            for a in range(dim):
+                left[a] = -weights[dim * s + a]
+            q = followers[s]
+            _add(dim, q, nodes[p], left, one, nodes, indptr, columns, blocks, diagonal, result, at)
+            _add(dim, p, nodes[q], one, left, nodes, indptr, columns, blocks, diagonal, result, at)
+            for t in range(follow_indptr[p], follow_indptr[p + 1]):
+                for a in range(dim):
+                    right[a] = -weights[dim * t + a]
+                _add(dim, q, nodes[followers[t]], left, right, nodes, indptr, columns, blocks, diagonal, result, at)
+
+
+class Interface:
+    """Nodes within ``LAYERS`` edges of the graph of the matrix from the slave nodes (master nodes are neighbours).
+
+    Parameters
+    ----------
+    level : SplitMatrix
+        Only its lower half and its diagonal blocks are read.
+    coupling : Coupling
+
+    Attributes
+    ----------
+    nodes : (n,) int32 array
+        Ascending.
+    indptr, indices, blocks : arrays
+        Their rows of the matrix without diagonal blocks; columns are nodes, blocks flat.
+    diagonal : (n * dim * dim,) array
+        Diagonal blocks.
+    follow_indptr, followers, follow_weights : arrays
+        Slave nodes that follow each node, as positions in ``nodes``, and their weights by component (zero where the
+        slave is fixed), flat.
+    alone : (n * dim * dim,) array
+        Inverse blocks of each node moved without its followers.
+    forward, backward : (n,) int32 arrays
+        Positions in the order of sweeps.
+    nonzeros : int
+        Entries of the rows, what a sweep reads.
+    """
+
+    #: one layer does nearly as well, more than two gain nothing
+    LAYERS = 2
+
+    def __init__(self, level: SplitMatrix, coupling: Coupling) -> None:
+        n, dim = level.n_nodes, level.dim
+        ones = np.ones(len(level.lower_indices))
+        half = sparse.csr_array((ones, level.lower_indices.astype(np.int32), level.lower_indptr), shape=(n, n))
+        reached = (np.diff(coupling.weights.indptr) > 0).astype(float)
+        for _ in range(self.LAYERS):
+            reached = ((reached + half @ reached + half.T @ reached) > 0).astype(float)
+        self.nodes = np.flatnonzero(reached).astype(np.int32)
+        place = np.full(n, -1, dtype=np.int32)
+        place[self.nodes] = np.arange(len(self.nodes), dtype=np.int32)
+        self.indptr = np.zeros(len(self.nodes) + 1, dtype=np.int64)
+        _count(level.lower_indptr, level.lower_indices, place, self.indptr)
+        self.indices = np.empty(self.indptr[-1], dtype=np.uint32)
+        self.blocks = np.empty(self.indptr[-1] * dim * dim)
+        _fill(dim, *level.lower_arrays, place, self.indptr, self.indices, self.blocks)
+        self.diagonal = level.diagonal.reshape(-1, dim * dim)[self.nodes].reshape(-1)
+        self._follow(coupling, place)
+        self.alone = np.zeros_like(self.diagonal)
+        _alone_blocks(dim, self.nodes, self.indptr, self.indices, self.blocks, self.diagonal,
+                             self.follow_indptr, self.followers, self.follow_weights, self.alone)
+        # fixed components stay where they are, though followers pull at them
+        free = ~coupling.fixed.reshape(-1, dim)[self.nodes]
+        blocks = self.alone.reshape(-1, dim, dim) * (free[:, :, None] & free[:, None, :])
+        self.alone = np.linalg.pinv(blocks, hermitian=True).reshape(-1)
+        self.forward = np.arange(len(self.nodes), dtype=np.int32)
+        self.backward = self.forward[::-1].copy()
+        self.nonzeros = len(self.blocks) + len(self.diagonal)
+
+    def _follow(self, coupling: Coupling, place: np.ndarray) -> None:
+        """The followers of each node; of nodes that follow others themselves none."""
+        by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
+        itself = np.diff(coupling.weights.indptr)[self.nodes] > 0
+        kept = ~np.repeat(itself, np.diff(by_master.indptr))
+        self.follow_indptr = np.concatenate([[0], np.cumsum(kept)])[by_master.indptr].astype(np.int32)
+        slaves = by_master.indices[kept]
+        self.followers = place[slaves]
+        free = ~coupling.fixed.reshape(-1, coupling.dim)[slaves]
+        self.follow_weights = (by_master.data[kept, None] * free).reshape(-1)
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """What the local sweeps read of it."""
+        return (self.nodes, self.indptr, self.indices, self.blocks, self.diagonal, self.follow_indptr, self.followers,
+                self.follow_weights, self.alone)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        return sum(array.nbytes for array in (*self.arrays, self.forward, self.backward))

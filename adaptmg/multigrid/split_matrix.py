@@ -1,0 +1,347 @@
+r"""SplitMatrix: a block matrix stored as strict lower part L, strict upper part U and inverse diagonal blocks.
+
+Gauss-Seidel sweeps in turn, forward after backward, need the half that has changed only:
+with :math:`t = f - U u` kept from the backward sweep, the forward sweep is :math:`D u_i = t_i - L_i u`. Kept apart, a
+half is streamed for itself and counts as half a pass. Of a symmetric matrix L alone is enough where the sweeps scatter
+:math:`L^T`. Rows and columns of fixed dofs are zero. :func:`galerkin_levels` splits those of all levels of a hierarchy.
+
+Numba kernels that split a block matrix into its lower and upper parts and invert its diagonal blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg._check_arrays import indices_frozen
+from adaptmg._runtime import inner_kernel, kernel, read_only
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy, Level
+from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen, without_fixed
+
+__all__ = ["SplitMatrix", "count", "decouple", "distribute", "galerkin_levels", "invert_all", "invert_block", "mask",
+           "nodal_prolongations", "split"]
+
+@dataclass(eq=False)
+class SplitMatrix:
+    """A matrix of ``dim`` x ``dim`` blocks in Cartesian components, fixed dofs eliminated.
+
+    Attributes
+    ----------
+    dim : int
+    lower_indptr, upper_indptr : (n_nodes + 1,) int32 arrays
+    lower_indices, upper_indices : uint32 arrays
+        Block columns, ascending in a row.
+    lower, upper : float64 arrays
+        Blocks, row by row, flat. All three arrays of the upper half are empty where it is the transpose of the lower.
+    diagonal, inverse : (n_nodes * dim * dim,) arrays
+        Diagonal blocks and their inverses, flat; :meth:`drop_diagonal` empties ``diagonal`` when it is of no more use.
+    fixed : (n_fixed,) int64 array
+        Fixed dofs.
+    nonzeros : int
+        Stored entries of the whole matrix, the unit of work on this level.
+    """
+
+    dim: int
+    lower_indptr: np.ndarray
+    lower_indices: np.ndarray
+    lower: np.ndarray
+    upper_indptr: np.ndarray
+    upper_indices: np.ndarray
+    upper: np.ndarray
+    diagonal: np.ndarray
+    inverse: np.ndarray
+    fixed: np.ndarray
+    nonzeros: int
+
+    @property
+    def n_nodes(self) -> int:
+        """Block rows."""
+        return len(self.lower_indptr) - 1
+
+    @property
+    def n_dofs(self) -> int:
+        """Rows."""
+        return self.n_nodes * self.dim
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether U is not stored, being the transpose of L."""
+        return len(self.upper_indptr) == 0
+
+    @property
+    def lower_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """indptr, indices, data of L."""
+        return self.lower_indptr, self.lower_indices, self.lower
+
+    @property
+    def upper_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """indptr, indices, data of U."""
+        return self.upper_indptr, self.upper_indices, self.upper
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        arrays = (*self.lower_arrays, *self.upper_arrays, self.diagonal, self.inverse, self.fixed)
+        return sum(array.nbytes for array in arrays)
+
+    def copy(self) -> SplitMatrix:
+        """With arrays of its own where the contact status changes them."""
+        return replace(self, lower=self.lower.copy(), upper=self.upper.copy(), diagonal=self.diagonal.copy(),
+                       inverse=self.inverse.copy())
+
+    def drop_diagonal(self) -> None:
+        """Free the diagonal blocks: :meth:`at_slots` and :meth:`matrix` are then out of reach."""
+        self.diagonal = np.empty(0)
+
+    def at_slots(self, slots: np.ndarray) -> np.ndarray:
+        """The blocks at slots (L first, then the diagonal, then U), flat."""
+        size, n, below = self.dim**2, self.n_nodes, int(self.lower_indptr[-1])
+        result = np.empty((len(slots), size))
+        in_lower, in_upper = slots < below, slots >= below + n
+        on_diagonal = ~(in_lower | in_upper)
+        result[in_lower] = self.lower.reshape(-1, size)[slots[in_lower]]
+        result[on_diagonal] = self.diagonal.reshape(-1, size)[slots[on_diagonal] - below]
+        result[in_upper] = self.upper.reshape(-1, size)[slots[in_upper] - below - n]
+        return result.reshape(-1)
+
+    def matrix(self) -> sparse.bsr_array:
+        """The whole matrix, for coarsest solves and tests (n_dofs, n_dofs); needs ``diagonal``."""
+        n, dim = self.n_nodes, self.dim
+        shape = (self.n_dofs, self.n_dofs)
+        parts = []
+        for indptr, indices, data in ((np.arange(n + 1), np.arange(n), self.diagonal), self.lower_arrays,
+                                      *(() if self.symmetric else (self.upper_arrays,))):
+            blocks = data.reshape(-1, dim, dim)
+            parts.append(sparse.bsr_array((blocks, indices.astype(np.int32), indptr), shape=shape))
+        return parts[0] + parts[1] + (parts[1].T if self.symmetric else parts[2])
+
+
+def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) -> SplitMatrix:
+    """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed.
+
+    Parameters
+    ----------
+    matrix : bsr_array (n_dofs, n_dofs)
+        Square blocks; columns sorted in each row.
+    fixed : (n_dofs,) bool array
+    symmetric : bool
+        Store L alone, and take its transpose for U.
+
+    Returns
+    -------
+    SplitMatrix
+    """
+    dim = matrix.blocksize[0]
+    n = matrix.shape[0] // dim
+    indptr, indices, data = read_only(matrix.indptr), read_only(matrix.indices), matrix.data.reshape(-1)
+    lower_indptr, upper_indptr = np.empty(n + 1, dtype=np.int32), np.empty(n + 1, dtype=np.int32)
+    count(indptr, indices, lower_indptr, upper_indptr)
+    below, above = int(lower_indptr[-1]), int(upper_indptr[-1])
+    nonzeros = (below + above + n) * dim * dim
+    if symmetric:
+        upper_indptr, above = upper_indptr[:0].copy(), 0
+    lower_indices, upper_indices = np.empty(below, dtype=np.uint32), np.empty(above, dtype=np.uint32)
+    lower, upper = np.empty(below * dim * dim), np.empty(above * dim * dim)
+    diagonal, inverse = np.empty(n * dim * dim), np.empty(n * dim * dim)
+    distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices,
+                       upper, diagonal)
+    dofs = np.flatnonzero(fixed)
+    if len(dofs):
+        free, held = ~fixed, np.zeros(n, dtype=bool)
+        held[dofs // dim] = True
+        mask(dim, lower_indptr, lower_indices, lower, free, held)
+        if not symmetric:
+            mask(dim, upper_indptr, upper_indices, upper, free, held)
+        decouple(dim, diagonal, dofs)
+    invert_all(dim, diagonal, inverse)
+    return SplitMatrix(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse,
+                       dofs, nonzeros)
+
+
+def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
+    """Prolongations between neighbours, coarsest first, columns sorted."""
+    # a copy where they are not: the hierarchy's own stays
+    return [P if P.has_sorted_indices else indices_frozen(P.sorted_indices())
+            for P in (level.prolongation for level in hierarchy.levels[1:])]
+
+
+def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
+    """Galerkin matrices of all levels, coarsest first.
+
+    Where the discretised matrix is the Galerkin one (nested meshes) it is taken as it is; not with coupled bodies,
+    whose truncated matrices need more entries near contact than the discretised ones have. The finest matrix, which no
+    truncation changes, is symmetric: its lower half is all that is stored.
+    """
+    matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
+    result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
+    for above, level, nodal in zip(reversed(hierarchy.levels[1:]), reversed(hierarchy.levels[:-1]),
+                                   reversed(prolongations), strict=True):
+        if level.discrete is None:
+            matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
+        elif level.discrete.coupling is None and _nested(above, level, matrix, nodal):
+            matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
+        else:
+            finer = seen(nodal, finer)
+            matrix = galerkin_product(_supported(matrix, fine, nodal, level.discrete), finer)
+            fixed = level.discrete.fixed
+        fine = level.discrete
+        result.insert(0, split(matrix, fixed))
+    return result
+
+
+def _nested(above: Level, level: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array) -> bool:
+    """Whether the discretised matrix of ``level`` is the Galerkin one of ``matrix``, that of the level above.
+
+    Remembered on the level above, whose prolongation it is: hierarchies that grow ask for it at every step.
+    """
+    coarse = level.discrete.matrix
+    if matrix is not above.matrix:
+        return is_galerkin(matrix, nodal, coarse)
+    known = above.__dict__.get("_galerkin_of")
+    if known is None or known[0] is not matrix or known[1] is not coarse:
+        known = matrix, coarse, is_galerkin(matrix, nodal, coarse)
+        object.__setattr__(above, "_galerkin_of", known)
+    return known[2]
+
+
+def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.csr_array,
+               coarse: DiscreteProblem) -> sparse.bsr_array:
+    """The matrix, without the rows and columns of fixed dofs if free coarse dofs reach them."""
+    dim = fine.dim
+    fixed, free = fine.fixed.reshape(-1, dim), ~coarse.fixed.reshape(-1, dim)
+    reached = any((nodal[np.flatnonzero(fixed[:, c])] @ free[:, c].astype(float)).any() for c in range(dim))
+    if not reached:
+        return matrix
+    return without_fixed(matrix, fine.fixed)
+
+
+@kernel
+def count(indptr, indices, lower_indptr, upper_indptr):
+    """Row pointers of both halves."""
+    lower_indptr[0] = upper_indptr[0] = 0
+    for i in range(len(indptr) - 1):
+        below = 0
+        above = 0
+        for k in range(indptr[i], indptr[i + 1]):
+            # no branches: half of them would be mispredicted
+            below += indices[k] < i
+            above += indices[k] > i
+        lower_indptr[i + 1] = lower_indptr[i] + below
+        upper_indptr[i + 1] = upper_indptr[i] + above
+
+
+@inner_kernel
+def _copy(size, count, begin, to, indices, data, own_indices, own):
+    """A run of ``count`` blocks from place ``begin`` to place ``to``."""
+    for k in range(count):
+        own_indices[to + k] = indices[begin + k]
+    for c in range(size * count):
+        own[size * to + c] = data[size * begin + c]
+
+
+@kernel
+def distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper,
+                diagonal):
+    """Blocks into L, U (unless it is empty) and D; blocks of a duplicate or missing diagonal are summed or zero."""
+    size = dim * dim
+    both = len(upper_indptr) > 0
+    diagonal[:] = 0.0
+    for i in range(len(indptr) - 1):
+        # the columns are sorted, so that the row is one run for each part
+        begin, to = np.int64(indptr[i]), np.int64(lower_indptr[i])
+        count = lower_indptr[i + 1] - to
+        _copy(size, count, begin, to, indices, data, lower_indices, lower)
+        begin += count
+        while begin < indptr[i + 1] and indices[begin] == i:
+            for c in range(size):
+                diagonal[size * i + c] += data[size * begin + c]
+            begin += 1
+        if both:
+            _copy(size, indptr[i + 1] - begin, begin, np.int64(upper_indptr[i]), indices, data, upper_indices, upper)
+
+
+@kernel
+def mask(dim, indptr, indices, data, free, held):
+    """Zero rows and columns of fixed dofs in a half; ``held`` tells the nodes that have some."""
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = np.int64(indices[k])
+            if not (held[i] or held[j]):
+                continue
+            for a in range(dim):
+                for b in range(dim):
+                    if not (free[dim * i + a] and free[dim * j + b]):
+                        data[(k * dim + a) * dim + b] = 0.0
+
+
+@kernel
+def decouple(dim, diagonal, fixed):
+    """Zero the couplings of fixed dofs inside their diagonal blocks; the entry itself stays."""
+    for at in fixed:
+        i, a = at // dim, at % dim
+        for b in range(dim):
+            if b != a:
+                diagonal[(i * dim + a) * dim + b] = 0.0
+                diagonal[(i * dim + b) * dim + a] = 0.0
+
+
+@inner_kernel
+def invert_block(dim, block, scale, result, at):
+    """The inverse of a block (dim * dim,) with diagonal scale, zero in rows and columns of vanishing diagonal entries.
+
+    ``scale`` (dim,) is what the entry was before truncation; Gauss-Jordan elimination on the rest. Written to
+    ``result`` from position ``at``; ``block`` is destroyed.
+    """
+    for c in range(dim * dim):
+        result[at + c] = 0.0
+    for a in range(dim):
+        result[at + a * dim + a] = 1.0
+    for a in range(dim):
+        pivot = block[a * dim + a]
+        if abs(pivot) <= 1e-10 * scale[a]:
+            for b in range(dim):
+                block[a * dim + b] = 0.0
+                block[b * dim + a] = 0.0
+                result[at + a * dim + b] = 0.0
+                result[at + b * dim + a] = 0.0
+            continue
+        for b in range(dim):
+            block[a * dim + b] /= pivot
+            result[at + a * dim + b] /= pivot
+        for row in range(dim):
+            factor = block[row * dim + a]
+            if row != a and factor != 0.0:
+                for b in range(dim):
+                    block[row * dim + b] -= factor * block[a * dim + b]
+                    result[at + row * dim + b] -= factor * result[at + a * dim + b]
+
+
+@inner_kernel
+def _invert_2d(blocks, result, at):
+    """The same in 2D in a few operations, where no diagonal entry vanishes; whether it was done."""
+    a, b, c, d = blocks[at], blocks[at + 1], blocks[at + 2], blocks[at + 3]
+    if a == 0.0 or abs(d - c * (b / a)) <= 1e-10 * abs(d):
+        return False
+    scale = 1.0 / (d - c * (b / a))
+    result[at + 1], result[at + 2], result[at + 3] = -(b / a) * scale, -(c / a) * scale, scale
+    result[at] = 1.0 / a + (b / a) * scale * (c / a)
+    return True
+
+
+@kernel
+def invert_all(dim, diagonal, inverse):
+    """Inverses of all diagonal blocks; see :func:`invert_block`."""
+    size = dim * dim
+    block = np.empty(size)
+    scale = np.empty(dim)
+    for i in range(len(diagonal) // size):
+        if dim == 2 and _invert_2d(diagonal, inverse, 4 * i):
+            continue
+        for c in range(size):
+            block[c] = diagonal[size * i + c]
+        for a in range(dim):
+            scale[a] = abs(block[a * dim + a])
+        invert_block(dim, block, scale, inverse, size * i)

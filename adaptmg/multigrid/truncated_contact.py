@@ -1,0 +1,397 @@
+r"""TruncatedContact: the contact nodes of one level, their status, and what truncation makes of vectors there.
+
+Numba kernels over the contact nodes of one level: status, truncation, projection, admissibility, in 2D and 3D.
+
+In the local frame of a node, with r = f - A u, :math:`p = \max(0, r_n)`, slip :math:`\tau` and
+:math:`g = s + \mu p` (an open node: g = s), the truncated residual is
+
+.. math:: \rho_n = 0 \text{ where closed, else } r_n;\qquad
+          \rho_t = 0 \text{ where it sticks},\; r_t - g\,\tau/|\tau| \text{ where it slips, else } r_t .
+
+Codes are those of :mod:`adaptmg.smoother.system`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.multigrid.split_matrix import SplitMatrix
+from adaptmg.smoother.blocks import ZERO, in_loop, inner, read, read_upper, times
+from adaptmg.smoother.node_solve import natural_at, read_reference
+from adaptmg.smoother.system import BACKWARDS, CLOSED, HELD, SLIPS, TANGENTIAL, NodalContact, local_contact, turn_held
+
+__all__ = ["StatusChange", "TruncatedContact", "classify", "count_cut", "directions", "friction_slope", "project",
+           "truncate"]
+
+@dataclass(frozen=True)
+class StatusChange:
+    """What an update of the contact status finds.
+
+    Attributes
+    ----------
+    changed : int
+        Nodes whose status differs from that of the last update.
+    natural, reactions : float
+        Sums of squares of the natural residual and of the contact forces, N^2.
+    """
+
+    changed: int
+    natural: float
+    reactions: float
+
+
+@dataclass(eq=False)
+class TruncatedContact:
+    """Contact data and contact status of one level, flat as the kernels read them.
+
+    The kernels are those of :mod:`adaptmg.multigrid.truncated_contact`.
+
+    Attributes
+    ----------
+    dim : int
+    nodes : (n_contact,) int32 array
+    contact_of : (n_nodes,) int32 array
+        Index of a node among the contact nodes, or -1.
+    frames : (n_contact * dim * dim,) array
+    diagonal : (n_contact * dim * dim,) array
+        Cartesian diagonal blocks.
+    blocks : (n_contact * dim * (dim + 1) / 2,) array
+        Upper triangles of the local ones.
+    gap, limit, friction : (n_contact,) arrays
+    reference : (n_contact * (dim - 1),) array
+    values : (n_contact * dim,) array
+        Local unknowns.
+    codes : (n_contact,) int8 array
+        Of :mod:`adaptmg.smoother.system`; -1 before the first update.
+    pressure : (n_contact,) array
+        p >= 0, N.
+    direction, hessian : (n_contact * (dim - 1),), (n_contact * (dim - 1)^2,) arrays
+        Of the slip, as the matrices have them.
+    driven : (k,) int array
+        Nodes that slip along a first tangent which a support holds.
+    """
+
+    #: share of the contact nodes that a recombination may cut
+    FEW: ClassVar[float] = 0.02
+
+    dim: int
+    nodes: np.ndarray
+    contact_of: np.ndarray
+    frames: np.ndarray
+    diagonal: np.ndarray
+    blocks: np.ndarray
+    gap: np.ndarray
+    reference: np.ndarray
+    limit: np.ndarray
+    friction: np.ndarray
+    values: np.ndarray
+    codes: np.ndarray
+    pressure: np.ndarray
+    direction: np.ndarray
+    hessian: np.ndarray
+    driven: np.ndarray
+
+    @classmethod
+    def of(cls, problem: DiscreteProblem, level: SplitMatrix) -> TruncatedContact:
+        """The contact nodes of a level whose matrix is ``level``."""
+        dim, (contact, frames) = problem.dim, local_contact(problem)
+        nodes = problem.contact.nodes.astype(np.int32)
+        contact_of = np.full(problem.n_nodes, -1, dtype=np.int32)
+        contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
+        diagonal = level.diagonal.reshape(-1, dim, dim)[nodes]
+        local = np.einsum("nij,njk,nlk->nil", frames, diagonal, frames)
+        turn_held(local, np.arange(len(nodes)), contact)
+        row, column = np.triu_indices(dim)
+        n = len(nodes)
+        return cls(dim, nodes, contact_of, np.ascontiguousarray(frames).reshape(-1), diagonal.reshape(-1),
+                   np.ascontiguousarray(local[:, row, column]).reshape(-1), contact.gap,
+                   contact.slip_reference.reshape(-1), contact.limit, contact.friction, np.zeros(n * dim),
+                   np.full(n, -1, dtype=np.int8), np.zeros(n), np.zeros(n * (dim - 1)), np.zeros(n * (dim - 1) ** 2),
+                   contact.driven)
+
+    def renew(self, contact: NodalContact) -> None:
+        """Take over gaps and slips of another load step."""
+        self.gap, self.reference, self.driven = contact.gap, contact.slip_reference.reshape(-1), contact.driven
+
+    @property
+    def node_data(self) -> tuple[np.ndarray, ...]:
+        """What the node solve reads."""
+        return self.frames, self.blocks, self.gap, self.reference, self.limit, self.friction, self.values
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
+
+    def start(self, unknowns: np.ndarray) -> None:
+        """Take over unknowns (n_dofs,) that may penetrate; they are projected onto the admissible ones, in place."""
+        self.codes[:] = 0
+        self.project(unknowns)
+        self.codes[:] = -1
+
+    def update_status(self, defect: np.ndarray) -> StatusChange:
+        """Find the status after a sweep; ``defect`` is f - A u (n_dofs,)."""
+        return StatusChange(*classify(ZERO[self.dim], self.nodes, *self.node_data, defect, self.codes,
+                                                      self.pressure))
+
+    def linearise_friction(self) -> None:
+        """Take the slip directions (3D: and the Hessian) from the present unknowns."""
+        directions(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference,
+                                   self.values, self.direction, self.hessian)
+        if len(self.driven):
+            self.direction.reshape(-1, 2)[self.driven, 0] = 0.0
+            hessian = self.hessian.reshape(-1, 2, 2)
+            hessian[self.driven, 0] = 0.0
+            hessian[self.driven, :, 0] = 0.0
+
+    def truncate(self, defect: np.ndarray) -> float:
+        """Make f - A u the truncated residual, in place; returns its sum of squares at the contact nodes."""
+        squares = truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction,
+                                           self.reference, self.values, defect)
+        # the support takes the friction along what it holds
+        return squares - self._clear(defect)
+
+    def _clear(self, vector: np.ndarray) -> float:
+        """Set held tangents of driven nodes to zero in a vector (n_dofs,), in place; returns the squares lost."""
+        if not len(self.driven):
+            return 0.0
+        at, tangents = vector.reshape(-1, 3), self.frames.reshape(-1, 3, 3)[self.driven, 1]
+        along = np.einsum("nd,nd->n", tangents, at[self.nodes[self.driven]])
+        at[self.nodes[self.driven]] -= along[:, None] * tangents
+        return float(np.sum(along**2))
+
+    def project(self, unknowns: np.ndarray) -> int:
+        """Make a corrected iterate admissible, in place; returns the number of nodes that had to be cut."""
+        cut = project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
+                                      self.values, unknowns)
+        self._clear(unknowns)
+        self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
+        return cut
+
+    def admits(self, unknowns: np.ndarray, first: np.ndarray, second: np.ndarray, alpha: tuple[float, float]) -> bool:
+        """Whether the recombination closes an open node or reverses a slip at a few nodes at most.
+
+        Those are cut back with the correction. To do without the recombination for the sake of one node that is about
+        to change its status would cost more cycles than to cut it.
+        """
+        cut = count_cut(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
+                                        self.values, first, second, alpha[0], alpha[1], unknowns)
+        return cut <= 1 + self.FEW * len(self.nodes)
+
+    def friction_slope(self, before: np.ndarray, alpha: float) -> float:
+        """How much the slope of sum g |slip| at alpha exceeds that at 0 on the way from local unknowns ``before``."""
+        return friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure,
+                                              self.reference, before, self.values, alpha)
+
+
+@kernel
+def classify(zero, nodes, frames, blocks, gap, reference, limit, friction, values, defect, codes, pressure):
+    """Update ``codes`` and ``pressure`` from local unknowns and the residual ``defect`` (n_dofs,).
+
+    ``zero`` are dim zeros, see :mod:`adaptmg.smoother.blocks`. Returns the number of codes that changed, and the sums
+    of squares of the natural residual and of the reactions.
+    """
+    dim = np.uint64(len(zero))
+    changed = 0
+    natural = 0.0
+    reactions = 0.0
+    for node in range(len(nodes)):
+        k = np.uint64(node)
+        r = times(frames, dim * dim * k, read(defect, dim * np.uint64(nodes[k]), zero))
+        w, place = read(values, dim * k, zero), read_reference(reference, k, zero)
+        code = CLOSED if w[0] == gap[k] else 0
+        if limit[k] > 0.0 or (code and friction[k] > 0.0):
+            code += _tangential(w, place)
+        changed += code != codes[k]
+        codes[k] = code
+        p = max(r[0], 0.0)
+        pressure[k] = p
+        g = natural_at(read_upper(blocks, k, zero), r, w, gap[k], place, limit[k] + friction[k] * p)
+        natural += inner(g, g)
+        reactions += inner(r, r)
+    return changed, natural, reactions
+
+
+@in_loop
+def _tangential(w, reference):
+    """The code of the slip; in 3D its direction is no part of it."""
+    if len(w) == 2:
+        if w[1] == reference[0]:
+            return HELD
+        return SLIPS if w[1] > reference[0] else BACKWARDS
+    return HELD if w[1] == reference[0] and w[2] == reference[1] else SLIPS
+
+
+@inner_kernel(inline="always")
+def _slip_size(dim, k, values, reference):
+    largest = 0.0
+    for a in range(dim - 1):
+        largest = max(largest, abs(values[dim * k + 1 + a] - reference[(dim - 1) * k + a]))
+    if largest == 0.0:
+        return 0.0
+    total = 0.0
+    for a in range(dim - 1):
+        # scaled: the square of a slip that is all but zero may vanish
+        slip = (values[dim * k + 1 + a] - reference[(dim - 1) * k + a]) / largest
+        total += slip * slip
+    return largest * math.sqrt(total)
+
+
+@kernel
+def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r):
+    """Replace the residual (n_dofs,) at contact nodes by the truncated one; returns the sum of its squares there."""
+    local = np.empty(dim)
+    squares = 0.0
+    for k in range(len(nodes)):
+        at = dim * np.int64(nodes[k])
+        for a in range(dim):
+            local[a] = 0.0
+            for b in range(dim):
+                local[a] += frames[(dim * k + a) * dim + b] * r[at + b]
+        closed, tangential = codes[k] & CLOSED, codes[k] & TANGENTIAL
+        bound = limit[k]
+        if closed:
+            bound += friction[k] * max(local[0], 0.0)
+            local[0] = 0.0
+        if tangential == HELD:
+            for a in range(1, dim):
+                local[a] = 0.0
+        elif tangential:
+            size = _slip_size(dim, k, values, reference)
+            for a in range(1, dim):
+                local[a] -= bound * (values[dim * k + a] - reference[(dim - 1) * k + a - 1]) / size
+        for b in range(dim):
+            total = 0.0
+            for a in range(dim):
+                total += frames[(dim * k + a) * dim + b] * local[a]
+            r[at + b] = total
+            squares += total * total
+    return squares
+
+
+@kernel
+def directions(dim, codes, limit, friction, pressure, reference, values, direction, hessian):
+    """Slip directions and, in 3D, the Hessian of g |slip| at slipping nodes, zero elsewhere.
+
+    ``pressure`` (n_contact,) is p.
+    """
+    m = dim - 1
+    for k in range(len(codes)):
+        for a in range(m):
+            direction[m * k + a] = 0.0
+        for a in range(m * m):
+            hessian[m * m * k + a] = 0.0
+        if codes[k] & TANGENTIAL < SLIPS:
+            continue
+        size = _slip_size(dim, k, values, reference)
+        for a in range(m):
+            direction[m * k + a] = (values[dim * k + 1 + a] - reference[m * k + a]) / size
+        if m == 2:
+            bound = limit[k]
+            if codes[k] & CLOSED:
+                bound += friction[k] * pressure[k]
+            for a in range(m):
+                for b in range(m):
+                    hessian[4 * k + 2 * a + b] = -bound / size * direction[m * k + a] * direction[m * k + b]
+                hessian[4 * k + 3 * a] += bound / size
+
+
+@kernel
+def project(dim, codes, nodes, frames, gap, reference, values, u):
+    """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns.
+
+    Closed nodes keep the gap, held ones their place. An open node stops at the gap. A slip that would turn by more
+    than 90 degrees (2D: reverse) is cut to zero. Returns how many nodes were cut.
+    """
+    local = np.empty(dim)
+    m = dim - 1
+    cut = 0
+    for k in range(len(nodes)):
+        at = dim * np.int64(nodes[k])
+        for a in range(dim):
+            local[a] = 0.0
+            for b in range(dim):
+                local[a] += frames[(dim * k + a) * dim + b] * u[at + b]
+        tangential = codes[k] & TANGENTIAL
+        if codes[k] & CLOSED:
+            local[0] = gap[k]
+        elif local[0] > gap[k]:
+            local[0] = gap[k]
+            cut += 1
+        stop = tangential == HELD
+        if tangential >= SLIPS:
+            product = 0.0
+            for a in range(m):
+                ref = reference[m * k + a]
+                product += (values[dim * k + 1 + a] - ref) * (local[1 + a] - ref)
+            if product <= 0.0:
+                stop = True
+                cut += 1
+        for a in range(dim):
+            if stop and a > 0:
+                local[a] = reference[m * k + a - 1]
+            values[dim * k + a] = local[a]
+        for b in range(dim):
+            total = 0.0
+            for a in range(dim):
+                total += frames[(dim * k + a) * dim + b] * local[a]
+            u[at + b] = total
+    return cut
+
+
+@kernel
+def count_cut(dim, codes, nodes, frames, gap, reference, values, first, second, alpha_1, alpha_2, u):
+    """At how many nodes u + alpha_1 (first - u) + alpha_2 (second - u) closes an open node or reverses a slip."""
+    m = dim - 1
+    count = 0
+    for k in range(len(nodes)):
+        at = dim * np.int64(nodes[k])
+        tangential = codes[k] & TANGENTIAL
+        product = 0.0
+        closes = False
+        for a in range(dim):
+            change = 0.0
+            for b in range(dim):
+                old = u[at + b]
+                change += frames[(dim * k + a) * dim + b] * (alpha_1 * (first[at + b] - old)
+                                                             + alpha_2 * (second[at + b] - old))
+            moved = values[dim * k + a] + change
+            if a == 0:
+                closes = not codes[k] & CLOSED and moved > gap[k]
+            else:
+                ref = reference[m * k + a - 1]
+                product += (values[dim * k + a] - ref) * (moved - ref)
+        if closes or (tangential >= SLIPS and product <= 0.0):
+            count += 1
+    return count
+
+
+@kernel
+def friction_slope(dim, codes, limit, friction, pressure, reference, old, new, alpha):
+    """Derivative of the sum of g |slip| along old + alpha (new - old), minus that at alpha = 0; slipping nodes only."""
+    m = dim - 1
+    total = 0.0
+    for k in range(len(codes)):
+        if codes[k] & TANGENTIAL < SLIPS:
+            continue
+        bound = limit[k]
+        if codes[k] & CLOSED:
+            bound += friction[k] * pressure[k]
+        size, before, product, initial = 0.0, 0.0, 0.0, 0.0
+        for a in range(m):
+            slip = old[dim * k + 1 + a] - reference[m * k + a]
+            change = new[dim * k + 1 + a] - old[dim * k + 1 + a]
+            moved = slip + alpha * change
+            size += moved * moved
+            before += slip * slip
+            product += moved * change
+            initial += slip * change
+        if size > 0.0 and before > 0.0:
+            total += bound * (product / math.sqrt(size) - initial / math.sqrt(before))
+    return total

@@ -1,0 +1,302 @@
+r"""TruncatedStep: one step of the truncated nonsmooth Newton multigrid, on one level and those below it.
+
+1. *Smooth* (:meth:`~TruncatedStep.smooth`): a backward and a forward projected Gauss-Seidel sweep, and local ones over
+   the interface between bodies; rigid motions that contact alone holds go to their least energy.
+2. *Truncate* (:meth:`~TruncatedStep.truncate`): update the contact status; drop closed normals and held tangents from
+   the residual and restrict it; where the status has changed, truncate the coarse matrices.
+3. *Correct* (:meth:`~TruncatedStep.correct`): recombine the iterate with those before it, add a linear V-cycle of the
+   truncated coarse problem, project onto the admissible displacements, and in safe cycles search along that way for
+   the least energy.
+
+With frozen friction and the search this is a truncated nonsmooth Newton multigrid method (C. Graeser, R. Kornhuber,
+J. Comput. Math. 27, 2009); the Newton rows of Coulomb's law and the recombination make it faster.
+
+Recombination of the last iterates, fitted on the next coarser level.
+
+With restricted truncated residuals :math:`R_0` of this iterate and :math:`R_1, R_2` of the two before it, the weights
+of :math:`u + \alpha_1 (u_1 - u) + \alpha_2 (u_2 - u)` minimise :math:`\sum_k |R_0 + \alpha_1 (R_1 - R_0) +
+\alpha_2 (R_2 - R_0)|_k^2 / d_k`, d the diagonal of the coarse matrix (Anderson acceleration of depth 2, seen through
+the restriction). As long as the contact status stays, the truncated residual is affine in u (3D: nearly).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg._runtime import kernel
+from adaptmg.multigrid import projected_sweeps
+from adaptmg.multigrid.half_sweeps import combine, dot, product_of_change, restrict, shorten, stiff_squares, zero_at
+from adaptmg.multigrid.linear_cycle import LinearCycle
+from adaptmg.multigrid.projected_sweeps import Interface
+from adaptmg.multigrid.rigid_motions import RigidMotions
+from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncation import Truncation
+from adaptmg.smoother.blocks import ZERO
+
+__all__ = ["Recombination", "StepState", "TruncatedStep", "line_minimum"]
+
+@dataclass(frozen=True)
+class StepState:
+    """What is known of an iterate after smoothing.
+
+    Attributes
+    ----------
+    changed : int
+        Contact nodes whose status changed.
+    residual : float
+        Euclidean norm of the natural residual, N.
+    reactions : float
+        Norm of the contact forces, N.
+    """
+
+    changed: int
+    residual: float
+    reactions: float
+
+
+class TruncatedStep:
+    """Steps on level ``number`` of the levels of a linear cycle, with contact.
+
+    Parameters
+    ----------
+    cycle : LinearCycle
+        Levels and coarse cycles.
+    number : int
+        >= 1.
+    contact : TruncatedContact
+    load : (n_dofs,) array
+        Cartesian, zero at fixed dofs.
+    unknowns : (n_dofs,) array
+        Start, Cartesian, counted from the prescribed values; admissible.
+    depth : int
+        Of the recombination.
+    motions : RigidMotions, optional
+        Those that contact alone holds.
+    interface : Interface, optional
+        Between bodies.
+    interface_sweeps : int
+        Local sweeps over it after each smoothing.
+    """
+
+    def __init__(self, cycle: LinearCycle, number: int, contact: TruncatedContact, load: np.ndarray,
+                 unknowns: np.ndarray, depth: int, motions: RigidMotions | None = None,
+                 interface: Interface | None = None, interface_sweeps: int = 0) -> None:
+        self.cycle, self.number, self.contact, self.load = cycle, number, contact, load
+        self.level, self.below = cycle.levels[number], cycle.levels[number - 1]
+        self.truncation = Truncation(cycle.levels[:number + 1], cycle.prolongations[:number], contact)
+        self.recombination = Recombination(self.below.dim, self.below.n_dofs, depth)
+        nodal = cycle.prolongations[number - 1]
+        # the zeros of a prolongation's components, and its arrays: what the kernels of transfer take first
+        self._transfer = ZERO[self.level.n_dofs // nodal.shape[0]], nodal.indptr, nodal.indices, nodal.data
+        self.unknowns, self.motions = unknowns, motions
+        self._past = [np.zeros_like(unknowns), np.zeros_like(unknowns)]
+        self.defect = np.zeros_like(unknowns)
+        self._frozen = False
+        self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
+
+    def smooth(self) -> None:
+        """Improve the iterate locally; leaves its residual f - A u in ``defect``."""
+        self._projected_sweeps()
+        for k in range(self._interface_sweeps):
+            self._interface_sweep(self.interface.backward if k % 2 == 0 else self.interface.forward)
+        if self.motions is not None:
+            self.motions.settle(self.unknowns, self._past, self.defect)
+
+    def truncate(self, safe: bool, trusted: float = np.inf) -> StepState:
+        """Update the contact status, truncate the residual and, where the status has changed, the coarse matrices.
+
+        ``safe`` freezes g in the matrices, which keeps them symmetric; a residual above ``trusted`` (N) does the same.
+        """
+        status = self.contact.update_status(self.defect)
+        at_contact = self.contact.truncate(self.defect)
+        elsewhere = max(self._restrict() - at_contact, 0.0)
+        residual = float(np.sqrt(elsewhere + status.natural))
+        frozen = safe or residual > trusted
+        if status.changed or frozen != self._frozen:
+            self.contact.linearise_friction()
+            self.truncation.apply(newton=not frozen)
+            self.cycle.renew(self.number)
+            self.recombination.restart()
+            self._frozen = frozen
+        return StepState(status.changed, residual, float(np.sqrt(status.reactions)))
+
+    def correct(self) -> float:
+        """Recombine, correct, project and, in safe cycles, search; returns the energy of the correction, N m.
+
+        It is that of what the next coarser level proposes, an estimate of the error that the correction removes.
+        """
+        first, proposed = self._past
+        alpha = self._recombine(first, proposed)
+        correction = self.cycle.solve(self.number - 1)
+        energy = float(dot(self.cycle.vectors(self.number - 1).load, correction))
+        combine(*self._transfer, correction, self.unknowns, first, proposed, *alpha)
+        zero_at(proposed, self.level.fixed)
+        before = self.contact.values.copy()
+        self.contact.project(proposed)
+        if self._frozen:
+            self._search(proposed, before)
+        self.unknowns, self._past = proposed, [self.unknowns, first]
+        self.recombination.advance()
+        self.cycle.recorder.visit(self.number, "prolong")
+        return energy
+
+    def _projected_sweeps(self) -> None:
+        """A backward and a forward sweep in one pass over the matrix."""
+        level, c, zero = self.level, self.contact, ZERO[self.level.dim]
+        projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, self.load, c.contact_of, *c.node_data,
+                                  self.unknowns, self.defect)
+        projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, c.diagonal, c.contact_of, *c.node_data,
+                                 self.unknowns, self.defect)
+        self.cycle.recorder.count(1.0, level.nonzeros)
+        self.cycle.recorder.visit(self.number, "smooth", 2)
+
+    def _interface_sweep(self, order: np.ndarray) -> None:
+        c = self.contact
+        projected_sweeps.local(ZERO[self.level.dim], order, *self.interface.arrays, self.level.inverse, c.contact_of,
+                               *c.node_data, self.unknowns, self.defect)
+        self.cycle.recorder.count(1.0, self.interface.nonzeros)
+
+    def _restrict(self) -> float:
+        """Restrict the truncated residual for the recombination; returns its sum of squares."""
+        total = restrict(*self._transfer, self.defect, self.recombination.now)
+        zero_at(self.recombination.now, self.below.fixed)
+        self.cycle.recorder.visit(self.number, "restrict")
+        return total
+
+    def _recombine(self, first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+        """Weights of the two past iterates; the load of the next coarser level becomes that of the recombination."""
+        alpha = self.recombination.fit(self.below.inverse)
+        if alpha != (0.0, 0.0) and not self.contact.admits(self.unknowns, first, second, alpha):
+            alpha = (0.0, 0.0)
+        self.recombination.combine(alpha, self.cycle.vectors(self.number - 1).load)
+        return alpha
+
+    def _search(self, proposed: np.ndarray, before: np.ndarray) -> None:
+        """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
+        curvature = self._energy_product(proposed)
+        gain = product_of_change(self.defect, proposed, self.unknowns)
+        alpha = line_minimum(lambda a: a * curvature - gain + self.contact.friction_slope(before, a))
+        if alpha < 1.0:
+            shorten(alpha, self.unknowns, proposed)
+            self.contact.values[:] = before
+            self.contact.project(proposed)
+
+    def energy(self) -> float:
+        """u'Au - u'r = u'f at the present unknowns and residual f - A u (before :meth:`truncate`), N m."""
+        return float(dot(self.unknowns, self.load) - dot(self.unknowns, self.defect))
+
+    def distance(self, other: np.ndarray) -> float:
+        """A-norm of the difference to other unknowns; half a pass."""
+        return float(np.sqrt(max(self._energy_product(other), 0.0)))
+
+    def _energy_product(self, other: np.ndarray) -> float:
+        """Square of the A-norm of the difference to other unknowns; half a pass."""
+        level = self.level
+        self.cycle.recorder.count(0.5, level.nonzeros)
+        return projected_sweeps.energy_product(ZERO[level.dim], *level.lower_arrays, level.inverse, self.unknowns,
+                                               other)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of what the cycle adds to the linear one, bytes."""
+        vectors = 5 * self.unknowns.nbytes + 3 * self.recombination.now.nbytes
+        own = vectors + self.contact.nbytes + self.truncation.nbytes
+        return own + (self.interface.nbytes if self.interface is not None else 0)
+
+    def rounding(self) -> float:
+        """Norm of D u, D the diagonal: times the unit of rounding, what a residual cannot be better than, N."""
+        return float(np.sqrt(stiff_squares(self.level.dim, self.level.inverse, self.unknowns)))
+
+
+#: halvings of the interval
+_HALVINGS = 30
+
+
+def line_minimum(slope: Callable[[float], float]) -> float:
+    """The part of a step, at most all of it (1), up to which a convex energy falls; ``slope`` is its derivative."""
+    if slope(1.0) <= 0.0:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
+    return low
+
+
+@kernel
+def _normal_equations(dim, inverse, now, first, second, result):
+    """The entries a_11, a_12, a_22, b_1, b_2 of the weighted least squares problem, and the weighted |R_0|^2."""
+    a_11, a_12, a_22, b_1, b_2, c = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(now) // dim):
+        for a in range(dim):
+            at = dim * i + a
+            weight = inverse[(dim * i + a) * dim + a]
+            r = now[at]
+            d_1, d_2 = first[at] - r, second[at] - r
+            a_11 += weight * d_1 * d_1
+            a_12 += weight * d_1 * d_2
+            a_22 += weight * d_2 * d_2
+            b_1 -= weight * d_1 * r
+            b_2 -= weight * d_2 * r
+            c += weight * r * r
+    result[0], result[1], result[2], result[3], result[4], result[5] = a_11, a_12, a_22, b_1, b_2, c
+
+
+@kernel
+def _combined(now, first, second, alpha_1, alpha_2, result):
+    for at in range(len(now)):
+        result[at] = now[at] + alpha_1 * (first[at] - now[at]) + alpha_2 * (second[at] - now[at])
+
+
+class Recombination:
+    """The last restricted residuals of one level.
+
+    Parameters
+    ----------
+    dim, n_dofs : int
+        Of the next coarser level.
+    depth : int
+        Iterates recombined besides the present one, 0 to 2.
+    """
+
+    #: the normal equations count as singular below this relative determinant
+    SINGULAR = 1e-10
+
+    def __init__(self, dim: int, n_dofs: int, depth: int) -> None:
+        self.dim, self.depth, self.known = dim, depth, 0
+        self._residuals = [np.zeros(n_dofs) for _ in range(3)]
+        self._equations = np.zeros(6)
+
+    @property
+    def now(self) -> np.ndarray:
+        """Where the residual of the present iterate goes."""
+        return self._residuals[0]
+
+    def restart(self) -> None:
+        """Forget the iterates before the present one."""
+        self.known = 0
+
+    def fit(self, inverse: np.ndarray) -> tuple[float, float]:
+        """The weights, from the inverse diagonal blocks of the next coarser level."""
+        known = min(self.known, self.depth)
+        if known == 0:
+            return 0.0, 0.0
+        _normal_equations(self.dim, inverse, *self._residuals, self._equations)
+        a_11, a_12, a_22, b_1, b_2, _ = self._equations
+        determinant = a_11 * a_22 - a_12 * a_12
+        if known > 1 and determinant > self.SINGULAR * a_11 * a_22:
+            return (b_1 * a_22 - b_2 * a_12) / determinant, (a_11 * b_2 - a_12 * b_1) / determinant
+        return (b_1 / a_11, 0.0) if a_11 > 0.0 else (0.0, 0.0)
+
+    def combine(self, alpha: tuple[float, float], result: np.ndarray) -> None:
+        """The residual of the recombined iterate."""
+        _combined(*self._residuals, *alpha, result)
+
+    def advance(self) -> None:
+        """The present iterate becomes a past one."""
+        a, b, c = self._residuals
+        self._residuals = [c, a, b]
+        self.known += 1

@@ -1,0 +1,491 @@
+r"""Truncation: the matrices below one level, changed near contact whenever the contact status changes.
+
+Changed blocks are carried down by nodal prolongations through lists of products made once; on coarse spaces that are
+given dof by dof (algebraic ones, say) by sparse products.
+
+Numba kernels: what the truncation of contact nodes changes in the matrices of all coarser levels.
+
+With T dropping closed normals and held tangents, S adding the Newton rows of slip
+(:math:`row_t \leftarrow row_t - \mu\,(\tau/|\tau|)\,row_n`) and H the Hessian of the friction, a coarse matrix is
+
+.. math:: P^T T (S A + H) T P = P^T A P + P^T \Delta P,\qquad \Delta = T (S A + H) T - A,
+
+and :math:`\Delta` lives in the block rows and columns of contact nodes only. A block is addressed in a split
+matrix by one slot number: L first, then the diagonal, then U.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block
+from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.smoother.system import CLOSED, HELD, TANGENTIAL
+
+__all__ = ["DofUpdate", "NodalUpdate", "Truncation", "add_contributions", "changed_blocks", "collect", "count_blocks",
+           "count_contributions", "fetch", "fill_contributions", "find_slot", "find_slots", "store"]
+
+@dataclass(eq=False)
+class _ChangedDofs:
+    """One coarse level: the part of the prolongation that changes pass, and where they go."""
+
+    level: SplitMatrix
+    weights: sparse.csr_array
+    free: np.ndarray
+    keys: np.ndarray
+    slots: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    base: np.ndarray
+
+    @classmethod
+    def of(cls, level: SplitMatrix, weights: sparse.csr_array, dofs: np.ndarray,
+           pattern: sparse.csr_array) -> _ChangedDofs:
+        """From the weights of the changed dofs, the coarse ones they reach, and the pattern of the change (ones)."""
+        order = sparse.coo_array(pattern)
+        keys = np.sort(order.row.astype(np.int64) * len(dofs) + order.col)
+        rows, columns = dofs[keys // len(dofs)], dofs[keys % len(dofs)]
+        slots = np.empty(len(keys), dtype=np.int64)
+        find_slots(rows, columns, level.lower_indptr, level.lower_indices, level.upper_indptr,
+                           level.upper_indices, slots)
+        if (slots < 0).any():
+            raise ValueError("a coarse matrix lacks entries of the Galerkin product near contact: it must be P'AP")
+        free = np.ones(level.n_dofs, dtype=bool)
+        free[level.fixed] = False
+        return cls(level, weights, free, keys, slots, rows, columns, level.at_slots(slots))
+
+    def update(self, change: sparse.csr_array) -> sparse.csr_array:
+        """Write the matrix for a change on the finer level; returns the change on this one."""
+        result = sparse.coo_array(self.weights.T @ (change @ self.weights))
+        # a product may leave out entries that happen to vanish
+        values = np.zeros(len(self.keys))
+        values[np.searchsorted(self.keys, result.row.astype(np.int64) * result.shape[1] + result.col)] = result.data
+        self._store(values)
+        return sparse.csr_array(result)
+
+    def restore(self) -> None:
+        """Put the base matrix back."""
+        self._store(np.zeros(len(self.slots)))
+
+    def _store(self, change: np.ndarray) -> None:
+        level = self.level
+        store(1, self.slots, self.rows, self.columns, self.base, change, self.free,
+                      int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse)
+
+
+class DofUpdate:
+    """Carries changed blocks down scalar levels.
+
+    Parameters
+    ----------
+    levels : list of SplitMatrix
+        The coarse levels, coarsest first, of blocks of size 1.
+    prolongations : list of csr_array
+        From each of them to the next finer level (n_dofs, n_dofs coarse).
+    dim : int
+        Block size of the finest level.
+    rows, columns : int32 arrays
+        Of the changed blocks there.
+    """
+
+    def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], dim: int, rows: np.ndarray,
+                 columns: np.ndarray) -> None:
+        components = np.arange(dim)
+        shape = (len(rows), dim, dim)
+        dof_rows = np.broadcast_to((dim * rows.astype(np.int64)[:, None] + components)[:, :, None], shape).reshape(-1)
+        dof_columns = np.broadcast_to((dim * columns.astype(np.int64)[:, None] + components)[:, None, :], shape)
+        dofs, position = np.unique(np.concatenate([dof_rows, dof_columns.reshape(-1)]), return_inverse=True)
+        self._rows, self._columns = np.split(position, 2)
+        self._size = len(dofs)
+        pattern = sparse.csr_array(sparse.coo_array((np.ones(len(self._rows)), (self._rows, self._columns)),
+                                                    shape=(self._size, self._size)))
+        self.below: list[_ChangedDofs] = []
+        for level, prolongation in zip(reversed(levels), reversed(prolongations), strict=True):
+            weights = sparse.csr_array(prolongation[dofs])
+            dofs = np.unique(weights.indices).astype(np.int64)
+            weights = sparse.csr_array(weights[:, dofs])
+            reach = sparse.csr_array((np.ones(weights.nnz), weights.indices, weights.indptr), shape=weights.shape)
+            pattern = sparse.csr_array(reach.T @ (pattern @ reach))
+            self.below.append(_ChangedDofs.of(level, weights, dofs, pattern))
+
+    def update(self, change: np.ndarray) -> None:
+        """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""
+        shape = (self._size, self._size)
+        matrix = sparse.csr_array(sparse.coo_array((change, (self._rows, self._columns)), shape=shape))
+        for below in self.below:
+            matrix = below.update(matrix)
+
+    def restore(self) -> None:
+        """Put the base matrices back."""
+        for below in self.below:
+            below.restore()
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        arrays = [self._rows, self._columns]
+        for below in self.below:
+            arrays += [below.weights.data, below.weights.indices, below.keys, below.slots, below.rows, below.columns,
+                       below.base]
+        return sum(array.nbytes for array in arrays)
+
+
+@dataclass(eq=False)
+class _ChangedBlocks:
+    """The blocks of one coarse level that the contact status changes, and the products they are made of."""
+
+    level: SplitMatrix
+    free: np.ndarray
+    source: np.ndarray
+    target: np.ndarray
+    weight: np.ndarray
+    slots: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    base: np.ndarray
+    change: np.ndarray
+
+    def store(self) -> None:
+        """Write base + change into the level."""
+        level = self.level
+        store(level.dim, self.slots, self.rows, self.columns, self.base, self.change, self.free,
+                      int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse)
+
+
+class NodalUpdate:
+    """Carries changed blocks down the levels by nodal prolongations, through lists of products made once.
+
+    Parameters
+    ----------
+    levels : list of SplitMatrix
+        The coarse levels, coarsest first.
+    prolongations : list of csr_array
+        From each of them to the next finer level, nodal.
+    rows, columns : int32 arrays
+        Of the changed blocks on the finest level.
+    """
+
+    def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], rows: np.ndarray,
+                 columns: np.ndarray) -> None:
+        self.below: list[_ChangedBlocks] = []
+        for level, nodal in zip(reversed(levels), reversed(prolongations), strict=True):
+            self.below.append(_products(level, nodal, rows, columns))
+            rows, columns = self.below[-1].rows, self.below[-1].columns
+
+    def update(self, change: np.ndarray) -> None:
+        """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""
+        for below in self.below:
+            add_contributions(below.level.dim**2, below.source, below.target, below.weight, change,
+                                      below.change)
+            below.store()
+            change = below.change
+
+    def restore(self) -> None:
+        """Put the base matrices back."""
+        for below in self.below:
+            below.change[:] = 0.0
+            below.store()
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        return sum(value.nbytes for below in self.below for value in vars(below).values()
+                   if isinstance(value, np.ndarray))
+
+
+def _products(level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray) -> _ChangedBlocks:
+    """Where the blocks of a finer level go on this one."""
+    size = level.dim**2
+    room = int(count_contributions(rows, columns, nodal.indptr))
+    source, target, weight = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(room)
+    slots = np.empty(room, dtype=np.int64)
+    coarse_rows, coarse_columns = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
+    below, above, n = int(level.lower_indptr[-1]), int(level.upper_indptr[-1]), level.n_nodes
+    number = np.full(below + n + above, -1, dtype=np.int32)
+    met, count, lost = fill_contributions(
+        rows, columns, nodal.indptr, nodal.indices, nodal.data, level.lower_indptr, level.lower_indices,
+        level.upper_indptr, level.upper_indices, number, source, target, weight, slots, coarse_rows, coarse_columns)
+    if lost:
+        raise ValueError(f"a coarse matrix lacks {lost} entries of the Galerkin product near contact: build the coarse "
+                         "matrices with coarse_matrices='galerkin'")
+    slots = slots[:met].copy()
+    free = np.ones(level.n_dofs, dtype=bool)
+    free[level.fixed] = False
+    return _ChangedBlocks(level, free, source[:count].copy(), target[:count].copy(), weight[:count].copy(), slots,
+                  coarse_rows[:met].copy(), coarse_columns[:met].copy(), level.at_slots(slots), np.zeros(met * size))
+
+
+class Truncation:
+    """Keeps the matrices of the levels below one level as the contact status of that level demands.
+
+    Parameters
+    ----------
+    levels : list of SplitMatrix
+        Coarsest first; the last is the level of the contact nodes. The others are changed in place and must come with
+        their base matrices, of which ``P' A P`` is the pattern at least near contact.
+    prolongations : list of csr_array
+        Between neighbours, all of nodes or all of dofs.
+    contact : TruncatedContact
+        The contact nodes of the last level, whose matrix is taken as symmetric.
+    """
+
+    def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array],
+                 contact: TruncatedContact) -> None:
+        self.contact, fine = contact, levels[-1]
+        dim = fine.dim
+        count = count_blocks(contact.nodes, contact.contact_of, fine.lower_indptr, fine.lower_indices)
+        rows, columns, entries = (np.empty(count, dtype=np.int32) for _ in range(3))
+        collect(contact.nodes, contact.contact_of, fine.lower_indptr, fine.lower_indices, rows, columns,
+                        entries)
+        # contact node by contact node, so that what is written on the levels below lies close together
+        owner = np.where(contact.contact_of[rows] < 0, contact.contact_of[columns], contact.contact_of[rows])
+        order = np.argsort(owner, kind="stable")
+        self.rows, self.columns = rows[order], columns[order]
+        self.blocks, self.change = np.empty(count * dim * dim), np.zeros(count * dim * dim)
+        fetch(dim, self.rows, self.columns, entries[order], fine.lower, contact.diagonal, self.blocks)
+        if prolongations[-1].shape[0] == fine.n_nodes:
+            self.products: NodalUpdate | DofUpdate = NodalUpdate(levels[:-1], prolongations, self.rows, self.columns)
+        else:
+            self.products = DofUpdate(levels[:-1], prolongations, dim, self.rows, self.columns)
+
+    def apply(self, newton: bool) -> None:
+        """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g frozen."""
+        o = self.contact
+        changed_blocks(o.dim, self.rows, self.columns, self.blocks, o.contact_of, o.codes, o.frames,
+                               o.friction, o.direction, o.hessian, newton, self.change)
+        self.products.update(self.change)
+
+    def restore(self) -> None:
+        """Put the base matrices back."""
+        self.products.restore()
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        own = self.rows.nbytes + self.columns.nbytes + self.blocks.nbytes + self.change.nbytes
+        return own + self.products.nbytes
+
+
+@kernel
+def count_blocks(nodes, contact_of, indptr, indices):
+    """The number of blocks in rows and columns of contact nodes, from the lower half of a symmetric matrix."""
+    total = 0
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            if contact_of[i] >= 0 or contact_of[indices[k]] >= 0:
+                total += 2
+    return total + len(nodes)
+
+
+@kernel
+def collect(nodes, contact_of, indptr, indices, rows, columns, entries):
+    """Where those blocks are: on the diagonal the contact node, elsewhere the entry of L, for both sides."""
+    count = 0
+    for k in range(len(nodes)):
+        rows[count], columns[count], entries[count] = nodes[k], nodes[k], k
+        count += 1
+    for i in range(len(indptr) - 1):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = indices[k]
+            if contact_of[i] >= 0 or contact_of[j] >= 0:
+                rows[count], columns[count], entries[count] = i, j, k
+                rows[count + 1], columns[count + 1], entries[count + 1] = j, i, k
+                count += 2
+
+
+@kernel
+def fetch(dim, rows, columns, entries, lower, diagonal, blocks):
+    """Copy the collected blocks; above the diagonal they are transposed ones of L."""
+    size = dim * dim
+    for e in range(len(rows)):
+        at = size * np.int64(entries[e])
+        for a in range(dim):
+            for b in range(dim):
+                if rows[e] == columns[e]:
+                    blocks[e * size + a * dim + b] = diagonal[at + a * dim + b]
+                else:
+                    blocks[e * size + a * dim + b] = lower[at + (a * dim + b if rows[e] > columns[e] else b * dim + a)]
+
+
+@inner_kernel
+def _turn_rows(dim, frames, k, inverse, block, other):
+    """other = F block, F the frame of contact node k, or F' block."""
+    for a in range(dim):
+        for b in range(dim):
+            other[a, b] = 0.0
+            for c in range(dim):
+                at = c * dim + a if inverse else a * dim + c
+                other[a, b] += frames[k * dim * dim + at] * block[c, b]
+
+
+@inner_kernel
+def _turn_columns(dim, frames, k, inverse, block, other):
+    """other = block F', F the frame of contact node k, or block F."""
+    for a in range(dim):
+        for b in range(dim):
+            other[a, b] = 0.0
+            for c in range(dim):
+                at = c * dim + b if inverse else b * dim + c
+                other[a, b] += block[a, c] * frames[k * dim * dim + at]
+
+
+@inner_kernel
+def _truncated(a, code):
+    """Whether component a of a contact node is out of the coarse problem."""
+    return code & CLOSED != 0 if a == 0 else code & TANGENTIAL == HELD
+
+
+@kernel
+def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, friction, direction, hessian, newton, change):
+    """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen)."""
+    size = dim * dim
+    m = dim - 1
+    block, other = np.empty((dim, dim)), np.empty((dim, dim))
+    for e in range(len(rows)):
+        k, l = contact_of[rows[e]], contact_of[columns[e]]
+        for a in range(dim):
+            for b in range(dim):
+                block[a, b] = blocks[e * size + a * dim + b]
+        if k >= 0:
+            _turn_rows(dim, frames, k, False, block, other)
+            if newton and codes[k] & CLOSED:
+                for a in range(m):
+                    for b in range(dim):
+                        other[1 + a, b] -= friction[k] * direction[m * k + a] * other[0, b]
+            block, other = other, block
+        if l >= 0:
+            _turn_columns(dim, frames, l, False, block, other)
+            block, other = other, block
+        if k >= 0 and k == l:
+            for a in range(m):
+                for b in range(m):
+                    block[1 + a, 1 + b] += hessian[m * m * k + m * a + b]
+        for a in range(dim):
+            for b in range(dim):
+                if (k >= 0 and _truncated(a, codes[k])) or (l >= 0 and _truncated(b, codes[l])):
+                    block[a, b] = 0.0
+        if l >= 0:
+            _turn_columns(dim, frames, l, True, block, other)
+            block, other = other, block
+        if k >= 0:
+            _turn_rows(dim, frames, k, True, block, other)
+            block, other = other, block
+        for a in range(dim):
+            for b in range(dim):
+                change[e * size + a * dim + b] = block[a, b] - blocks[e * size + a * dim + b]
+
+
+@kernel
+def count_contributions(rows, columns, indptr):
+    """Number of products P_iI P_jJ over all blocks (i, j)."""
+    total = 0
+    for e in range(len(rows)):
+        i, j = rows[e], columns[e]
+        total += (indptr[i + 1] - indptr[i]) * (indptr[j + 1] - indptr[j])
+    return total
+
+
+@inner_kernel
+def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices):
+    """Slot of block (row, column), -1 where the matrix has none."""
+    n = len(l_indptr) - 1
+    below = np.int64(l_indptr[n])
+    if row == column:
+        return below + row
+    if column < row:
+        low, high = np.int64(l_indptr[row]), np.int64(l_indptr[row + 1])
+        shift = np.int64(0)
+    else:
+        low, high = np.int64(u_indptr[row]), np.int64(u_indptr[row + 1])
+        shift = below + n
+    while low < high:
+        middle = (low + high) // 2
+        found = np.int64(l_indices[middle]) if column < row else np.int64(u_indices[middle])
+        if found == column:
+            return shift + middle
+        if found < column:
+            low = middle + 1
+        else:
+            high = middle
+    return np.int64(-1)
+
+
+@kernel
+def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, slots):
+    """Slots of many blocks."""
+    for k in range(len(rows)):
+        slots[k] = find_slot(rows[k], columns[k], l_indptr, l_indices, u_indptr, u_indices)
+
+
+@kernel
+def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indices, u_indptr, u_indices, number,
+                       source, target, weight, slots, coarse_rows, coarse_columns):
+    """Where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``.
+
+    ``number`` (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number and
+    how many products found no place in the coarse matrix.
+    """
+    count = 0
+    met = 0
+    lost = 0
+    for e in range(len(rows)):
+        i, j = rows[e], columns[e]
+        for p in range(indptr[i], indptr[i + 1]):
+            for q in range(indptr[j], indptr[j + 1]):
+                row, column = np.int64(indices[p]), np.int64(indices[q])
+                slot = find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices)
+                if slot < 0:
+                    lost += 1
+                    continue
+                if number[slot] < 0:
+                    number[slot] = met
+                    slots[met], coarse_rows[met], coarse_columns[met] = slot, row, column
+                    met += 1
+                source[count], target[count], weight[count] = e, number[slot], weights[p] * weights[q]
+                count += 1
+    return met, count, lost
+
+
+@kernel
+def add_contributions(size, source, target, weight, fine, coarse):
+    """coarse = sum of weight * fine over the products."""
+    coarse[:] = 0.0
+    for c in range(len(source)):
+        at, to, factor = size * np.int64(source[c]), size * np.int64(target[c]), weight[c]
+        for e in range(size):
+            coarse[to + e] += factor * fine[at + e]
+
+
+@kernel
+def store(dim, slots, rows, columns, base, change, free, below, lower, upper, diagonal, inverse):
+    """Write base + change to a split matrix; ``change`` is zeroed in rows and columns of fixed dofs first.
+
+    ``diagonal`` may be empty where nobody needs it.
+    """
+    size = dim * dim
+    n = len(inverse) // size
+    block, scale = np.empty(size), np.empty(dim)
+    for t in range(len(slots)):
+        i, j, slot = rows[t], columns[t], slots[t]
+        for a in range(dim):
+            for b in range(dim):
+                at = t * size + a * dim + b
+                if not (free[dim * i + a] and free[dim * j + b]):
+                    change[at] = 0.0
+                block[a * dim + b] = base[at] + change[at]
+        if slot < below:
+            for e in range(size):
+                lower[slot * size + e] = block[e]
+        elif slot < below + n:
+            for e in range(size if len(diagonal) else 0):
+                diagonal[i * size + e] = block[e]
+            for a in range(dim):
+                scale[a] = abs(base[t * size + a * dim + a])
+            invert_block(dim, block, scale, inverse, i * size)
+        else:
+            for e in range(size):
+                upper[(slot - below - n) * size + e] = block[e]

@@ -1,0 +1,148 @@
+"""load_history: what a sequence of load steps did - quantities against the load, contact pressure step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure, SubFigure
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.plot.contact_surfaces import cells, chosen_boundaries, described, draw_map, flattened, keep_open, lines_of
+from adaptmg.plot.style import BLUE, label_text, new_figure, number, plain, state_lines, stated_curve, styled
+from adaptmg.solver.result import Result
+
+__all__ = ["load_history"]
+
+_COLUMNS = 4
+
+
+@styled
+def load_history(results: Sequence[Result], factors: Sequence[float],
+                 quantities: Mapping[str, Callable[[Result], float]], *, against: str = "load factor",
+                 pair: object = None, steps: int = 8) -> Figure:
+    """Draw quantities against the load factor, and below them the contact pressure of single steps.
+
+    Parameters
+    ----------
+    results : sequence of Result
+        One a step, in order; all on the same mesh.
+    factors : sequence of float
+        Of the steps; they may rise and fall (an arrow shows the way). Any other abscissa will do, say displacements.
+    quantities : mapping of str to callable
+        Label of the axis, with its unit, to a function of a Result that returns a number; one panel each.
+    against : str
+        What ``factors`` are, with their unit.
+    pair : str or ContactPair, optional
+        The slave boundary of the pair whose pressure is drawn; by default a row of pictures for each pair.
+    steps : int
+        Steps drawn at most a pair, spread evenly, first and last among them; 0 for none. In 2D the pressure is drawn
+        against the same as by :func:`contact`, coloured by state; in 3D as maps on the slave surface.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> am.plot.load_history(results, factors, {"force [kN]": lambda r: 1e-3 * r.resultant("contact").force[1],
+    ...                                         "slip [µm]": lambda r: 1e6 * abs(r.contact.slip).max()})
+    """
+    results, factors = _checked(results, factors)
+    against = label_text(checks.instance("against", against, str))
+    rows = _evaluate(results, quantities)
+    names = chosen_boundaries(results[-1], pair, "pair") if checks.integer("steps", steps) else ()
+    if not rows and not names:
+        raise ValueError("nothing to draw: give quantities, or steps > 0")
+    shown = np.unique(np.linspace(0, len(results) - 1, min(steps, len(results))).round().astype(int)) if names else ()
+    columns, curve_columns = min(_COLUMNS, max(len(shown), 1)), min(3, max(len(rows), 1))
+    curve_rows, map_rows = -(-len(rows) // curve_columns), -(-len(shown) // columns)
+    heights = [2.7 * curve_rows] * bool(rows) + [2.1 * map_rows + 0.5] * len(names)
+    figure = new_figure((max(3.2 * curve_columns * bool(rows), 2.4 * columns, 5.0), sum(heights) + 0.4))
+    parts = iter(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0])
+    if rows:
+        axes = cells(next(parts), len(rows), curve_columns)
+        for ax, (label, values) in zip(axes, rows.items(), strict=True):
+            _draw_curve(ax, factors, values, label, against)
+    for name in names:
+        chosen = [(results[k], f"{against} {number(factors[k])}") for k in shown]
+        part = next(parts)
+        part.suptitle(described(results[0].contact, name), fontsize=10)
+        (_draw_lines if results[0].dim == 2 else _draw_maps)(part, chosen, name, columns)
+    figure.suptitle(plain(results[-1].problem_name), fontsize=11)
+    return figure
+
+
+def _checked(results: Sequence[Result], factors: Sequence[float]) -> tuple[list[Result], np.ndarray]:
+    results = list(results)
+    if not results or not all(isinstance(r, Result) for r in results):
+        raise TypeError("results must be a sequence of at least one Result, one a load step")
+    factors = check_arrays.vector("factors", factors)
+    if len(factors) != len(results):
+        raise ValueError(f"factors must have one value a result: {len(results)} results, {len(factors)} factors")
+    if len({(len(r.displacement), r.dim, len(r.contact), r.contact.names) for r in results}) > 1:
+        raise ValueError("results must all belong to the same mesh and contact boundaries")
+    return results, factors
+
+
+def _evaluate(results: list[Result], quantities: Mapping[str, Callable[[Result], float]]) -> dict[str, np.ndarray]:
+    if not isinstance(quantities, Mapping) or not all(map(callable, quantities.values())):
+        raise TypeError(f"quantities must map labels to functions of a Result, got {quantities!r}")
+    return {label_text(str(label)): np.array([checks.number(f"quantities[{label!r}] of step {k}", function(result))
+                             for k, result in enumerate(results)]) for label, function in quantities.items()}
+
+
+def _draw_curve(ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, against: str) -> None:
+    ax.plot(factors, values, marker="o" if len(factors) <= 60 else "", markersize=3.5, color=BLUE)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(factors))) != 0) + 1
+    if len(turns):
+        # up and down: an arrow in the middle of each branch
+        for a, b in zip(np.r_[0, turns], np.r_[turns, len(factors) - 1], strict=True):
+            k = (a + b) // 2
+            middle = [0.5 * (v[k] + v[k + 1]) for v in (factors, values)]
+            ax.annotate("", middle, (factors[k], values[k]),
+                        arrowprops={"arrowstyle": "-|>,head_width=0.35,head_length=0.8", "color": BLUE, "shrinkA": 0,
+                                    "shrinkB": 0})
+    ax.set_xlabel(against)
+    ax.set_ylabel(label)
+    ax.grid(True)
+
+
+def _draw_lines(part: SubFigure, steps: list[tuple[Result, str]], name: str, columns: int) -> None:
+    axes = cells(part, len(steps), columns, share=True)
+    lines = lines_of(steps[0][0], name)
+    for k, (ax, (result, title)) in enumerate(zip(axes, steps, strict=True)):
+        c = result.contact
+        for line in lines:
+            stated_curve(ax, line.position, 1e-6 * c.pressure[line.index], c.state[line.index], 1.5)
+        ax.set_title(title, fontsize=9)
+        if k % columns == 0:
+            ax.set_ylabel("pressure [MPa]")
+    part.supxlabel(lines[0].label, fontsize=9.5)
+    axes[0].margins(x=0.02)
+    axes[0].set_ylim(bottom=0.0)
+    nodes = np.concatenate([line.index for line in lines])
+    pressures = np.array([1e-6 * result.contact.pressure for result, _ in steps])
+    keep_open(axes[0], pressures[:, nodes], float(pressures.max()))
+    states = {int(s) for result, _ in steps for s in result.contact.state}
+    part.legend(handles=state_lines(states, 2.5), loc="outside right upper")
+
+
+def _draw_maps(part: SubFigure, steps: list[tuple[Result, str]], name: str, columns: int) -> None:
+    axes = cells(part, len(steps), columns, share=True)
+    flat = flattened(steps[0][0], name)
+    pressures = [1e-6 * result.contact.pressure[flat.index] for result, _ in steps]
+    norm = Normalize(0.0, max(max(float(p.max()) for p in pressures), np.finfo(float).tiny))
+    for k, (ax, (_, title), pressure) in enumerate(zip(axes, steps, pressures, strict=True)):
+        draw_map(ax, flat, pressure, "", norm, bar=False)
+        ax.set_title(title, fontsize=9)
+        if k % columns:
+            ax.set_ylabel("")
+        if k + columns < len(steps):
+            ax.set_xlabel("")
+    bar = part.colorbar(ScalarMappable(norm, "viridis"), ax=axes, label="contact pressure [MPa]")
+    bar.outline.set_visible(False)

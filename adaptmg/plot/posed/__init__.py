@@ -1,1 +1,0 @@
-"""The pictures of what is posed: bodies, contact, loads, supports."""

@@ -1,1 +1,0 @@
-"""Drawing in three dimensions."""

@@ -1,0 +1,344 @@
+r"""Outline: a plane domain bounded by straight edges and circular arcs. Lengths in m, boundaries by name.
+
+With the signed angle :math:`\theta` of an arc of radius r (positive: counter-clockwise about its centre) the area is
+that of the polygon of the vertices plus :math:`\tfrac12 r^2 (\theta - \sin\theta)` an arc.
+
+Domains as pure data: what the mesh generators mesh. Lengths in m, boundaries by name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+
+__all__ = ["Arc", "Box", "Domain", "Outline", "Polygon", "Rectangle"]
+
+class Domain:
+    """What a mesh generator can mesh: the base class of all domains.
+
+    Attributes
+    ----------
+    dim : int
+        Space dimension.
+    boundaries : tuple of str or None
+        Names of the boundaries; those of several bodies are "body.edge". None where only the mesh knows them.
+    bodies : tuple of str or None
+        Names of the bodies; ``("body",)`` unless a subclass says otherwise. None where only the mesh knows them.
+    """
+
+    dim: int
+    boundaries: tuple[str, ...] | None
+
+    @property
+    def bodies(self) -> tuple[str, ...] | None:
+        """Names of the bodies."""
+        return ("body",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rectangle(Domain):
+    """An axis-parallel rectangle; boundaries ``bottom``, ``right``, ``top``, ``left``.
+
+    Parameters
+    ----------
+    width, height : float
+        m, > 0.
+    origin : pair of float
+        Lower left corner, m.
+    """
+
+    width: float
+    height: float
+    origin: tuple[float, float] = (0.0, 0.0)
+    dim: ClassVar[int] = 2
+    boundaries: ClassVar[tuple[str, ...]] = ("bottom", "right", "top", "left")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "width", checks.quantity("width", self.width, positive=True))
+        object.__setattr__(self, "height", checks.quantity("height", self.height, positive=True))
+        object.__setattr__(self, "origin", tuple(map(float, check_arrays.vector("origin", self.origin, 2))))
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower left corner (2,), m."""
+        return np.array(self.origin)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper right corner (2,), m."""
+        return self.lower + np.array([self.width, self.height])
+
+    @property
+    def polygon(self) -> Polygon:
+        """The same as a polygon."""
+        (x0, y0), (x1, y1) = self.lower, self.upper
+        return Polygon(vertices=((x0, y0), (x1, y0), (x1, y1), (x0, y1)), boundaries=self.boundaries)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box(Domain):
+    """An axis-parallel box; ``left``/``right`` are x, ``front``/``back`` y, ``bottom``/``top`` z.
+
+    Parameters
+    ----------
+    width, depth, height : float
+        Lengths along x, y and z, m, > 0.
+    origin : triple of float
+        Lowest corner, m.
+    """
+
+    width: float
+    depth: float
+    height: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    dim: ClassVar[int] = 3
+    boundaries: ClassVar[tuple[str, ...]] = ("bottom", "right", "top", "left", "front", "back")
+
+    def __post_init__(self) -> None:
+        for name in ("width", "depth", "height"):
+            object.__setattr__(self, name, checks.quantity(name, getattr(self, name), positive=True))
+        object.__setattr__(self, "origin", tuple(map(float, check_arrays.vector("origin", self.origin, 3))))
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner (3,), m."""
+        return np.array(self.origin)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner (3,), m."""
+        return self.lower + np.array([self.width, self.depth, self.height])
+
+
+def edges(vertices: object, boundaries: object, least: int) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The vertices (n, 2) of an outline, at least so many, and the names of its edges, checked."""
+    points = check_arrays.array("vertices", vertices, (None, 2))
+    if len(points) < least:
+        raise ValueError(f"vertices must be at least {least} pairs of numbers, got {checks.shown(vertices)}")
+    if not (np.abs(points) <= checks.VAST).all():
+        raise ValueError(f"vertices must be at most {checks.VAST:g} m, got {checks.shown(vertices)}")
+    names = checks.strings("boundaries", boundaries)
+    if len(names) != len(points):
+        raise ValueError(f"boundaries must name each of the {len(points)} edges, got {len(names)} names")
+    return points, names
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polygon(Domain):
+    """A simple polygon.
+
+    Parameters
+    ----------
+    vertices : sequence of pairs of float
+        Corners in counter-clockwise order, m.
+    boundaries : sequence of str
+        ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
+    """
+
+    vertices: tuple[tuple[float, float], ...]
+    boundaries: tuple[str, ...] = field()
+    dim: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        points, boundaries = edges(self.vertices, self.boundaries, 3)
+        x, y = points.T
+        area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+        if not area > 0:
+            raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of {area}")
+        object.__setattr__(self, "vertices", tuple((float(a), float(b)) for a, b in points))
+        object.__setattr__(self, "boundaries", boundaries)
+
+    @property
+    def polygon(self) -> Polygon:
+        """Itself: every plane domain offers its polygon."""
+        return self
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower left corner of the bounding box (2,), m."""
+        return np.min(self.vertices, axis=0)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper right corner of the bounding box (2,), m."""
+        return np.max(self.vertices, axis=0)
+
+
+# radii at the two ends of an arc may differ by this much of the radius
+_ROUND = 1e-9
+_CHORD = math.radians(3.0)
+
+
+@dataclass(frozen=True)
+class Arc:
+    """A circular arc of less than 180 degrees.
+
+    Parameters
+    ----------
+    center : pair of float
+        m.
+    radius : float
+        m.
+    start : float
+        Direction of the first point as seen from the centre, radians.
+    angle : float
+        Signed angle to the last point, radians; positive is counter-clockwise, as on a convex boundary.
+    """
+
+    center: tuple[float, float]
+    radius: float
+    start: float
+    angle: float
+
+    @property
+    def length(self) -> float:
+        """m."""
+        return self.radius * abs(self.angle)
+
+    @property
+    def bulge(self) -> float:
+        """Signed area between arc and chord, m^2; positive where the arc lies outside the chord."""
+        return 0.5 * self.radius**2 * (self.angle - math.sin(self.angle))
+
+    def at(self, fractions: np.ndarray) -> np.ndarray:
+        """Points (n, 2), m, at fractions (n,) of the angle."""
+        directions = self.start + np.asarray(fractions, dtype=np.float64) * self.angle
+        return np.array(self.center) + self.radius * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance (n,) of points (n, 2) to the arc, m."""
+        offset = points - np.array(self.center)
+        middle = self.start + 0.5 * self.angle
+        along, across = (offset @ np.array(d) for d in ((math.cos(middle), math.sin(middle)),
+                                                        (-math.sin(middle), math.cos(middle))))
+        in_sector = np.abs(np.arctan2(across, along)) <= 0.5 * abs(self.angle)
+        ends = np.min([np.linalg.norm(points - end, axis=1) for end in self.at(np.array([0.0, 1.0]))], axis=0)
+        return np.where(in_sector, np.abs(np.hypot(along, across) - self.radius), ends)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outline(Domain):
+    """A plane domain like :class:`Polygon`, some of whose edges are circular arcs.
+
+    Meshes are straight: their nodes lie on the arcs, their edges are chords.
+
+    Parameters
+    ----------
+    vertices : sequence of pairs of float
+        Corners in counter-clockwise order, m.
+    boundaries : sequence of str
+        ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
+    arcs : mapping of int to pair of float
+        Edge i is the shorter arc about the centre ``arcs[i]``, m: less than 180 degrees, both vertices at the same
+        distance from the centre. A full circle takes three edges or more. Other edges are straight.
+    """
+
+    vertices: tuple[tuple[float, float], ...]
+    boundaries: tuple[str, ...] = field()
+    arcs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    dim: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        points, boundaries = edges(self.vertices, self.boundaries, 2)
+        if not isinstance(self.arcs, Mapping):
+            raise TypeError(f"arcs must map edge numbers to centres, got {checks.shown(self.arcs)}")
+        arcs = {checks.integer("the edge number in arcs", i): tuple(map(float, check_arrays.vector(f"arcs[{i}]", c, 2)))
+                for i, c in self.arcs.items()}
+        object.__setattr__(self, "vertices", tuple((float(a), float(b)) for a, b in points))
+        object.__setattr__(self, "boundaries", boundaries)
+        object.__setattr__(self, "arcs", dict(sorted(arcs.items())))
+        for i in arcs:
+            if i >= len(points):
+                raise ValueError(f"arcs names edge {i}, but there are {len(points)} edges, counted from 0")
+            self._check_arc(i)
+        if not self.area > 0:
+            raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of "
+                             f"{self.area}")
+
+    def __hash__(self) -> int:
+        return hash((self.vertices, self.boundaries, tuple(self.arcs.items())))
+
+    def _check_arc(self, i: int) -> None:
+        a, b, c = (np.array(p) for p in (*self._ends(i), self.arcs[i]))
+        first, last = np.linalg.norm(a - c), np.linalg.norm(b - c)
+        name = f"arcs[{i}] ({self.boundaries[i]!r})"
+        if not abs(first - last) <= _ROUND * max(first, last) or not first > 0:
+            raise ValueError(f"{name}: the centre {self.arcs[i]} must have the same distance > 0 from both vertices, "
+                             f"got {first:.12g} and {last:.12g} m")
+        if not np.linalg.norm(b - a) > _ROUND * first:
+            raise ValueError(f"{name}: both vertices are {self.vertices[i]}; cut a full circle into three edges "
+                             "or more")
+        if not np.linalg.norm(a + b - 2 * c) > 1e-6 * first:
+            raise ValueError(f"{name}: an arc of 180 degrees has no shorter side; cut it into two edges")
+
+    def _ends(self, i: int) -> tuple[tuple[float, float], tuple[float, float]]:
+        return self.vertices[i], self.vertices[(i + 1) % len(self.vertices)]
+
+    def arc(self, i: int) -> Arc | None:
+        """Edge i as an arc, None if it is straight."""
+        if i not in self.arcs:
+            return None
+        center = self.arcs[i]
+        (ax, ay), (bx, by) = (np.array(p) - np.array(center) for p in self._ends(i))
+        angle = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
+        return Arc(center, 0.5 * (math.hypot(ax, ay) + math.hypot(bx, by)), math.atan2(ay, ax), angle)
+
+    @property
+    def area(self) -> float:
+        """Exact area, m^2."""
+        x, y = np.array(self.vertices).T
+        straight = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+        return straight + sum(self.arc(i).bulge for i in self.arcs)
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        """Length of each edge, m."""
+        return tuple(math.dist(*self._ends(i)) if i not in self.arcs else self.arc(i).length
+                     for i in range(len(self.vertices)))
+
+    def chords(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points (n, 2), m, on the outline in order, arcs cut every 3 degrees, and the edge (n,) each point begins."""
+        points, edges = [], []
+        for i, vertex in enumerate(self.vertices):
+            n = 1
+            points.append(np.array([vertex]))
+            if i in self.arcs:
+                arc = self.arc(i)
+                n = max(1, math.ceil(abs(arc.angle) / _CHORD))
+                points.append(arc.at(np.arange(1, n) / n))
+            edges.append(np.full(n, i))
+        return np.concatenate(points), np.concatenate(edges)
+
+    @property
+    def polygon(self) -> Polygon:
+        """The outline with arcs replaced by chords of at most 3 degrees: for pictures and checks, not for meshes."""
+        points, edges = self.chords()
+        return Polygon(vertices=tuple(map(tuple, points.tolist())), boundaries=tuple(self.boundaries[i] for i in edges))
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower left corner of the bounding box (2,), m."""
+        return self._extremes().min(axis=0)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper right corner of the bounding box (2,), m."""
+        return self._extremes().max(axis=0)
+
+    def _extremes(self) -> np.ndarray:
+        """Vertices and the points of the arcs with horizontal or vertical tangents."""
+        points = [np.array(self.vertices)]
+        for i in self.arcs:
+            arc = self.arc(i)
+            # fractions of the angle at which the direction is a multiple of 90 degrees
+            quarter = 0.5 * math.pi
+            fractions = (quarter * np.arange(-6, 7) - arc.start) / arc.angle
+            points.append(arc.at(fractions[(fractions > 0) & (fractions < 1)]))
+        return np.concatenate(points)

@@ -1,0 +1,493 @@
+"""Solids as pure data: cylinders, balls, profiles turned or extruded. Lengths in m, angles in degrees.
+
+A solid knows its boundaries by name and its bounding box; only the mesh layer builds its geometry.
+
+Solids moved and combined, and several bodies as one domain, as pure data. Lengths in m, angles in degrees.
+
+The names of faces survive: several faces may share one, and a name of which no face is left is an error only where it
+is used.
+
+StepFile: the solids of a STEP file as a domain; the mesh layer reads them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
+
+__all__ = ["Assembly", "Ball", "Combination", "Common", "Cut", "Cylinder", "Extrusion", "Fuse", "Moved", "Profile",
+           "Revolution", "SolidDomain", "StepFile", "Triple", "direction", "outline_of", "triple"]
+
+Triple = tuple[float, float, float]
+Profile = Polygon | Outline | Rectangle
+# relative to the profile: vertices nearer to the axis of revolution than this lie on it
+_ON_AXIS = 1e-12
+
+
+class SolidDomain(Domain):
+    """One body in space: the base class of the solids of this module."""
+
+    dim: ClassVar[int] = 3
+
+
+def triple(name: str, value: object) -> Triple:
+    """Three finite numbers."""
+    return tuple(map(float, check_arrays.vector(name, value, 3)))
+
+
+def direction(name: str, value: object) -> Triple:
+    """A unit vector from one of any length > 0."""
+    vector = check_arrays.vector(name, value, 3)
+    length = float(np.linalg.norm(vector))
+    if not length > 0:
+        raise ValueError(f"{name} must not be zero, got {checks.shown(value)}")
+    return tuple(map(float, vector / length))
+
+
+def _profile(name: str, value: object) -> Profile:
+    if not isinstance(value, Profile):
+        raise TypeError(f"{name} must be a Polygon, an Outline or a Rectangle, got {checks.described(value)}")
+    return value
+
+
+def outline_of(profile: Profile) -> Polygon | Outline:
+    """The profile with its own vertices: arcs stay arcs."""
+    return profile if isinstance(profile, Outline) else profile.polygon
+
+
+@dataclass(frozen=True)
+class Cylinder(SolidDomain):
+    """A circular cylinder; boundaries ``side``, ``bottom`` (around ``point``) and ``top``.
+
+    Parameters
+    ----------
+    point : triple of float
+        Centre of the bottom, m.
+    axis : triple of float
+        Direction from bottom to top, of any length; stored as a unit vector.
+    radius, height : float
+        m, > 0.
+    """
+
+    point: Triple
+    axis: Triple
+    radius: float
+    height: float
+    boundaries: ClassVar[tuple[str, ...]] = ("side", "bottom", "top")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", triple("point", self.point))
+        object.__setattr__(self, "axis", direction("axis", self.axis))
+        for name in ("radius", "height"):
+            object.__setattr__(self, name, checks.quantity(name, getattr(self, name), positive=True))
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of the bounding box (3,), m."""
+        return self._ends().min(axis=0) - self._reach()
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of the bounding box (3,), m."""
+        return self._ends().max(axis=0) + self._reach()
+
+    def _ends(self) -> np.ndarray:
+        return np.array(self.point) + np.outer([0.0, self.height], self.axis)
+
+    def _reach(self) -> np.ndarray:
+        return self.radius * np.sqrt(np.maximum(0.0, 1.0 - np.square(self.axis)))
+
+
+@dataclass(frozen=True)
+class Ball(SolidDomain):
+    """A ball; boundary ``surface``.
+
+    Parameters
+    ----------
+    centre : triple of float
+        m.
+    radius : float
+        m, > 0.
+    """
+
+    centre: Triple
+    radius: float
+    boundaries: ClassVar[tuple[str, ...]] = ("surface",)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", triple("centre", self.centre))
+        object.__setattr__(self, "radius", checks.quantity("radius", self.radius, positive=True))
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of the bounding box (3,), m."""
+        return np.array(self.centre) - self.radius
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of the bounding box (3,), m."""
+        return np.array(self.centre) + self.radius
+
+
+@dataclass(frozen=True)
+class Revolution(SolidDomain):
+    """A plane profile turned about the z axis, from the plane y = 0 towards +y.
+
+    Boundaries are called like the edges of the profile (those on the axis have none); below 360 degrees ``start``, in
+    the plane y = 0, and ``end`` are added.
+
+    Parameters
+    ----------
+    polygon : Polygon, Outline or Rectangle
+        Profile in the half plane (r, z), r >= 0. It may touch the axis along edges, not at a single vertex.
+    angle : float
+        Degrees, 0 < angle <= 360.
+    """
+
+    polygon: Profile
+    angle: float = 360.0
+
+    def __post_init__(self) -> None:
+        _profile("polygon", self.polygon)
+        object.__setattr__(self, "angle", checks.positive("angle", self.angle))
+        if not self.angle <= 360:
+            raise ValueError(f"angle must be at most 360 degrees, got {self.angle!r}")
+        r = np.array(outline_of(self.polygon).vertices)[:, 0]
+        if not self.polygon.lower[0] >= -_ON_AXIS * r.max():
+            raise ValueError(f"polygon must lie in the half plane r >= 0, it reaches to r = {self.polygon.lower[0]:g}")
+        on_axis = r <= _ON_AXIS * r.max()
+        alone = on_axis & ~np.roll(on_axis, 1) & ~np.roll(on_axis, -1)
+        if alone.any():
+            raise ValueError(f"polygon touches the axis at the single vertex {int(np.argmax(alone))}; let an edge of "
+                             "it lie on the axis, or move the vertex away")
+        if self.angle < 360 and {"start", "end"} & set(self.polygon.boundaries):
+            raise ValueError("the edges of polygon must not be called 'start' or 'end': these are the end planes")
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Distinct names, in the order of the edges."""
+        outline = outline_of(self.polygon)
+        r = np.array(outline.vertices)[:, 0]
+        swept = (r > _ON_AXIS * r.max()) | (np.roll(r, -1) > _ON_AXIS * r.max())
+        names = [name for name, face in zip(outline.boundaries, swept, strict=True) if face]
+        return tuple(dict.fromkeys(names)) + (("start", "end") if self.angle < 360 else ())
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of the bounding box (3,), m."""
+        return np.append(self._extremes().min(axis=0), self.polygon.lower[1])
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of the bounding box (3,), m."""
+        return np.append(self._extremes().max(axis=0), self.polygon.upper[1])
+
+    def _extremes(self) -> np.ndarray:
+        """Points (n, 2) among which x and y are largest and smallest."""
+        turns = np.radians([a for a in (0, 90, 180, 270, 360) if a < self.angle] + [self.angle])
+        # rounded so that quarter turns are exact
+        directions = np.round(np.stack([np.cos(turns), np.sin(turns)], axis=1), 15)
+        return np.concatenate([r * directions for r in (self.polygon.lower[0], self.polygon.upper[0])])
+
+
+@dataclass(frozen=True)
+class Extrusion(SolidDomain):
+    """A plane profile in (x, y), extruded along z; boundaries are its edges, ``bottom`` and ``top``.
+
+    Parameters
+    ----------
+    polygon : Polygon or Outline
+        Profile. (A rectangle's own edges are called bottom and top: use a Box.)
+    height : float
+        m, > 0.
+    base : float
+        z of the bottom, m.
+    """
+
+    polygon: Profile
+    height: float
+    base: float = 0.0
+
+    def __post_init__(self) -> None:
+        _profile("polygon", self.polygon)
+        object.__setattr__(self, "height", checks.quantity("height", self.height, positive=True))
+        object.__setattr__(self, "base", checks.quantity("base", self.base))
+        if {"bottom", "top"} & set(self.polygon.boundaries):
+            raise ValueError("the edges of polygon must not be called 'bottom' or 'top': these are the end planes")
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Distinct names, in the order of the edges."""
+        return (*dict.fromkeys(self.polygon.boundaries), "bottom", "top")
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of the bounding box (3,), m."""
+        return np.append(self.polygon.lower, self.base)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of the bounding box (3,), m."""
+        return np.append(self.polygon.upper, self.base + self.height)
+
+
+def _solid(name: str, value: object) -> SolidDomain | Box:
+    if not isinstance(value, SolidDomain | Box):
+        raise TypeError(f"{name} must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), "
+                        f"got {checks.described(value)}")
+    return value
+
+
+@dataclass(frozen=True)
+class Moved(SolidDomain):
+    """A solid that is first rotated about an axis through the origin, then moved; boundaries keep their names.
+
+    Parameters
+    ----------
+    solid : Box, Cylinder, Cut, ...
+    offset : triple of float
+        m.
+    angle : float
+        Degrees, right-handed about ``axis``.
+    axis : triple of float
+        Direction, of any length; stored as a unit vector.
+    """
+
+    solid: SolidDomain | Box
+    offset: Triple = (0.0, 0.0, 0.0)
+    angle: float = 0.0
+    axis: Triple = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        _solid("solid", self.solid)
+        object.__setattr__(self, "offset", triple("offset", self.offset))
+        object.__setattr__(self, "angle", checks.quantity("angle", self.angle))
+        object.__setattr__(self, "axis", direction("axis", self.axis))
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Those of the solid."""
+        return self.solid.boundaries
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of a box around the moved bounding box (3,), m."""
+        return self._corners().min(axis=0)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of a box around the moved bounding box (3,), m."""
+        return self._corners().max(axis=0)
+
+    def _corners(self) -> np.ndarray:
+        ends = np.stack([self.solid.lower, self.solid.upper])
+        corners = np.stack([ends[[i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+        turn, axis = math.radians(self.angle), np.array(self.axis)
+        # Rodrigues' formula
+        turned = (math.cos(turn) * corners + math.sin(turn) * np.cross(axis, corners)
+                  + (1 - math.cos(turn)) * np.outer(corners @ axis, axis))
+        return turned + np.array(self.offset)
+
+
+@dataclass(frozen=True)
+class Combination(SolidDomain):
+    """Two solids combined: the base class of :class:`Cut`, :class:`Fuse` and :class:`Common`.
+
+    Parameters
+    ----------
+    a, b : Box, Cylinder, Cut, ...
+        The solids. The result must be one piece.
+    rename : mapping of str to str
+        New names of boundaries: of one solid by the keys "a.NAME" or "b.NAME", of both by "NAME".
+    """
+
+    a: SolidDomain | Box
+    b: SolidDomain | Box
+    rename: Mapping[str, str] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        _solid("a", self.a)
+        _solid("b", self.b)
+        if not isinstance(self.rename, Mapping):
+            raise TypeError(f"rename must map names to names, got {checks.shown(self.rename)}")
+        known = [key for part, solid in (("a", self.a), ("b", self.b)) for name in solid.boundaries
+                 for key in (name, f"{part}.{name}")]
+        for old, new in self.rename.items():
+            checks.choice("the keys of rename", old, dict.fromkeys(known))
+            checks.boundary_name(f"rename[{old!r}]", new)
+        object.__setattr__(self, "rename", dict(self.rename))
+
+    def renamed(self, part: str, name: str) -> str:
+        """The name in the result of the boundary ``name`` of ``part``, "a" or "b"."""
+        return self.rename.get(f"{part}.{name}", self.rename.get(name, name))
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Distinct names: those of a, then those of b; of some of them no face may be left."""
+        return tuple(dict.fromkeys([self.renamed("a", name) for name in self.a.boundaries]
+                                   + [self.renamed("b", name) for name in self.b.boundaries]))
+
+
+class Cut(Combination):
+    """What is left of ``a`` when ``b`` is taken away. Parameters as of :class:`Combination`."""
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of a box around the solid (3,), m."""
+        return self.a.lower
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of a box around the solid (3,), m."""
+        return self.a.upper
+
+
+class Fuse(Combination):
+    """``a`` and ``b`` as one solid. Parameters as of :class:`Combination`."""
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of the bounding box (3,), m."""
+        return np.minimum(self.a.lower, self.b.lower)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of the bounding box (3,), m."""
+        return np.maximum(self.a.upper, self.b.upper)
+
+
+class Common(Combination):
+    """What ``a`` and ``b`` have in common. Parameters as of :class:`Combination`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (self.lower < self.upper).all():
+            raise ValueError(f"{self.a!r} and {self.b!r} have nothing in common: their bounding boxes do not overlap")
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of a box around the solid (3,), m."""
+        return np.maximum(self.a.lower, self.b.lower)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of a box around the solid (3,), m."""
+        return np.minimum(self.a.upper, self.b.upper)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assembly(Domain):
+    """Bodies that share no nodes; they may touch, or even overlap (a ring of bolts in an axisymmetric model does).
+
+    Parameters
+    ----------
+    parts : mapping of str to Domain
+        The geometry of each body by its name, without "."; all of the same dimension.
+
+    Examples
+    --------
+    >>> from adaptmg.problem import Rectangle
+    >>> Assembly(parts={"upper": Rectangle(width=1.0, height=1.0)}).boundaries
+    ('upper.bottom', 'upper.right', 'upper.top', 'upper.left')
+    """
+
+    parts: Mapping[str, Domain]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.parts, Mapping):
+            raise TypeError(f"parts must map body names to domains, got {checks.described(self.parts)}")
+        parts = dict(self.parts)
+        if not parts:
+            raise ValueError("parts is empty: an assembly needs at least one body")
+        for name, part in parts.items():
+            checks.boundary_name("the name of a body in parts", name)
+            if "." in name:
+                raise ValueError(f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'")
+            if not isinstance(part, Domain):
+                raise TypeError(f"parts[{name!r}] must be a Domain (Rectangle, Polygon, Outline, Box, ...), "
+                                f"got {checks.described(part)}")
+            if part.bodies is None or len(part.bodies) != 1 or part.boundaries is None or isinstance(part, Assembly):
+                raise ValueError(f"parts[{name!r}] must be one body with known boundaries; name the bodies of "
+                                 f"{type(part).__name__} one by one")
+        dims = {name: part.dim for name, part in parts.items()}
+        if len(set(dims.values())) > 1:
+            raise ValueError(f"all parts must have the same dimension, got {dims}")
+        object.__setattr__(self, "parts", parts)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.parts.items()))
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return next(iter(self.parts.values())).dim
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies, in order."""
+        return tuple(self.parts)
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """The distinct boundary names "body.edge", body by body."""
+        return tuple(dict.fromkeys(f"{body}.{edge}" for body, part in self.parts.items() for edge in part.boundaries))
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner of the bounding box (dim,), m."""
+        return np.min([part.lower for part in self.parts.values()], axis=0)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner of the bounding box (dim,), m."""
+        return np.max([part.upper for part in self.parts.values()], axis=0)
+
+
+@dataclass(frozen=True)
+class StepFile(Domain):
+    """The solids of a STEP file, each a body; boundaries are called "solid.face".
+
+    Names come from the file; solids and faces without one are called ``solid1``, ``face1``, ... in the order of the
+    file. Of several solids with one name the later ones get "_2", "_3", ...; a "." becomes "_". Names are known only
+    when the file is read (:func:`adaptmg.mesh.step.step_names` lists them).
+
+    Parameters
+    ----------
+    path : str or Path
+        A ``.step`` or ``.stp`` file.
+    unit : float
+        Length in m of one unit of the coordinates, after the reader has turned all units of length into millimetres:
+        leave it at 1e-3 unless the file states a wrong unit.
+    names : mapping of str to str
+        New names: "solid1": "upper" of a solid, "solid1.face3": "contact" of one of its faces. Keys are names as in
+        the file, or solids and faces by their numbers, counted from 1.
+    """
+
+    path: str | Path
+    unit: float = 1e-3
+    names: Mapping[str, str] = field(default_factory=dict, hash=False)
+    dim: ClassVar[int] = 3
+    boundaries: ClassVar[None] = None
+    bodies: ClassVar[None] = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", checks.file_path("path", self.path))
+        object.__setattr__(self, "unit", checks.quantity("unit", self.unit, positive=True))
+        if self.names is None:
+            object.__setattr__(self, "names", {})
+        if not isinstance(self.names, Mapping):
+            raise TypeError(f"names must map names to names, got {checks.shown(self.names)}")
+        object.__setattr__(self, "names", dict(self.names))
+        for old, new in self.names.items():
+            checks.boundary_name("the keys of names", old)
+            if "." in checks.boundary_name(f"names[{old!r}]", new):
+                raise ValueError(f"names[{old!r}] must not contain '.', got {new!r}: boundaries are 'solid.face'")

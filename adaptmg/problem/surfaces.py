@@ -1,0 +1,157 @@
+r"""Rigid obstacles: where a contact boundary may not go.
+
+The condition at a contact node is :math:`u_n = u \cdot n \le g_0`, with n pointing out of the body.
+
+ContactPair: two boundaries that may touch each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+
+import numpy as np
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+
+__all__ = ["COUPLINGS", "ContactPair", "GapFunction", "Obstacle", "Plane"]
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """A rigid plane.
+
+    The contact normal of every node is minus the normal of the plane, so the linearised condition is exact however
+    curved the body is: (x + u - point) . normal >= 0.
+
+    Parameters
+    ----------
+    point : sequence of float
+        A point of the plane, m.
+    normal : sequence of float
+        Its normal, pointing towards the body; any length > 0.
+    """
+
+    point: np.ndarray
+    normal: np.ndarray
+
+    def __post_init__(self) -> None:
+        point = check_arrays.vector("point", self.point)
+        if point.size not in (2, 3):
+            raise ValueError(f"point must have 2 or 3 components, got {point.size}")
+        normal = check_arrays.vector("normal", self.normal, point.size)
+        length = np.linalg.norm(normal)
+        if not length > 0:
+            raise ValueError(f"normal must not be zero, got {checks.shown(self.normal)}")
+        normal = normal / length
+        normal.flags.writeable = False
+        object.__setattr__(self, "point", point)
+        object.__setattr__(self, "normal", normal)
+
+    @property
+    def dim(self) -> int:
+        """Space dimension, 2 or 3."""
+        return self.point.size
+
+    def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Contact normals and gaps at boundary points.
+
+        Parameters
+        ----------
+        points, normals : (n, dim) arrays
+            Nodes of the contact boundary (m) and outward unit normals of the body there.
+
+        Returns
+        -------
+        normals : (n, dim) array
+            The direction in which the gap is measured, out of the body.
+        gaps : (n,) array
+            m; negative where the node lies behind the plane.
+        """
+        facing = normals @ self.normal
+        if (facing > 0).any():
+            i = int(np.argmax(facing))
+            raise ValueError(f"the obstacle's normal must point towards the body; at {points[i].tolist()} the "
+                             "contact boundary faces away from the plane: turn the normal, or name another boundary")
+        gaps = (points - self.point) @ self.normal
+        return np.broadcast_to(-self.normal, points.shape).copy(), gaps
+
+
+@dataclass(frozen=True, eq=False)
+class GapFunction:
+    """Any obstacle given by the gap in front of the contact boundary.
+
+    Parameters
+    ----------
+    function : callable
+        Points (n, dim) in m -> gaps (n,) in m, measured along the outward normal of the body.
+    """
+
+    function: Callable[[np.ndarray], np.ndarray]
+
+    def __post_init__(self) -> None:
+        if not callable(self.function) or isinstance(self.function, type):
+            raise TypeError(f"function must be callable (points (n, dim) -> gaps (n,)), "
+                            f"got {checks.described(self.function)}")
+
+    def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Contact normals and gaps at boundary points; see :meth:`Plane.contact`."""
+        return normals.copy(), checks.field("gap", self.function, points)
+
+
+Obstacle = Plane | GapFunction
+
+
+COUPLINGS = ("mortar", "nodes")
+
+
+@dataclass(frozen=True, eq=False)
+class ContactPair:
+    """Two boundaries, of two bodies or of one, that may touch each other.
+
+    Parameters
+    ----------
+    slave : str
+        The boundary that carries the contact nodes: rather that of the softer body, the finer one, and the one that
+        lies inside the other. Multigrid is slow where a stiff slave sits on a master that gives way.
+    master : str
+        The boundary it may touch.
+    coupling : {"mortar", "nodes"}
+        Mortar integrals with dual multipliers; or node to node, for surfaces whose nodes match.
+    allow_interference : bool
+        Accept negative initial gaps (an interference fit).
+    reach : float, optional
+        Largest initial distance at which the surfaces are looked for, m, > 0; by default it is found from the meshes.
+    gap : float or callable, optional
+        Initial gap along the slave's normal, m, in place of the computed one: a number, or a function of position
+        (n, dim) -> (n,).
+    """
+
+    slave: str
+    master: str
+    _: KW_ONLY
+    coupling: str = "mortar"
+    allow_interference: bool = False
+    reach: float | None = None
+    gap: float | Callable[[np.ndarray], np.ndarray] | None = None
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("slave", self.slave)
+        checks.boundary_name("master", self.master)
+        if self.slave == self.master:
+            raise ValueError(f"slave and master are both {self.slave!r}: name two different boundaries; where a "
+                             "surface may touch itself, cut it into two boundaries")
+        checks.choice("coupling", self.coupling, COUPLINGS)
+        checks.flag("allow_interference", self.allow_interference)
+        if self.reach is not None:
+            object.__setattr__(self, "reach", checks.quantity("reach", self.reach, positive=True))
+        if self.gap is not None and (not callable(self.gap) or isinstance(self.gap, type)):
+            object.__setattr__(self, "gap", checks.quantity("gap", self.gap))
+            if self.gap < 0 and not self.allow_interference:
+                raise ValueError(f"gap must be >= 0, got {self.gap!r}; for an interference fit set "
+                                 "allow_interference=True")
+
+    @property
+    def boundary(self) -> str:
+        """The boundary with the contact nodes: the slave."""
+        return self.slave

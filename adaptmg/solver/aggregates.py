@@ -1,0 +1,328 @@
+r"""Aggregates: groups of neighbouring nodes whose rigid motions show what is smooth in an error, on folded bodies too.
+
+They follow the graph of the matrix, not space: two arms that nearly touch have none in common, nor have two bodies, nor
+the slave nodes (whose displacement is relative) and the rest. With B the rigid motions of each aggregate about its
+centre, each node projected onto what a contact status lets move, the coarse matrix is :math:`B^T (A + S) B`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse.linalg import splu
+
+from adaptmg._runtime import kernel
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, times, write
+
+__all__ = ["Aggregates", "CoarseMatrix"]
+
+#: nodes of an aggregate and its depth in the graph, by dimension; of more than so many nodes the number of aggregates,
+#: which bounds the cost of the coarse matrix
+_SIZE, _MANY, _MOST = {2: (64, 4), 3: (80, 3)}, 100_000, {2: 1800, 3: 500}
+#: aggregates below this share of their size join a neighbour
+_REMNANT = 8
+#: unknowns up to which a coarse matrix is dense
+_DENSE = 600
+#: orders of sparse factorisations that fill little, by dimension, measured
+_ORDER = {2: "MMD_AT_PLUS_A", 3: "COLAMD"}
+#: of the diagonal, added to it: a status may take motions from an aggregate
+_SHIFT = 1e-10
+
+
+@kernel
+def _grow(indptr, indices, group, sizes, most_deep, label):
+    """Number the aggregates in ``label`` by breadth-first search inside groups; returns their number."""
+    n, count = len(group), 0
+    queue, depth = np.empty(n, dtype=np.int32), np.zeros(n, dtype=np.int32)
+    for seed in range(n):
+        if label[seed] >= 0 or group[seed] < 0:
+            continue
+        size = sizes[group[seed]]
+        queue[0], label[seed], depth[seed] = seed, count, 0
+        head, tail = 0, 1
+        while head < tail:
+            i = queue[head]
+            head += 1
+            if depth[i] == most_deep:
+                continue
+            for p in range(indptr[i], indptr[i + 1]):
+                j = indices[p]
+                if tail < size and label[j] < 0 and group[j] == group[seed]:
+                    label[j], depth[j], queue[tail] = count, depth[i] + 1, j
+                    tail += 1
+        count += 1
+    return count
+
+
+@kernel
+def _join(indptr, indices, group, sizes, remnant, label, count):
+    """Remnants join their smallest neighbour; returns the number of aggregates left, numbered again."""
+    n = len(label)
+    members, home = np.zeros(count, dtype=np.int32), np.arange(count)
+    of, best = np.zeros(count, dtype=np.int32), np.full(count, -1)
+    for i in range(n):
+        if label[i] >= 0:
+            members[label[i]] += 1
+            of[label[i]] = group[i]
+    for i in range(n):
+        if label[i] < 0 or remnant * members[label[i]] >= sizes[group[i]]:
+            continue
+        for p in range(indptr[i], indptr[i + 1]):
+            other = label[indices[p]]
+            if other < 0 or other == label[i] or of[other] != group[i]:
+                continue
+            if remnant * members[other] >= sizes[group[i]] and (
+                    best[label[i]] < 0 or members[other] < members[best[label[i]]]):
+                best[label[i]] = other
+    number, left = np.full(count, -1), 0
+    for a in range(count):
+        if best[a] < 0:
+            number[a] = left
+            left += 1
+    for a in range(count):
+        home[a] = number[best[a]] if best[a] >= 0 else number[a]
+    for i in range(n):
+        if label[i] >= 0:
+            label[i] = home[label[i]]
+    return left
+
+
+@kernel
+def _arrange(label, points, count, order, starts, offset):
+    """Nodes by aggregate, and their places from its centre over its extent (root of the mean square)."""
+    starts[:] = 0
+    for i in range(len(label)):
+        if label[i] >= 0:
+            starts[label[i] + 1] += 1
+    for a in range(count):
+        starts[a + 1] += starts[a]
+    ends = starts[:-1].copy()
+    for i in range(len(label)):
+        if label[i] >= 0:
+            order[ends[label[i]]] = i
+            ends[label[i]] += 1
+    if len(points) == 0:
+        return
+    for a in range(count):
+        members, square = order[starts[a]:starts[a + 1]], 0.0
+        for k in range(points.shape[1]):
+            centre = 0.0
+            for i in members:
+                centre += points[i, k]
+            centre /= len(members)
+            for i in members:
+                offset[i, k] = points[i, k] - centre
+                square += offset[i, k] ** 2
+        extent = np.sqrt(square / len(members))
+        if extent > 0:
+            for i in members:
+                for k in range(points.shape[1]):
+                    offset[i, k] /= extent
+
+
+@kernel
+def _pattern(indptr, indices, label, order, starts, coarse_indptr, coarse_indices):
+    """Aggregates J met from rows i <= j of each aggregate I, as rows of a matrix; ``coarse_indices`` may be empty."""
+    seen = np.full(len(starts) - 1, -1)
+    count = 0
+    for a in range(len(starts) - 1):
+        seen[a] = a
+        if len(coarse_indices):
+            coarse_indices[count] = a
+        count += 1
+        for q in range(starts[a], starts[a + 1]):
+            i = order[q]
+            for p in range(indptr[i], indptr[i + 1]):
+                b = label[indices[p]]
+                if indices[p] > i and b >= 0 and seen[b] != a:
+                    seen[b] = a
+                    if len(coarse_indices):
+                        coarse_indices[count] = b
+                    count += 1
+        coarse_indptr[a + 1] = count
+    return count
+
+
+class Aggregates:
+    """The aggregates of a problem: they depend on mesh, bodies and supports, not on the contact status.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+
+    Attributes
+    ----------
+    label : (n_nodes,) int array
+        Aggregate of each node, -1 where all components are fixed.
+    offset : (n_nodes, dim) array
+        Position from the centre of the aggregate, over its extent; zero without coordinates.
+    order, starts : int arrays
+        Nodes by aggregate.
+    indptr, indices : int arrays
+        Aggregates that share entries of the upper triangle of the matrix.
+    """
+
+    def __init__(self, problem: DiscreteProblem) -> None:
+        matrix, dim, n = problem.matrix, problem.dim, problem.n_nodes
+        group = np.zeros(n, dtype=np.int32)
+        for k, nodes in enumerate((problem.bodies or {}).values()):
+            group[nodes] = k
+        bodies = int(group.max()) + 1
+        if problem.coupling is not None:
+            group[problem.contact.nodes] += bodies
+        group[problem.fixed.reshape(n, dim).all(axis=1)] = -1
+        size, depth = _SIZE[dim]
+        if n > _MANY:
+            size = n // _MOST[dim]
+            depth = round(0.9 * size ** (1 / dim))
+        sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
+        self.label = np.full(n, -1, dtype=np.int32)
+        count = _grow(matrix.indptr, matrix.indices, group, sizes, depth, self.label)
+        count = _join(matrix.indptr, matrix.indices, group, sizes, _REMNANT, self.label, count)
+        self.order, self.starts = np.empty(n, dtype=np.int32), np.empty(count + 1, dtype=np.int32)
+        self.offset = np.zeros((n, dim))
+        points = np.empty((0, dim)) if problem.coordinates is None else problem.coordinates
+        _arrange(self.label, points, count, self.order, self.starts, self.offset)
+        self.indptr = np.zeros(count + 1, dtype=np.int32)
+        given = matrix.indptr, matrix.indices, self.label, self.order, self.starts, self.indptr
+        self.indices = np.empty(_pattern(*given, np.empty(0, dtype=np.int32)), dtype=np.int32)
+        _pattern(*given, self.indices)
+
+
+@in_loop
+def _motion(q, x):
+    """Rigid motion q at a place: translations, then rotations."""
+    if len(x) == 2:
+        if q == 0:
+            return 1.0, 0.0
+        if q == 1:
+            return 0.0, 1.0
+        return -x[1], x[0]
+    if q == 0:
+        return 1.0, 0.0, 0.0
+    if q == 1:
+        return 0.0, 1.0, 0.0
+    if q == 2:
+        return 0.0, 0.0, 1.0
+    if q == 3:
+        return 0.0, -x[2], x[1]
+    if q == 4:
+        return x[2], 0.0, -x[0]
+    return -x[1], x[0], 0.0
+
+
+@in_loop
+def _moved(q, i, zero, offset, held, kept):
+    """Motion q of the aggregate of node i there, projected."""
+    dim = np.uint64(len(zero))
+    v = _motion(q, read(offset, dim * np.uint64(i), zero))
+    if held[i] >= 0:
+        return times(kept, dim * dim * np.uint64(held[i]), v)
+    return v
+
+
+@kernel
+def _galerkin(zero, indptr, indices, data, diagonal, held, kept, offset, label, order, starts, coarse_indptr,
+              coarse_indices, coarse):
+    """coarse += half of B' (A + S) B: the other half is its transpose. ``diagonal`` are the blocks of A + S."""
+    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
+    slot = np.zeros(len(starts) - 1, dtype=np.int32)
+    for a in range(len(starts) - 1):
+        for s in range(coarse_indptr[a], coarse_indptr[a + 1]):
+            slot[coarse_indices[s]] = s
+        own = coarse_indptr[a]
+        for place in range(starts[a], starts[a + 1]):
+            i = order[place]
+            begin, end = indptr[i], indptr[i + 1]
+            for q in range(modes):
+                total = scale(0.5, times(diagonal, dim * dim * np.uint64(i), _moved(q, i, zero, offset, held, kept)))
+                for p in range(begin, end):
+                    j = indices[p]
+                    if j <= i or label[j] < 0:
+                        continue
+                    force = times(data, dim * dim * np.uint64(p), _moved(q, j, zero, offset, held, kept))
+                    if label[j] == a:
+                        total = add(total, force)
+                    else:
+                        at = slot[label[j]]
+                        for k in range(modes):
+                            coarse[at, k, q] += inner(_moved(k, i, zero, offset, held, kept), force)
+                for k in range(modes):
+                    coarse[own, k, q] += inner(_moved(k, i, zero, offset, held, kept), total)
+
+
+@kernel
+def _restrict(zero, residual, held, kept, offset, label, sums):
+    """sums = B' residual."""
+    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
+    sums[:] = 0.0
+    for i in range(len(label)):
+        if label[i] >= 0:
+            r = read(residual, dim * np.uint64(i), zero)
+            for q in range(modes):
+                sums[modes * label[i] + q] += inner(_moved(q, i, zero, offset, held, kept), r)
+
+
+@kernel
+def _prolong(zero, values, held, kept, offset, label, result):
+    """Result += B values."""
+    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
+    for i in range(len(label)):
+        if label[i] >= 0:
+            at = dim * np.uint64(i)
+            v = read(result, at, zero)
+            for q in range(modes):
+                v = add(v, scale(values[modes * label[i] + q], _moved(q, i, zero, offset, held, kept)))
+            write(result, at, v)
+
+
+class CoarseMatrix:
+    """B'(A + S)B of a contact status, factorised.
+
+    Parameters
+    ----------
+    aggregates : Aggregates
+    matrix : bsr_array
+    diagonal : (n_nodes, dim, dim) array
+        Diagonal blocks of A + S.
+    held : (n_nodes,) int array
+        Numbers of projections, -1 where a node moves freely.
+    kept : (m, dim, dim) array
+        Projections.
+    """
+
+    def __init__(self, aggregates: Aggregates, matrix: sparse.bsr_array, diagonal: np.ndarray, held: np.ndarray,
+                 kept: np.ndarray) -> None:
+        dim, self._solve = diagonal.shape[1], None
+        modes, count = 3 * dim - 3, len(aggregates.indptr) - 1
+        self._zero = ZERO[dim]
+        self._given = held, kept.reshape(-1), aggregates.offset.reshape(-1), aggregates.label
+        half = np.zeros((len(aggregates.indices), modes, modes))
+        _galerkin(self._zero, matrix.indptr, matrix.indices, matrix.data.reshape(-1), diagonal.reshape(-1),
+                  *self._given, aggregates.order, aggregates.starts, aggregates.indptr, aggregates.indices, half)
+        self._sums = np.zeros(count * modes)
+        size = len(self._sums)
+        blocks = sparse.bsr_array((half, aggregates.indices, aggregates.indptr), shape=(size, size))
+        coarse = sparse.csc_array(blocks)
+        coarse = sparse.csc_array(coarse + coarse.T)
+        diagonal = coarse.diagonal()
+        # motions that the status takes away altogether
+        most = diagonal.max(initial=0.0)
+        coarse = coarse + sparse.diags_array(np.where(diagonal > 1e-14 * most, _SHIFT * diagonal, most), format="csc")
+        try:
+            if size <= _DENSE:
+                factor = cho_factor(coarse.toarray(), lower=True, overwrite_a=True, check_finite=False)
+                self._solve = lambda sums: cho_solve(factor, sums, check_finite=False)
+            else:
+                self._solve = splu(coarse, permc_spec=_ORDER[dim], diag_pivot_thresh=0.0,
+                                   options={"SymmetricMode": True}).solve
+        except (np.linalg.LinAlgError, RuntimeError):
+            self._solve = None  # a motion that nothing holds: the sweeps alone are a preconditioner too
+
+    def correct(self, residual: np.ndarray, result: np.ndarray) -> None:
+        """Result += B (B'(A + S)B)^-1 B' residual; both flat."""
+        if self._solve is not None and len(self._sums):
+            _restrict(self._zero, residual, *self._given, self._sums)
+            _prolong(self._zero, self._solve(self._sums), *self._given, result)

@@ -1,0 +1,397 @@
+r"""Certificate: whether a displacement solves the contact problem, recomputed from the raw matrices.
+
+Nothing here comes from the solvers, their frames or their kernels: products with the stored matrix, unit normals n and
+projections I - n n' in Cartesian components. With :math:`r = A u - b`, the claimed contact forces
+:math:`f = -p\,n + f_t`, their bound :math:`s + \mu p` and the slip :math:`\tau` it measures
+
+.. math:: r - f = 0, \quad u_n \le g_0, \quad p \ge 0, \quad p\,(g_0 - u_n) = 0, \quad
+          |f_t| \le s + \mu p, \quad (s + \mu p)\,|\tau| + f_t \cdot \tau = 0,
+
+prescribed values, the claimed states, the balance of all forces, and the energy error
+(:mod:`adaptmg.solver.energy_error`). Forces are relative to loads and reactions, lengths to the largest
+displacement, energies to u'Au: never to a lifted nodal jump.
+
+The lines of a certificate: what a displacement and its contact forces violate, from the raw matrix.
+
+See :mod:`adaptmg.solver.certificate`; nothing here comes from the solvers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from adaptmg._runtime import one_blas_thread
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.solver.aggregates import Aggregates
+from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, residual_energy
+
+__all__ = ["Certificate", "Condition", "ContactClaims", "Evidence", "certify"]
+
+@dataclass(frozen=True, repr=False)
+class Certificate:
+    """By how much each condition of the contact problem is violated. Printing it shows a table.
+
+    Attributes
+    ----------
+    lines : tuple of Condition
+        'equilibrium' (of free dofs, under the claimed contact forces), 'prescribed values', 'penetration', 'tension',
+        'complementarity' (the smaller of pressure and gap, each in its own scale), 'friction bound', 'slip direction'
+        (the work of friction on its bound and opposite to the slip, less that of the claimed friction),
+        'slip along the force' (weighted by force, over the actual ones), 'open, touching' (forces at nodes said to be
+        open), 'touching, open' (gaps at nodes said to touch), 'slip, sticking' (slip at nodes said to stick), 'balance'
+        (sum of loads and all reactions).
+    energy_error : float
+        Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: rather too small
+        than too large. With ``bound=True`` by a factorisation: exact for this status.
+    energy_rounding : float
+        As much of it as rounding explains.
+    exact_energy : bool
+        Whether it was made by a factorisation.
+    force, displacement, energy_norm : float
+        What the lines are relative to: N, m, and sqrt(u'Au) (sqrt(N m)); in 2D per metre of thickness.
+    """
+
+    lines: tuple[Condition, ...]
+    energy_error: float
+    energy_rounding: float
+    exact_energy: bool
+    force: float
+    displacement: float
+    energy_norm: float
+
+    #: lines beyond this multiple of rtol contradict a solver that says it has converged (as for its residual)
+    FACTOR = 20.0
+    #: and an energy error beyond this
+    ENERGY_FACTOR = 3.0
+    #: relative violations that rounding may excuse at most; no solver of this package reaches less than about 1e-12
+    MOST_ROUNDING = 1e-9
+
+    def __getitem__(self, name: str) -> Condition:
+        for line in self.lines:
+            if line.name == name:
+                return line
+        raise KeyError(f"no line {name!r}; there are {', '.join(line.name for line in self.lines)}")
+
+    @property
+    def worst(self) -> Condition:
+        """The line with the largest relative violation."""
+        return max(self.lines, key=lambda line: np.inf if np.isnan(line.relative) else line.relative)
+
+    def contradictions(self, rtol: float, energy_factor: float = ENERGY_FACTOR) -> tuple[str, ...]:
+        """Names of what a displacement that has converged to ``rtol`` would not violate so much."""
+        def beyond(value: float, allowed: float, rounding: float) -> bool:
+            return not value <= max(allowed, min(rounding, self.MOST_ROUNDING))
+        found = [line.name for line in self.lines if beyond(line.relative, self.FACTOR * rtol, line.rounding)]
+        if beyond(self.energy_error, energy_factor * rtol, self.energy_rounding):
+            found.append("energy error")
+        return tuple(found)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Numbers and strings alone, for files."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Certificate:
+        """The inverse of :meth:`as_dict`."""
+        return cls(**(values | {"lines": tuple(Condition(**line) for line in values["lines"])}))
+
+    def __repr__(self) -> str:
+        rows = [f"Certificate: forces relative to {self.force:.3g} N, lengths to {self.displacement:.3g} m, energy to "
+                f"{self.energy_norm**2:.3g} N m", f"{'':<22} {'largest':>9} {'in all':>9} {'':<4} {'relative':>9}"]
+        rows += [f"{line.name:<22} {line.largest:>9.2e} {line.total:>9.2e} {line.unit:<4} {line.relative:>9.2e}"
+                 for line in self.lines]
+        how = "exact for this contact status" if self.exact_energy else "estimated, contact status held"
+        return "\n".join([*rows, f"{'energy error':<22} {'':>9} {'':>9} {'':<4} {self.energy_error:>9.2e}  ({how})"])
+
+
+@one_blas_thread()
+def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
+            images: np.ndarray | None = None, aggregates: Aggregates | None = None) -> Certificate:
+    """Check a displacement and the contact forces and states that go with it.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    displacement : (n_nodes, dim) array
+        Of the bodies (not relative), m.
+    contact : ContactResult
+        Its forces and states are what is claimed; gaps and slips are computed anew.
+    bound : bool
+        The energy error by a sparse factorisation, exact for this contact status; else estimated in a few passes over
+        the matrix.
+    images : (n_dofs,) array, optional
+        The stored matrix times the displacement (relative), N, where the caller has made that product already.
+    aggregates : Aggregates, optional
+        Of the problem, where the caller keeps them.
+    """
+    if aggregates is None and not bound:
+        aggregates = Aggregates(problem)
+    # what has run away overflows: its lines read inf or nan, and contradict
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, images)
+        energy, energy_rounding = found.energy_error(None if bound else aggregates)
+        lines = (found.equilibrium(), found.prescribed(), *found.normal(), *found.tangential(), *found.states(),
+                 found.balance())
+    if found.idle:
+        # nothing is relative to forces that are rounding: what they leave is told in N alone
+        lines = tuple(replace(line, relative=0.0)
+                      if not line.unit or (line.unit != "m" and line.largest <= found.rounding) else line
+                      for line in lines)
+        energy = 0.0
+    return Certificate(lines, energy, energy_rounding, bound, found.force, found.length, found.energy)
+
+
+_OPEN, _SLIP, _STICK = 0, 1, 2
+_EPSILON = float(np.finfo(float).eps)
+
+
+class ContactClaims(Protocol):
+    """What a result says of its contact nodes; see :class:`adaptmg.solver.contact_result.ContactResult`."""
+
+    node: np.ndarray
+    frames: np.ndarray
+    force_n: np.ndarray
+    force_t: np.ndarray
+    state: np.ndarray
+    master_node: np.ndarray
+    master_force: np.ndarray
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One condition: by how much it is violated.
+
+    Attributes
+    ----------
+    name : str
+    largest, total : float
+        At one node, and over all: the Euclidean norm, of energies the sum.
+    unit : str
+        Of both; empty for a number.
+    relative : float
+        Over the actual forces (Euclidean norm of loads or reactions), the largest displacement, or the energy.
+    rounding : float
+        As much of ``relative`` as rounding of the terms summed explains.
+    """
+
+    name: str
+    largest: float
+    total: float
+    unit: str
+    relative: float
+    rounding: float = 0.0
+
+
+class Evidence:
+    """What the lines are made from. Forces of coupled bodies are those of the bodies, not of relative coordinates."""
+
+    def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims,
+                 images: np.ndarray | None = None) -> None:
+        self.problem, self.contact = problem, contact
+        # contact as it was posed: between held bodies the problem may have nodes of the master in its place
+        self.posed = problem.contact if problem.exchange is None else problem.exchange.contact
+        self.nodes = self.posed.nodes
+        self.sigma = np.ones(len(self.nodes)) if problem.exchange is None else problem.exchange.sigma
+        shape = (problem.n_nodes, problem.dim)
+        self.u = displacement.reshape(shape)
+        self.unknowns = problem.relative(self.u)
+        if images is None:
+            images = problem.matrix @ self.unknowns.reshape(-1)
+        self.fixed = problem.fixed.reshape(shape)
+        self.diagonal = problem.matrix.diagonal().reshape(shape)
+        self.normals = self.posed.normals
+        self.claimed = np.einsum("nk,nkd->nd", np.column_stack([-contact.force_n, contact.force_t]), contact.frames)
+        self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
+        self.friction = self.claimed + self.pressure[:, None] * self.normals
+        limit, self.coefficient = problem.law.bounds(len(self.nodes))
+        self.limit = limit / np.abs(self.sigma)
+        self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
+        self.gap, self.slip = self._kinematics()
+        self.unexplained = self._physical(images - problem.load).reshape(shape)
+        self.unexplained[self.nodes] -= self.claimed
+        np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
+        self.tally = Tally(self.unexplained, self.fixed, self.u, self.unknowns,
+                           problem.fixed_values.reshape(shape), self.diagonal)
+        self.energy = float(np.sqrt(max(_sum(self.unknowns, images), 0.0)))
+        self.force = max(_norm(self._physical(problem.load)), self.tally.supports, _norm(self.claimed))
+        self.length = self.tally.displacement
+        # a row sums terms of the size of its diagonal times its displacement
+        self.rounding = 8 * _EPSILON * self.tally.stiff
+
+    @property
+    def idle(self) -> bool:
+        """Whether all forces are rounding: bodies that their supports move and nothing strains."""
+        moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
+        return moved > 0.0 and self.force <= 1e3 * self.rounding and self.length <= 10 * moved
+
+    def _physical(self, forces: np.ndarray) -> np.ndarray:
+        coupling = self.problem.coupling
+        return forces if coupling is None else coupling.physical_forces(forces)
+
+    def _kinematics(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gap (n,) and slip (n, dim) against the obstacle, or the other body."""
+        problem, moved = self.problem, self.u[self.nodes]
+        if problem.coupling is not None:
+            rows = problem.coupling.weights[self.nodes] if problem.exchange is None else problem.exchange.weights
+            moved = moved - rows @ self.u
+            for at, weights, c in problem.held_together():
+                moved[at, c] = self.u[self.nodes[at], c] - weights @ self.u[:, c]
+        u_n = np.einsum("nd,nd->n", moved, self.normals)
+        # a load step changes the reference of the nodes in the equations
+        along = moved - problem.contact.slip_reference * self.sigma[:, None]
+        slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals
+        return self.posed.gaps - u_n, slip
+
+    def _forces(self, name: str, forces: np.ndarray) -> Condition:
+        total = float(np.linalg.norm(forces))
+        return Condition(name, float(np.abs(forces).max(initial=0.0)), total, "N", _over(total, self.force),
+                    _over(self.rounding, self.force))
+
+    def _lengths(self, name: str, lengths: np.ndarray) -> Condition:
+        largest = float(np.abs(lengths).max(initial=0.0))
+        return Condition(name, largest, float(np.linalg.norm(lengths)), "m", _over(largest, self.length), 16 * _EPSILON)
+
+    def _works(self, name: str, works: np.ndarray, scale: float) -> Condition:
+        total = float(works.sum())
+        rounding = _over(self.rounding, self.force) + 16 * _EPSILON
+        # never over next to nothing: bodies that part, or slip without friction
+        scale = max(scale, self.force) * self.length
+        return Condition(name, float(works.max(initial=0.0)), total, "N m", _over(total, scale), rounding)
+
+    def equilibrium(self) -> Condition:
+        """Forces at free dofs that neither loads nor claimed contact forces explain."""
+        return Condition("equilibrium", self.tally.largest, self.tally.free, "N", _over(self.tally.free, self.force),
+                         _over(self.rounding, self.force))
+
+    def prescribed(self) -> Condition:
+        """Distance from prescribed values."""
+        return Condition("prescribed values", self.tally.furthest, self.tally.moved, "m",
+                         _over(self.tally.furthest, self.length), 16 * _EPSILON)
+
+    def normal(self) -> tuple[Condition, Condition, Condition]:
+        """Penetration, tension, complementarity."""
+        pulling = np.einsum("nd,nd->n", self.unexplained[self.nodes], self.normals) - self.pressure
+        # each in its own scale: a force of rounding times a gap of a thousand displacements is no work of contact
+        both = np.minimum(_shares(self.pressure, self.force), _shares(self.gap, self.length))
+        complementarity = Condition("complementarity", float(both.max(initial=0.0)), _norm(both), "", _norm(both),
+                                    _over(self.rounding, self.force) + 16 * _EPSILON)
+        return (self._lengths("penetration", np.maximum(-self.gap, 0.0)),
+                self._forces("tension", np.maximum(np.maximum(pulling, -self.pressure), 0.0)),
+                complementarity)
+
+    def tangential(self) -> tuple[Condition, Condition, Condition]:
+        """Friction beyond its bound, and not opposite to the slip."""
+        size, slip = np.linalg.norm(self.friction, axis=1), np.linalg.norm(self.slip, axis=1)
+        along = np.einsum("nd,nd->n", self.friction, self.slip)
+        excess, works = np.maximum(size - self.bound, 0.0), np.maximum(self.bound * slip + along, 0.0)
+        # weighted by the force: open nodes slip freely, under a force of rounding
+        same_way = np.maximum(along, 0.0) / (self.force or 1.0)
+        return (self._forces("friction bound", excess), self._works("slip direction", works, self.bound.sum()),
+                self._lengths("slip along the force", same_way))
+
+    def states(self) -> tuple[Condition, Condition, Condition]:
+        """What the claimed states contradict."""
+        state, slip = np.asarray(self.contact.state), np.linalg.norm(self.slip, axis=1)
+        return (self._forces("open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)),
+                self._lengths("touching, open", np.where(state != _OPEN, np.maximum(self.gap, 0.0), 0.0)),
+                self._lengths("slip, sticking", np.where(state == _STICK, slip, 0.0)))
+
+    def balance(self) -> Condition:
+        """Sum of loads, supports, claimed contact forces and elastic foundations: what free dofs leave unexplained."""
+        sums = self.tally.sums
+        # n forces of random sign sum up to more than one of them
+        scale = self.force * np.sqrt(self.problem.n_nodes)
+        total = float(np.linalg.norm(sums))
+        return Condition("balance", float(np.abs(sums).max()), total, "N", _over(total, scale),
+                         _over(self.rounding, scale))
+
+    def energy_error(self, aggregates: Aggregates | None) -> tuple[float, float]:
+        """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
+        """
+        problem, coupling = self.problem, self.problem.coupling
+        status, change, unlawful = self._frozen()
+        # a copy: what is unexplained is told by other lines too
+        forces = self.unexplained.copy() if coupling is None else coupling.relative_forces(self.unexplained.reshape(-1))
+        forces = forces.reshape(self.u.shape)
+        forces[problem.contact.nodes] += unlawful
+        matrix = problem.matrix
+        moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
+        rest = residual_energy(matrix, status, forces, aggregates)
+        rounding = 32 * _EPSILON * self.tally.stiff_energy
+        return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
+
+    def _frozen(self) -> tuple[FrozenStatus, np.ndarray, np.ndarray]:
+        """The status that the displacement is nearest to, the change that meets it, and the forces against the law.
+
+        At each node the cheaper is taken, in the measure of its stiffness: to move onto the obstacle (to zero slip), or
+        to give the force up (to turn it against the slip).
+        """
+        contact, dim = self.problem.contact, self.problem.dim
+        here, d = (~self.fixed[contact.nodes]).astype(float), self.diagonal[contact.nodes].max(axis=1)
+        # at the nodes that carry the conditions in the equations
+        scale, sigma = np.abs(self.sigma), self.sigma[:, None]
+        gap, pressure = self.gap / scale, self.pressure * scale
+        slip, friction = self.slip / sigma, self.friction * sigma * here
+        closed = d * gap**2 < np.maximum(pressure, 0.0) ** 2 / d + d * np.minimum(gap, 0.0) ** 2
+        closed |= gap < 0
+        size, limit = np.linalg.norm(slip, axis=1), np.where(closed, self.bound, self.limit) * scale
+        against = -_directions(slip)
+        excess = np.maximum(np.linalg.norm(friction, axis=1) - limit, 0.0)
+        turned = limit[:, None] * against * here
+        stays = (limit > 0) & (d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d)
+        # from no slip at all the node moves as the force drags it
+        beyond = stays & (excess > 0)
+        against[beyond] = _directions(friction)[beyond]
+        lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * here)
+        change = np.zeros_like(self.u)
+        change[contact.nodes] = np.where(closed, gap, 0.0)[:, None] * contact.normals - stays[:, None] * slip * here
+        held = np.flatnonzero(self.fixed)
+        change.reshape(-1)[held] = self.problem.fixed_values[held] - self.unknowns.reshape(-1)[held]
+        outer = np.einsum("ni,nj->nij", contact.normals, contact.normals)
+        tangents = np.eye(dim) - outer
+        slides, closed_too = ~stays | beyond, closed[:, None, None]
+        kept = np.where(slides[:, None, None], tangents, 0.0) + np.where(closed_too, 0.0, outer)
+        turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))
+        across = (tangents - np.einsum("ni,nj->nij", against, against)) * (dim == 3)
+        dragged = (self.coefficient * (slides & closed))[:, None, None] * np.einsum(
+            "ni,nj->nij", against, contact.normals)
+        pressed = -np.where(closed, pressure, 0.0)[:, None] * contact.normals
+        held, kept = self._held(kept)
+        status = FrozenStatus(held, kept, contact.nodes, turning[:, None, None] * across, dragged)
+        return status, change, self.claimed * sigma - pressed - lawful
+
+    def _held(self, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes in supports or contact, and the projections there, from those (n_contact, dim, dim) of contact."""
+        nodes = self.problem.contact.nodes
+        supported = np.flatnonzero(self.problem.fixed) // self.problem.dim
+        held = np.append(nodes, np.setdiff1d(supported, nodes))
+        every = np.concatenate([kept, np.tile(np.eye(self.problem.dim), (len(held) - len(nodes), 1, 1))])
+        free = ~self.fixed[held]
+        return held, every * free[:, :, None] * free[:, None, :]
+
+
+def _directions(vectors: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, dim), zero where there is none."""
+    size = np.linalg.norm(vectors, axis=1)[:, None]
+    return np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
+
+
+def _shares(values: np.ndarray, scale: float) -> np.ndarray:
+    """What is positive, over a scale."""
+    return np.maximum(values, 0.0) / (scale or 1.0)
+
+
+def _over(value: float, scale: float) -> float:
+    """A ratio; 1 for something over nothing."""
+    return 0.0 if value == 0.0 else float(value / (scale or value))
+
+
+def _norm(vector: np.ndarray) -> float:
+    return float(np.sqrt(_sum(vector, vector)))
+
+
+def _sum(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.einsum("i,i->", a.reshape(-1), b.reshape(-1)))

@@ -1,0 +1,358 @@
+r"""The energy error of a displacement, estimated from the raw matrix by a few steps of a Galerkin method.
+
+With the contact status of the displacement held, u is first moved onto its constraints by a change z of constrained
+dofs alone: v = u + z has its prescribed values, touching nodes on the obstacle, sticking nodes at zero slip. What is
+then missing is a correction in the space of the displacements that keep the status,
+
+.. math:: \|u - u_h\|_A \le \|z\|_A + \|v - u_h\|_A,
+
+the solution of :math:`K (I + D) A\,y + K S\,y = e`: e the forces at v that no load, support or lawful contact force
+explains, K the projection onto that space, S the stiffness of friction that turns with the slip, D the friction that
+a change of the pressure brings (Coulomb). Its Galerkin solution in the span of preconditioned residuals is sought,
+without D by conjugate gradients, whose energy grows from step to step and is never too large. The preconditioner:
+forward Gauss-Seidel, the rigid motions of :mod:`adaptmg.solver.aggregates`, backward Gauss-Seidel. The
+steps end when what the last residual could still hold, by the largest of the steps' ratios of energy to
+:math:`r\cdot P r`, is small; where they do not settle, a factorisation decides if the matrix is not too large for one.
+What other lines of a certificate need from all nodes, sums and largest entries, a :class:`Tally` takes in one pass.
+Nothing here comes from the solvers but the arithmetic of small blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg.blas import daxpy
+from scipy.sparse.linalg import splu
+
+from adaptmg._runtime import kernel
+from adaptmg.smoother.blocks import ZERO, add, in_loop, read, subtract, times, transposed_times, write
+from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
+
+__all__ = ["FrozenStatus", "Tally", "add_forces", "residual_energy"]
+
+#: steps at least and share of the energy that may be missing, up to so many nodes and beyond
+_SMALL, _FEW, _MANY = 20_000, (3, 0.15), (2, 0.3)
+#: steps at most, without and with Coulomb friction, which needs all directions
+_MOST, _MOST_COULOMB = 40, 16
+#: dofs up to which a factorisation is taken where the steps do not settle, by dimension
+_FACTORISED = {2: 100_000, 3: 30_000}
+
+
+@dataclass(frozen=True, eq=False)
+class FrozenStatus:
+    """The displacements that keep a contact status.
+
+    Attributes
+    ----------
+    held : (m,) int array
+        Nodes that may not move freely: in supports, and in contact.
+    kept : (m, dim, dim) array
+        Projections onto what may move there: of the free components; at contact nodes of these I, I - n n' (closed,
+        slipping), 0 (closed, sticking).
+    nodes : (n_contact,) int array
+    stiffening : (n_contact, dim, dim) array
+        Of friction that turns with the slip (3D), N/m.
+    dragged : (n_contact, dim, dim) array
+        Friction for a normal force, of slipping nodes under Coulomb's law; the factorisation alone knows it.
+    """
+
+    held: np.ndarray
+    kept: np.ndarray
+    nodes: np.ndarray
+    stiffening: np.ndarray
+    dragged: np.ndarray
+
+    def project(self, vector: np.ndarray) -> None:
+        """Leave of a vector (n_nodes, dim) the part that may move, in place."""
+        vector[self.held] = np.einsum("nij,nj->ni", self.kept, vector[self.held])
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the pressure does not change friction."""
+        return not self.dragged.any()
+
+
+@kernel
+def add_forces(indptr, indices, data, nodes, change, forces):
+    """Forces += A z of a change (n_nodes, dim) of some nodes alone, A symmetric; returns z'Az."""
+    energy = 0.0
+    for i in nodes:
+        for p in range(indptr[i], indptr[i + 1]):
+            for k in range(change.shape[1]):
+                for m in range(change.shape[1]):
+                    forces[indices[p], m] += data[p, k, m] * change[i, k]
+                    energy += change[i, k] * data[p, k, m] * change[indices[p], m]
+    return energy
+
+
+@kernel
+def _inverses(zero, indptr, indices, data, diagonal, inverse):
+    """Diagonal blocks of a matrix and their inverses, by cofactors."""
+    dim = len(zero)
+    for i in range(len(indptr) - 1):
+        for p in range(indptr[i], indptr[i + 1]):
+            if indices[p] == i:
+                for k in range(dim):
+                    for m in range(dim):
+                        diagonal[i, k, m] = data[p, k, m]
+        d, v = diagonal[i], inverse[i]
+        if dim == 2:
+            v[0, 0], v[0, 1], v[1, 0], v[1, 1] = d[1, 1], -d[0, 1], -d[1, 0], d[0, 0]
+        else:
+            v[0, 0], v[1, 1] = d[1, 1] * d[2, 2] - d[1, 2] * d[2, 1], d[0, 0] * d[2, 2] - d[0, 2] * d[2, 0]
+            v[0, 1] = v[1, 0] = d[0, 2] * d[2, 1] - d[0, 1] * d[2, 2]
+            v[0, 2] = v[2, 0] = d[0, 1] * d[1, 2] - d[0, 2] * d[1, 1]
+            v[1, 2] = v[2, 1] = d[0, 2] * d[1, 0] - d[0, 0] * d[1, 2]
+            v[2, 2] = d[0, 0] * d[1, 1] - d[0, 1] * d[1, 0]
+        determinant = 0.0
+        for k in range(dim):
+            determinant += d[0, k] * v[k, 0]
+        for k in range(dim):
+            for m in range(dim):
+                v[k, m] /= determinant
+
+
+@in_loop
+def _plus(array, at, v):
+    write(array, at, add(read(array, at, v), v))
+
+
+@kernel
+def _forward(zero, indptr, indices, data, inverse, load, u, rest):
+    """Gauss-Seidel from zero, and the residual that it leaves: the lower half of the matrix alone is read."""
+    dim = np.uint64(len(zero))
+    size = dim * dim
+    rest[:] = 0.0
+    for node in range(len(indptr) - 1):
+        i = np.uint64(node)
+        r = read(load, dim * i, zero)
+        end = indptr[node]
+        while indices[end] < node:
+            r = subtract(r, times(data, size * np.uint64(end), read(u, dim * np.uint64(indices[end]), zero)))
+            end += 1
+        value = times(inverse, size * i, r)
+        write(u, dim * i, value)
+        for p in range(indptr[node], end):
+            at = dim * np.uint64(indices[p])
+            write(rest, at, subtract(read(rest, at, zero), transposed_times(data, size * np.uint64(p), value)))
+
+
+@kernel
+def _backward(zero, indptr, indices, data, inverse, load, u, image):
+    """Gauss-Seidel from u, and the matrix times what it ends with, in one pass."""
+    dim = np.uint64(len(zero))
+    size = dim * dim
+    image[:] = 0.0
+    for node in range(len(indptr) - 2, -1, -1):
+        i = np.uint64(node)
+        r, above = read(load, dim * i, zero), zero
+        p = indptr[node]
+        while indices[p] < node:
+            r = subtract(r, times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero)))
+            p += 1
+        own = p
+        for p in range(own + 1, indptr[node + 1]):
+            above = add(above, times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero)))
+        value = times(inverse, size * i, subtract(r, above))
+        write(u, dim * i, value)
+        _plus(image, dim * i, add(above, times(data, size * np.uint64(own), value)))
+        for p in range(own + 1, indptr[node + 1]):
+            _plus(image, dim * np.uint64(indices[p]), transposed_times(data, size * np.uint64(p), value))
+
+
+class _Preconditioner:
+    """Forward Gauss-Seidel, coarse correction, backward Gauss-Seidel on the matrix of a status."""
+
+    def __init__(self, matrix: sparse.bsr_array, status: FrozenStatus, aggregates: Aggregates) -> None:
+        dim = status.kept.shape[1]
+        n = matrix.shape[0] // dim
+        self._zero = ZERO[dim]
+        self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1)
+        diagonal, inverse = np.zeros((n, dim, dim)), np.empty((n, dim, dim))
+        _inverses(self._zero, matrix.indptr, matrix.indices, matrix.data, diagonal, inverse)
+        diagonal[status.nodes] += status.stiffening
+        # a small stiffness of what is projected away is none
+        inverse[status.held] = np.linalg.pinv(status.kept @ diagonal[status.held] @ status.kept, rcond=1e-12,
+                                              hermitian=True)
+        number = np.full(n, -1, dtype=np.int32)
+        number[status.held] = np.arange(len(status.held))
+        self._inverse = inverse.reshape(-1)
+        self._coarse = CoarseMatrix(aggregates, matrix, diagonal, number, status.kept)
+        self._rest = np.empty(n * dim)
+
+    def __call__(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The preconditioned residual (n_nodes, dim), and the stored matrix times it."""
+        result, image, load = np.empty_like(residual), np.empty_like(residual), residual.reshape(-1)
+        _forward(self._zero, *self._matrix, self._inverse, load, result.reshape(-1), self._rest)
+        self._coarse.correct(self._rest, result.reshape(-1))
+        _backward(self._zero, *self._matrix, self._inverse, load, result.reshape(-1), image.reshape(-1))
+        return result, image
+
+
+def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray,
+                    aggregates: Aggregates | None) -> float:
+    """Energy of the displacement that a residual brings about in the space of a status, N m.
+
+    Parameters
+    ----------
+    matrix : bsr_array
+    status : FrozenStatus
+    residual : (n_nodes, dim) array
+        e, N; it is overwritten.
+    aggregates : Aggregates or None
+        For the estimate; None: by a sparse factorisation.
+    """
+    status.project(residual)
+    size = _dot(residual, residual)
+    if not np.isfinite(size):
+        return float("inf")
+    if size == 0.0:
+        return 0.0
+    if aggregates is None:
+        return _factorised(matrix, status, residual)
+    energy, settled = _estimated(matrix, status, residual.copy(), _Preconditioner(matrix, status, aggregates))
+    if not settled and matrix.shape[0] <= _FACTORISED[residual.shape[1]]:
+        try:
+            return _factorised(matrix, status, residual)
+        except RuntimeError:
+            return energy  # a motion that nothing holds
+    return energy
+
+
+def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner
+               ) -> tuple[float, bool]:
+    """A Galerkin solution's energy, and whether further steps would change it little; overwrites the residual."""
+    least, missing = _FEW if len(residual) <= _SMALL else _MANY
+    symmetric, energy, largest = status.symmetric, 0.0, 0.0
+    start = None if symmetric else residual.copy()
+    kept: list[tuple[np.ndarray, np.ndarray]] = []  # orthonormal directions, and what the equations make of them
+    for step in range(1, (_MOST if symmetric else _MOST_COULOMB) + 1):
+        direction, image = precondition(residual)
+        product, before = _dot(residual, direction), energy
+        if not product > 0.0:
+            return energy, True
+        at = status.nodes
+        dragged = np.einsum("nij,nj->ni", status.dragged, image[at])
+        image[at] += np.einsum("nij,nj->ni", status.stiffening, direction[at])
+        square, forces = _dot(direction, image), image
+        if not symmetric:
+            forces = image.copy()
+            forces[at] += dragged
+        status.project(forces)
+        for other, of_other in kept:
+            share = _dot(other, image)
+            _add(-share, other, direction)
+            _add(-share, of_other, forces)
+            square -= share * share
+        if not square > 0.0:
+            return energy, False  # a motion that nothing holds
+        direction /= np.sqrt(square)
+        forces /= np.sqrt(square)
+        if symmetric:
+            share = _dot(direction, residual)
+            kept = [(direction, forces)]
+            _add(-share, forces, residual)
+            energy += share * share
+        else:
+            kept.append((direction, forces))
+            equations = np.array([[_dot(v, f) for _, f in kept] for v, _ in kept])
+            try:
+                shares = np.linalg.solve(equations, [_dot(v, start) for v, _ in kept])
+            except np.linalg.LinAlgError:
+                return energy, False
+            residual[:] = start
+            for share, (_, f) in zip(shares, kept, strict=True):
+                _add(-share, f, residual)
+            energy = float(shares @ shares)
+        largest = max(largest, abs(energy - before) / product)
+        if step >= least and largest * product <= missing * energy:
+            return energy, True
+    return energy, False
+
+
+def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray) -> float:
+    n, dim = residual.shape
+    eye = np.tile(np.eye(dim), (n, 1, 1))
+
+    def by_node(nodes: np.ndarray, blocks: np.ndarray, others: np.ndarray) -> sparse.bsr_array:
+        every = others.copy()
+        every[nodes] = blocks
+        return sparse.bsr_array((every, np.arange(n), np.arange(n + 1)), shape=matrix.shape)
+
+    keep = by_node(status.held, status.kept, eye)
+    stiffening, dragged = (by_node(status.nodes, blocks, 0 * eye) for blocks in (status.stiffening, status.dragged))
+    whole = keep @ (matrix + stiffening) + keep @ dragged @ matrix
+    # what may not move gets a diagonal of the size of the others
+    rest = np.abs(matrix.diagonal()).max() * (sparse.eye_array(matrix.shape[0]) - keep)
+    found = splu(sparse.csc_array(whole @ keep + rest)).solve(residual.reshape(-1))
+    return max(_dot(found.reshape(n, dim), (matrix @ found).reshape(n, dim)), 0.0)
+
+
+def _add(factor: float, vector: np.ndarray, to: np.ndarray) -> None:
+    """To += factor vector, in one pass."""
+    daxpy(vector.reshape(-1), to.reshape(-1), a=factor)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.einsum("nd,nd->", a, b))
+
+
+@kernel
+def _tally(unexplained, fixed, physical, unknowns, values, diagonal, squares, largest, sums):
+    """Squares and largest entries of: free forces, forces in supports, prescribed values missed; displacements."""
+    for i in range(len(unexplained)):
+        for k in range(unexplained.shape[1]):
+            force, u, stiffness = abs(unexplained[i, k]), abs(physical[i, k]), abs(diagonal[i, k])
+            if fixed[i, k]:
+                missed = abs(unknowns[i, k] - values[i, k])
+                squares[1] += force * force
+                squares[2] += missed * missed
+                largest[2] = max(largest[2], missed)
+            else:
+                squares[0] += force * force
+                largest[0] = max(largest[0], force)
+                sums[k] += unexplained[i, k]
+            squares[3] += (stiffness * u) ** 2
+            squares[4] += stiffness * u * u
+            largest[3] = max(largest[3], u)
+
+
+class Tally:
+    """Over the nodes of a problem; what has run away makes its numbers infinite or NaN.
+
+    Parameters
+    ----------
+    unexplained : (n_nodes, dim) array
+        Forces that neither loads nor claimed contact forces explain, N.
+    fixed : (n_nodes, dim) bool array
+    physical, unknowns, values : (n_nodes, dim) arrays
+        Displacement of the bodies, the same relative, prescribed values, m.
+    diagonal : (n_nodes, dim) array
+        Of the matrix, N/m.
+
+    Attributes
+    ----------
+    free, largest : float
+        Norm and largest component of what is unexplained at free dofs, N.
+    supports : float
+        Norm of the forces at fixed dofs, N.
+    moved, furthest : float
+        Norm and largest component of the distance from prescribed values, m.
+    displacement : float
+        The largest component, m.
+    stiff, stiff_energy : float
+        Norms of D u (N) and of D^1/2 u (sqrt(N m)), D the diagonal.
+    sums : (dim,) array
+        Of what is unexplained at free dofs, N.
+    """
+
+    def __init__(self, unexplained: np.ndarray, fixed: np.ndarray, physical: np.ndarray, unknowns: np.ndarray,
+                 values: np.ndarray, diagonal: np.ndarray) -> None:
+        squares, largest, self.sums = np.zeros(5), np.zeros(4), np.zeros(unexplained.shape[1])
+        _tally(unexplained, fixed, physical, unknowns, values, diagonal, squares, largest, self.sums)
+        # the larger of NaN and a number is the number: the squares know
+        largest[~np.isfinite(squares[:4])] = np.nan
+        self.free, self.supports, self.moved, self.stiff, self.stiff_energy = np.sqrt(squares).tolist()
+        self.largest, _, self.furthest, self.displacement = largest.tolist()

@@ -1,0 +1,334 @@
+r"""Examiner: what a displacement is, whatever method it comes from.
+
+Residual, reactions, contact quantities and certificate on the finest level, from the matrix as it was given: one
+product with it, and rotations at the contact nodes alone. The last displacement examined is remembered, since a method
+that asks before it stops returns the same one.
+
+Sizes: what errors and residuals refer to, the energy of the displacement and the forces that act.
+
+Unknowns count from the prescribed values: with :math:`\bar u` these, zero elsewhere, :math:`u = w + \bar u`. The jump
+:math:`\bar u` has an energy that grows as the mesh is refined, and so have :math:`\|w\|_A` and
+:math:`|A\bar u|`, to which nothing may be related. The displacement itself has
+
+.. math:: \|u\|_A^2 = w^T(\bar b - r) + 2\,w^T A\bar u + \bar u^T A\bar u,
+
+:math:`\bar b = b - A\bar u` the load of the unknowns and r their residual: no pass over the matrix. The forces are the
+loads, the contact forces, and where displacements are prescribed the reactions :math:`(A u - b)` of the supports, for
+which the rows of the matrix at fixed dofs are kept.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.smoother.residuals import natural_at_nodes, states
+from adaptmg.smoother.system import ContactState, NodalContact, contact_blocks, held_tangents, local_contact, rotate
+from adaptmg.solver.aggregates import Aggregates
+from adaptmg.solver.certificate import Certificate, certify
+from adaptmg.solver.contact_result import ContactResult
+
+__all__ = [
+    "ROUNDING",
+    "Examined",
+    "Examiner",
+    "Sizes",
+    "contact_result",
+    "displacement_norm",
+    "energy_norm",
+    "euclidean_norm",
+]
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """What was found.
+
+    Attributes
+    ----------
+    displacement, reaction : (n_nodes, dim) arrays
+        Of the bodies, m and N.
+    contact : ContactResult
+    residual : float
+        Natural, relative to the forces that act.
+    checked : Certificate
+    """
+
+    displacement: np.ndarray
+    reaction: np.ndarray
+    contact: ContactResult
+    residual: float
+    checked: Certificate
+
+
+class Examiner:
+    """Examines displacements of one problem.
+
+    Parameters
+    ----------
+    discrete : DiscreteProblem
+
+    Attributes
+    ----------
+    contact : NodalContact
+    frames : (n_contact, dim, dim) array
+    blocks : (n_contact, dim, dim) array
+        Diagonal blocks at the contact nodes, local components.
+    """
+
+    def __init__(self, discrete: DiscreteProblem) -> None:
+        self.discrete = discrete
+        self.contact, self.frames = local_contact(discrete)
+        self.held = held_tangents(discrete, self.frames)
+        self.blocks = contact_blocks(discrete, self.contact, self.frames)
+        self.sizes = Sizes(discrete)
+        self._last: tuple[np.ndarray, Examined] | None = None
+        self._aggregates: Aggregates | None = None
+
+    def at_step(self, discrete: DiscreteProblem) -> Examiner:
+        """For the same bodies under other data (a load step)."""
+        result = copy.copy(self)
+        result.discrete, result._last = discrete, None
+        result.contact, _ = local_contact(discrete)
+        result.sizes = Sizes(discrete)
+        return result
+
+    def relative_residual(self, solved: np.ndarray) -> float:
+        """Natural residual of a displacement (n_dofs,), relative coordinates, over the forces that act.
+
+        The largest of load, contact forces and, where displacements are prescribed, reactions, in Euclidean norms; 1 if
+        it is all there is.
+        """
+        solved = np.asarray(solved, dtype=np.float64).reshape(-1)
+        return self._residual(solved, self.discrete.load - self.discrete.matrix @ solved)
+
+    def _at_contact(self, vector: np.ndarray) -> np.ndarray:
+        """Local components (n_contact, dim) of a vector (n_dofs,), zero along what is held."""
+        return self._local(vector.reshape(-1, self.discrete.dim)[self.discrete.contact.nodes])
+
+    def _local(self, at: np.ndarray) -> np.ndarray:
+        local = np.einsum("nij,nj->ni", self.frames, at)
+        local[:, 1:][self.held] = 0.0
+        return local
+
+    def _values(self, solved: np.ndarray) -> np.ndarray:
+        nodes, shape = self.discrete.contact.nodes, (-1, self.discrete.dim)
+        return self._local(solved.reshape(shape)[nodes] - self.discrete.fixed_values.reshape(shape)[nodes])
+
+    def _residual(self, solved: np.ndarray, defect: np.ndarray) -> float:
+        discrete = self.discrete
+        free = np.where(discrete.fixed, 0.0, defect)
+        at_contact = self._at_contact(free)
+        natural = natural_at_nodes(self.contact, self.blocks, self._values(solved), at_contact)
+        free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
+        unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
+        scale, size = self.sizes.forces(unknowns, euclidean_norm(at_contact.reshape(-1))), euclidean_norm(free)
+        if self.sizes.prescribed:
+            floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
+            if size <= floor and self.sizes.nothing_strains(scale, floor, unknowns):
+                return 0.0
+        return 0.0 if size == 0.0 else size / (scale or size)
+
+    def __call__(self, solved: np.ndarray) -> Examined:
+        """Examine a displacement (n_nodes, dim) or (n_dofs,), between bodies in relative coordinates, m."""
+        solved = np.array(solved, dtype=np.float64).reshape(-1)
+        if self._last is not None and np.array_equal(self._last[0], solved):
+            return self._last[1]
+        discrete = self.discrete
+        images = discrete.matrix @ solved
+        defect = discrete.load - images
+        reaction = -defect if discrete.coupling is None else discrete.coupling.physical_forces(-defect)
+        nodal = solved.reshape(discrete.n_nodes, discrete.dim)
+        displacement = discrete.physical(nodal)
+        contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
+                                 -self._at_contact(defect))
+        if self._aggregates is None:
+            self._aggregates = Aggregates(discrete)
+        found = Examined(displacement, reaction.reshape(nodal.shape), contact, self._residual(solved, defect),
+                         certify(discrete, displacement, contact, images=images, aggregates=self._aggregates))
+        self._last = solved, found
+        return found
+
+
+def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.ndarray, held: np.ndarray,
+                   solved: np.ndarray, values: np.ndarray, force: np.ndarray) -> ContactResult:
+    """Contact quantities at a solution.
+
+    Where a support holds a tangential component, the equations do not tell friction from the reaction of the support:
+    there it is what the law says for the slip, and nothing if nothing slips.
+
+    Parameters
+    ----------
+    discrete : DiscreteProblem
+    nodal : NodalContact
+        Its contact data in local components.
+    frames : (n_contact, dim, dim) array
+    held : (n_contact, dim - 1) bool array
+        Tangents that a support holds.
+    solved : (n_nodes, dim) array
+        Cartesian, m; between bodies in relative coordinates.
+    values, force : (n_contact, dim) arrays
+        Local unknowns (counted from prescribed values) and forces on the body at the contact nodes, m and N.
+    """
+    contact, small = discrete.contact, 1e-12 * max(solved.max(initial=0.0), -solved.min(initial=0.0))
+    u = np.einsum("nij,nj->ni", frames, discrete.at_contact(solved))
+    slip = u[:, 1:] - np.einsum("nij,nj->ni", frames, contact.slip_reference)[:, 1:]
+    force_n, force_t = np.maximum(-force[:, 0], 0.0), np.where(held, 0.0, force[:, 1:])
+    limit = nodal.limit + nodal.friction * force_n
+    state = states(nodal, values, force_n, small)
+    _friction_at_supports(held, slip, limit, small, force_t, state)
+    posed, weights, size = contact, None, np.ones(len(contact))
+    if discrete.coupling is not None:
+        weights = discrete.coupling.weights[contact.nodes]
+    if discrete.exchange is not None:
+        posed, weights, size = discrete.exchange.contact, discrete.exchange.weights, np.abs(discrete.exchange.sigma)
+        frames = frames * np.sign(discrete.exchange.sigma)[:, None, None]
+        if discrete.dim == 3:  # right-handed again
+            back = np.where(discrete.exchange.sigma < 0, -1.0, 1.0)
+            frames[:, 2] *= back[:, None]
+            for values in (u[:, 1:], slip, force_t):
+                values[:, 1] *= back
+    u, slip, gap = u * size[:, None], slip * size[:, None], (contact.gaps - u[:, 0]) * size
+    force_n, force_t, limit = force_n / size, force_t / size[:, None], limit / size
+    x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[posed.nodes]
+    carried = np.einsum("nk,nkd->nd", np.column_stack([-force_n, force_t]), frames)
+    boundary, node, on_masters = _on_followed(discrete, posed.boundary, weights, carried)
+    return ContactResult(node=posed.nodes, x=x, frames=frames, gap=gap, u_n=u[:, 0], u_t=u[:, 1:], slip=slip,
+                         force_n=force_n, force_t=force_t, weights=posed.weights, limit=limit, state=state,
+                         boundary=posed.boundary, names=posed.names, masters=posed.masters, master_node=node,
+                         master_force=on_masters, master_boundary=boundary)
+
+
+def _friction_at_supports(held: np.ndarray, slip: np.ndarray, limit: np.ndarray, small: float, force_t: np.ndarray,
+                          state: np.ndarray) -> None:
+    """Friction along held tangents (n, dim - 1) and the states of their nodes, in place."""
+    size = np.linalg.norm(slip, axis=1)
+    slides = held.any(axis=1) & (size > small)
+    direction = np.divide(slip, size[:, None], out=np.zeros_like(slip), where=slides[:, None])
+    force_t[held] = (-limit[:, None] * direction)[held]
+    state[slides & (state == ContactState.STICK)] = ContactState.SLIP
+
+
+def _on_followed(discrete: DiscreteProblem, boundary: np.ndarray, rows: sparse.csr_array | None, forces: np.ndarray
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What contact forces (n_contact, dim) exert on the nodes that slave nodes follow, -W' times them, by boundary.
+
+    ``rows`` (n_contact, n_nodes) are the weights W. Where both bodies are held, held nodes of the other one take all.
+
+    Returns
+    -------
+    boundary, node : (m,) int arrays
+    force : (m, dim) array
+        N.
+    """
+    dim, n = discrete.dim, discrete.n_nodes
+    if rows is None:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, dim))
+    keys, parts = [], []
+    held = {c: (at, weights) for at, weights, c in discrete.held_together()}
+    for c in range(dim):
+        weights, (at, instead) = rows, held[c]
+        if len(at):
+            others = np.ones(len(boundary))
+            others[at] = 0.0
+            place = sparse.csr_array((np.ones(len(at)), (at, np.arange(len(at)))), shape=(len(boundary), len(at)))
+            weights = sparse.csr_array(sparse.diags_array(others, format="csr") @ rows + place @ instead)
+        of = np.repeat(np.arange(len(boundary)), np.diff(weights.indptr))
+        keys.append(boundary[of] * n + weights.indices)
+        part = np.zeros((len(of), dim))
+        part[:, c] = -weights.data * forces[of, c]
+        parts.append(part)
+    key, place = np.unique(np.concatenate(keys), return_inverse=True)
+    total = np.column_stack([np.bincount(place, part, minlength=len(key)) for part in np.concatenate(parts).T])
+    return key // n, key % n, total
+
+
+#: a natural residual of so many times the terms it sums cannot be bettered
+ROUNDING = 8 * np.finfo(float).eps
+
+
+def energy_norm(unknowns: np.ndarray, forces: np.ndarray) -> float:
+    """sqrt(w' A w) from w and A w, 0 where rounding makes it negative."""
+    # not through BLAS: its threads cost more than a short dot product gains, several times over on a busy machine
+    return float(np.sqrt(max(float(np.einsum("i,i->", unknowns, forces)), 0.0)))
+
+
+def euclidean_norm(vector: np.ndarray) -> float:
+    """|v| of a flat vector, on one thread."""
+    return energy_norm(vector, vector)
+
+
+def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> float:
+    """||u||_A of a displacement (n_dofs,), prescribed values included; Cartesian, between bodies relative."""
+    flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
+    return energy_norm(flat, problem.matrix @ flat)
+
+
+class Sizes:
+    """Of the iterates of one problem.
+
+    Parameters
+    ----------
+    problem : DiscreteProblem
+    frames : (n_contact, dim, dim) array, optional
+        Contact frames, if the unknowns are in local components.
+
+    Attributes
+    ----------
+    load : float
+        |b|, N.
+    prescribed : bool
+        Whether a displacement other than zero is prescribed.
+    """
+
+    #: forces below so many times the rounding of a residual are none
+    IDLE = 1e3
+
+    def __init__(self, problem: DiscreteProblem, frames: np.ndarray | None = None) -> None:
+        self.load = euclidean_norm(problem.load)
+        self.prescribed = bool(problem.fixed_values.any())
+        if not self.prescribed:
+            return
+        self._problem, self._frames = problem, frames
+        lift = problem.matrix @ problem.fixed_values
+        self._jump = float(np.einsum("i,i->", problem.fixed_values, lift))
+        self._rows = sparse.csr_array(problem.matrix)[np.flatnonzero(problem.fixed)]
+        self._offset = (lift - problem.load)[problem.fixed]
+        self._lift = lift if frames is None else rotate(lift, frames, problem.contact.nodes)
+
+    def nothing_strains(self, forces: float, rounding: float, unknowns: np.ndarray) -> bool:
+        """Whether all forces are rounding: bodies that their supports move, and nothing strains or holds.
+
+        Nothing is relative to such forces. Unknowns that have run away have such forces too, but move further than the
+        supports do.
+
+        Parameters
+        ----------
+        forces : float
+            The largest of their norms, N.
+        rounding : float
+            Of the residual, N.
+        unknowns : (n_dofs,) array
+            m.
+        """
+        if not self.prescribed or forces > self.IDLE * rounding:
+            return False
+        return bool(np.abs(unknowns).max(initial=0.0) <= 10 * np.abs(self._problem.fixed_values).max())
+
+    def norm(self, unknowns: np.ndarray, energy: float) -> float:
+        """||u||_A from the unknowns w (n_dofs,), zero at fixed dofs, and w'Aw (N m)."""
+        if self.prescribed:
+            energy += 2 * float(np.einsum("i,i->", unknowns, self._lift)) + self._jump
+        return float(np.sqrt(max(energy, 0.0)))
+
+    def forces(self, unknowns: np.ndarray, contact: float) -> float:
+        """The largest of the norms of load, contact forces (given, N) and, where values are prescribed, reactions."""
+        if not self.prescribed:
+            return max(self.load, contact)
+        if self._frames is not None:
+            back = np.swapaxes(self._frames, 1, 2)
+            unknowns = rotate(unknowns, back, self._problem.contact.nodes)
+        return max(self.load, contact, euclidean_norm(self._rows @ unknowns + self._offset))

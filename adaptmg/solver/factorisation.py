@@ -1,0 +1,370 @@
+r"""OrderedFactors: sparse LU factors of a matrix of blocks in an elimination order of one's own.
+
+Nested dissection: an order of elimination with little fill for the graphs of finite-element matrices.
+
+A part of the graph is cut at the median of its longest extent; the nodes behind the cut that have a neighbour before it
+are the separator and go last, and both halves are cut again (A. George, SIAM J. Numer. Anal. 10, 1973,
+doi:10.1137/0710032). All parts of a depth are cut at once, so that the work is that of a few sorts a depth. Against
+SuperLU's minimum-degree order, elasticity on 257 x 257 nodes takes half the time and a fifth less fill, a box of 47k
+dofs half the time and a quarter less fill; below 5k nodes there is no difference.
+
+Condensation: the problem on the contact dofs alone, by one sparse factorisation.
+
+With the contact dofs c and all others i,
+
+.. math:: S = A_{cc} - A_{ci} A_{ii}^{-1} A_{ic},\qquad s = b_c - A_{ci} A_{ii}^{-1} b_i,\qquad
+          w_i = A_{ii}^{-1} (b_i - A_{ic} w_c).
+
+No right-hand sides are solved for S. The matrix :math:`M = A + \Sigma`, :math:`\Sigma` the diagonal of A at the contact
+dofs and zero elsewhere, is factorised as L U with the contact dofs last; what elimination leaves on them is
+:math:`L_{cc} U_{cc} = S + \Sigma`. (:math:`\Sigma` makes M regular where only contact holds the body.) Solves with
+:math:`A_{ii}` are solves with M whose right-hand side at c is chosen so that :math:`w_c` comes out as wanted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.linalg import SuperLU, splu
+
+from adaptmg.smoother.system import LocalProblem, LocalSystem, turn_held
+
+__all__ = ["Condensed", "OrderedFactors", "condense", "dofs_of", "nested_dissection", "node_graph"]
+
+def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
+    """The dofs of nodes in turn, ``size`` each."""
+    return (size * nodes.astype(np.int64)[:, None] + np.arange(size)).reshape(-1)
+
+
+@dataclass(frozen=True, eq=False)
+class OrderedFactors:
+    """Factors by SuperLU.
+
+    Attributes
+    ----------
+    lu : SuperLU
+        Of the permuted matrix.
+    order : (n_dofs,) int array
+        Elimination order.
+    diagonal : (n_dofs,) array
+        Of the permuted matrix.
+    """
+
+    lu: SuperLU
+    order: np.ndarray
+    diagonal: np.ndarray
+
+    @classmethod
+    def of(cls, matrix: sparse.csr_array, order: np.ndarray, threshold: float = 0.0) -> OrderedFactors:
+        """Factorise; pivots off the diagonal, which destroy the order, only where the diagonal is below a threshold.
+
+        None at all are safe where the matrix is symmetric and positive definite.
+
+        Raises
+        ------
+        RuntimeError
+            If a pivot vanishes.
+        """
+        permuted = matrix[order][:, order].tocsc()
+        lu = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=threshold, options={"SymmetricMode": True})
+        return cls(lu, order, permuted.diagonal())
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """One solve (n_dofs,)."""
+        result = np.empty_like(rhs)
+        result[self.order] = self.lu.solve(rhs[self.order])
+        return result
+
+
+#: parts of so few nodes are not cut
+_LEAF = 4
+#: base-3 digits that an int64 holds
+_DEPTH = 38
+#: nodes from which distances serve as coordinates
+_LANDMARKS = 3
+
+
+def node_graph(matrix: sparse.bsr_array) -> sparse.csr_array:
+    """The graph (n_nodes, n_nodes) of the blocks of a matrix, all weights 1."""
+    n = matrix.shape[0] // matrix.blocksize[0]
+    return sparse.csr_array((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(n, n))
+
+
+def nested_dissection(graph: sparse.csr_array, coordinates: np.ndarray | None = None,
+                      last: np.ndarray | None = None) -> np.ndarray:
+    """Order of elimination.
+
+    Parameters
+    ----------
+    graph : csr_array (n, n)
+        Structurally symmetric; values are not read.
+    coordinates : (n, k) array, optional
+        Positions of the nodes; without them distances in the graph from a few far nodes serve.
+    last : array of int, optional
+        Nodes that must go last.
+
+    Returns
+    -------
+    (n,) int array
+        The nodes in the order in which they are to be eliminated.
+    """
+    if coordinates is None:
+        coordinates = graph_coordinates(graph)
+    path = np.zeros(graph.shape[0], dtype=np.int64)
+    if last is not None:
+        path[last] = np.iinfo(np.int64).max
+    _cut(graph, coordinates, path)
+    return np.argsort(path, kind="stable")
+
+
+def graph_coordinates(graph: sparse.csr_array) -> np.ndarray:
+    """Distances in the graph (n, k) from nodes far from each other, each connected part shifted apart."""
+    n_parts, part = connected_components(graph, directed=False)
+    # any node of each part, then the farthest from it, the farthest from that, ...; the first is far from nothing
+    landmarks = np.unique(part, return_index=True)[1]
+    distances = [dijkstra(graph, directed=False, indices=landmarks, unweighted=True, min_only=True)]
+    for _ in range(_LANDMARKS):
+        order = np.lexsort((np.min(distances[1:] or distances, axis=0), part))
+        landmarks = order[np.r_[np.flatnonzero(np.diff(part[order])), len(order) - 1]]
+        distances.append(dijkstra(graph, directed=False, indices=landmarks, unweighted=True, min_only=True))
+    result = np.column_stack(distances[1:])
+    return result + (result.max(initial=0.0) + 1) * part[:, None] if n_parts > 1 else result
+
+
+def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> None:
+    """Write to ``path`` digits in base 3 (before, behind, separator), most significant first."""
+    edges = sparse.coo_array(graph)
+    row, column = edges.coords
+    once = row < column
+    row, column = row[once], column[once]
+    active = path == 0
+    part = np.zeros(len(path), dtype=np.int64)
+    behind = np.zeros(len(path), dtype=bool)
+    separator = np.zeros(len(path), dtype=bool)
+    for digit in 3 ** np.arange(_DEPTH, -1, -1, dtype=np.int64):
+        nodes = np.flatnonzero(active)
+        if not len(nodes):
+            return
+        behind[nodes], is_leaf = _halves(coordinates[nodes], part[nodes])
+        kept = (part[row] == part[column]) & active[row] & active[column]
+        row, column = row[kept], column[kept]
+        cut = behind[row] != behind[column]
+        separator[:] = False
+        separator[np.where(behind[row], row, column)[cut]] = True
+        separator[nodes[is_leaf]] = False
+        path[nodes] += digit * np.where(is_leaf, 0, np.where(separator[nodes], 2, behind[nodes]))
+        part[nodes] = 2 * np.unique(part[nodes], return_inverse=True)[1] + behind[nodes]
+        active[nodes[separator[nodes] | is_leaf]] = False
+
+
+def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which nodes lie behind the median of their part along its longest extent, and which parts are left whole."""
+    _, index, size = np.unique(part, return_inverse=True, return_counts=True)
+    first = np.r_[0, np.cumsum(size)[:-1]]
+    extent, low, middle = (np.empty((len(size), coordinates.shape[1])) for _ in range(3))
+    for k, x in enumerate(coordinates.T):
+        ordered = x[np.lexsort((x, index))]
+        low[:, k], middle[:, k] = ordered[first], ordered[first + size // 2]
+        extent[:, k] = ordered[first + size - 1] - low[:, k]
+    axis = np.argmax(extent, axis=1)
+    at = np.arange(len(size)), axis
+    x = np.take_along_axis(coordinates, axis[index][:, None], axis=1)[:, 0]
+    # many equal values, as distances have, may put the median on the lowest: cut above it then
+    above = (middle[at] == low[at])[index]
+    behind = np.where(above, x > middle[at][index], x >= middle[at][index])
+    is_leaf = ((size <= _LEAF) | (extent[at] == 0))[index]
+    return behind & ~is_leaf, is_leaf
+
+
+#: a pivot below this times the diagonal entry of the matrix means a singular interior
+_PIVOT = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """The Schur complement on the contact dofs and the way back.
+
+    Attributes
+    ----------
+    problem : LocalProblem
+        One node a contact node, all blocks stored; its ``load`` is condensed, ``contact`` and ``frames`` are those of
+        ``full``. ``discrete`` is the problem it comes from: ``to_local`` and ``to_cartesian`` belong to ``full``.
+    full : LocalProblem
+        What was condensed.
+    """
+
+    problem: LocalProblem
+    full: LocalProblem
+    _interior: Interior
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """S as an array (n, n) with n = n_contact * dim."""
+        return self._interior.schur
+
+    def restrict(self, unknowns: np.ndarray) -> np.ndarray:
+        """The entries (n_contact * dim,) at contact nodes of a vector over all dofs."""
+        return unknowns[self._interior.contact]
+
+    def recover(self, unknowns: np.ndarray) -> np.ndarray:
+        """All unknowns from those at the contact nodes, local components.
+
+        Parameters
+        ----------
+        unknowns : (n_contact * dim,) array
+            m.
+
+        Returns
+        -------
+        (n_dofs,) array
+            In equilibrium at every dof away from contact: refined once, to the rounding of a residual.
+        """
+        result = self.complete(self.reduce(self.full.load)[0], unknowns)
+        defect = self.full.load - self.full.system.matrix @ result
+        return result + self.complete(self.reduce(defect)[0], np.zeros_like(unknowns))
+
+    def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r"""Eliminate the interior from a residual; one solve.
+
+        Parameters
+        ----------
+        residual : (n_dofs,) array
+            r, dual, N.
+
+        Returns
+        -------
+        particular : (n_dofs,) array
+            A change in equilibrium with :math:`r_i` away from contact, for :meth:`complete`, m.
+        condensed : (n_contact * dim,) array
+            :math:`r_c - A_{ci} A_{ii}^{-1} r_i`, N.
+        """
+        interior = self._interior
+        rhs = residual.copy()
+        rhs[interior.contact] = 0.0
+        particular = interior.factors.solve(rhs)
+        return particular, residual[interior.contact] + interior.stiffness(particular[interior.contact])
+
+    def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+        r"""The solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve.
+
+        Parameters
+        ----------
+        particular : (n_dofs,) array
+            From :meth:`reduce`, whose argument is r, m.
+        unknowns : (n_contact * dim,) array
+            :math:`w_c`, m.
+        """
+        interior = self._interior
+        rhs = np.zeros_like(particular)
+        rhs[interior.contact] = interior.stiffness(unknowns - particular[interior.contact])
+        result = particular + interior.factors.solve(rhs)
+        result[interior.contact] = unknowns
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Interior:
+    """The factorised interior; see the module for the formulas.
+
+    Attributes
+    ----------
+    factors : OrderedFactors
+        Of M.
+    contact : (n_contact * dim,) int array
+        Contact dofs.
+    schur : (n, n) array
+        S.
+    shift : (n,) array
+        Diagonal of Sigma at the contact dofs.
+    """
+
+    factors: OrderedFactors
+    contact: np.ndarray
+    schur: np.ndarray
+    shift: np.ndarray
+
+    def stiffness(self, unknowns: np.ndarray) -> np.ndarray:
+        """(S + Sigma) w_c: the right-hand side of M that makes w_c."""
+        return self.schur @ unknowns + self.shift * unknowns
+
+
+def condense(local: LocalProblem) -> Condensed:
+    """Condense a problem onto its contact nodes.
+
+    Parameters
+    ----------
+    local : LocalProblem
+
+    Returns
+    -------
+    Condensed
+
+    Raises
+    ------
+    ValueError
+        If the problem is singular even with all contact dofs fixed: a body, or part of one, that neither supports nor
+        contact nodes can hold.
+
+    Notes
+    -----
+    One factorisation and (n_contact * dim)^2 numbers of memory, e.g. 257 x 257 nodes with 257 at contact: 1.5 s, 2 MB.
+    """
+    system = local.system
+    dim = system.dim
+    contact = dofs_of(system.nodes, dim)
+    shift = system.matrix.diagonal()[contact]
+    nodes = nested_dissection(node_graph(system.matrix), local.discrete.coordinates, last=system.nodes)
+    factors, schur = _eliminate(_shifted(system, contact, shift), dofs_of(nodes, dim), contact)
+    schur[np.diag_indices_from(schur)] -= shift
+    schur = 0.5 * (schur + schur.T)
+    fixed = system.fixed[contact]
+    n = len(system.nodes)
+    dense = LocalSystem.from_matrix(sparse.bsr_array(_blocks(schur, dim), shape=schur.shape), fixed, np.arange(n))
+    turn_held(dense.diagonal, dense.nodes, local.contact)
+    problem = LocalProblem(system=dense, load=np.zeros(len(contact)), contact=local.contact, frames=local.frames,
+                           discrete=local.discrete)
+    condensed = Condensed(problem, local, Interior(factors, contact, schur, shift))
+    problem.load = np.where(fixed, 0.0, condensed.reduce(local.load)[1])
+    return condensed
+
+
+def _blocks(matrix: np.ndarray, dim: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All dim x dim blocks of a full matrix in BSR form."""
+    n = len(matrix) // dim
+    blocks = matrix.reshape(n, dim, n, dim).swapaxes(1, 2).reshape(-1, dim, dim)
+    return blocks, np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
+
+
+def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> sparse.csc_array:
+    """M with every entry between two contact dofs stored, so that SuperLU keeps them at the end of its order."""
+    n = len(contact)
+    full = sparse.coo_array((np.zeros(n * n), (np.repeat(contact, n), np.tile(contact, n))), shape=system.matrix.shape)
+    diagonal = sparse.coo_array((shift, (contact, contact)), shape=system.matrix.shape)
+    matrix = sparse.coo_array(system.matrix)
+    data = np.concatenate([matrix.data, diagonal.data, full.data])
+    rows, columns = (np.concatenate([matrix.coords[k], diagonal.coords[k], full.coords[k]]) for k in (0, 1))
+    return sparse.coo_array((data, (rows, columns)), shape=system.matrix.shape).tocsc()
+
+
+def _eliminate(matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray) -> tuple[OrderedFactors, np.ndarray]:
+    """Factors, and L_cc U_cc in the order of ``contact``."""
+    message = ("the problem is singular even with all contact dofs fixed: add a support, or check that every node "
+               "belongs to an element")
+    try:
+        factors = OrderedFactors.of(matrix, order)
+    except RuntimeError as error:
+        raise ValueError(message) from error
+    # SuperLU postorders the elimination tree: row and column k of the permuted matrix became place[k]
+    lu = factors.lu
+    place, rows, upper = lu.perm_c, lu.perm_r, lu.U
+    pivots = upper.diagonal()[place]
+    if not (np.array_equal(place, rows) and (pivots > _PIVOT * factors.diagonal).all()):
+        raise ValueError(message)
+    inverse = np.empty_like(order)
+    inverse[order] = np.arange(len(order))
+    at = place[inverse[contact]]
+    lower = lu.L.tocsr()[at][:, at].toarray()
+    return factors, lower @ upper.tocsc()[:, at].tocsr()[at].toarray()

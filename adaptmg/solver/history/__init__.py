@@ -1,1 +1,0 @@
-"""How load histories go from step to step, and how they are kept."""

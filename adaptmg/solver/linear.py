@@ -1,0 +1,285 @@
+r"""Linear solvers: a direct one and algebraic multigrid, for the steps of the active set method and the glued problem.
+
+Work of the iterative solver is counted by the entries it touches, in passes over the matrix:
+
+.. math:: \text{passes} = n_A + n_M \sum_l \frac{(s_{pre} + s_{post} + 1)\,\mathrm{nnz}(A_l) + 2\,\mathrm{nnz}(P_l)}
+          {\mathrm{nnz}(A_0)}
+
+with :math:`n_A` products with the matrix and :math:`n_M` cycles (both counted as they happen), :math:`s` passes of the
+smoother (two for a symmetric sweep), one residual, a restriction and a prolongation on every level but the coarsest,
+where the dense pseudo-inverse is one product with :math:`n^2` entries. Set-up and direct factorisations are time, not
+work.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import pyamg
+import pyamg.krylov
+from scipy import sparse
+from scipy.sparse.linalg import LinearOperator
+
+from adaptmg import _checks as checks
+from adaptmg._runtime import seeded
+from adaptmg.solver.factorisation import OrderedFactors, dofs_of, nested_dissection, node_graph
+
+__all__ = ["AMG", "Direct", "LinearSolution", "LinearSolver", "Prepared"]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSolution:
+    """What a linear solve gives.
+
+    Attributes
+    ----------
+    unknowns : (n,) array
+    iterations : int
+        Krylov iterations; 0 of a direct solver.
+    passes : float
+        Passes over the matrix that count as work; 0 of a direct solver.
+    residual : float
+        |b - K x| / |b|, Euclidean.
+    converged : bool
+        Whether the residual is below the tolerance asked for.
+    """
+
+    unknowns: np.ndarray
+    iterations: int
+    passes: float
+    residual: float
+    converged: bool
+
+
+def solution_of(linear: object, prepared: object, rhs: np.ndarray, rtol: float) -> LinearSolution:
+    """What a linear solver, a user's own perhaps, returns for a right-hand side, checked."""
+    name = f"linear: what {checks.shown(linear)}"
+    checks.offers(f"{name} prepares", prepared, "solve", "an object that offers solve(rhs, start, rtol)")
+    solution = prepared.solve(rhs, rtol=rtol)
+    checks.instance(f"{name} returns", solution, LinearSolution, "a LinearSolution")
+    unknowns = solution.unknowns
+    if not isinstance(unknowns, np.ndarray) or unknowns.dtype != np.float64 or unknowns.shape != rhs.shape:
+        given = f"{unknowns.dtype} {unknowns.shape}" if isinstance(unknowns, np.ndarray) else checks.shown(unknowns)
+        raise TypeError(f"{name} returns must have unknowns of float64 {rhs.shape}, got {given}")
+    return solution
+
+
+class Prepared(Protocol):
+    """A matrix made ready for solves."""
+
+    def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
+        """Solve K x = rhs from ``start`` (default zero) to |rhs - K x| <= rtol |rhs|, Euclidean."""
+
+
+class LinearSolver(Protocol):
+    """What a linear solver must offer."""
+
+    def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
+              preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Prepared:
+        """Prepare to solve with a matrix.
+
+        Parameters
+        ----------
+        matrix : bsr_array (n, n)
+            With a symmetric pattern.
+        near_nullspace : (n, k) array, optional
+            In the components of the matrix, zero at eliminated dofs.
+        symmetric : bool
+            Whether the matrix is symmetric positive definite.
+        preconditioner : bsr_array (n, n), optional
+            A symmetric positive definite matrix close to ``matrix``, to build a preconditioner from.
+        previous : Prepared, optional
+            What was made for a similar matrix, to be reused in part.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the matrix is found singular.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Direct:
+    """Sparse factorisation by SuperLU with a nested-dissection order, and one step of iterative refinement a solve."""
+
+    #: |K^-1 D| beyond this, D the diagonal of K, means singular
+    SINGULAR = 1e13
+
+    def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
+              preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Factorised:
+        """Factorise; see :class:`LinearSolver`. The order of a previous matrix of the same pattern is reused."""
+        if isinstance(previous, Factorised) and len(previous.factors.order) == matrix.shape[0]:
+            order = previous.factors.order
+        else:
+            size = matrix.blocksize[0]
+            order = dofs_of(nested_dissection(node_graph(matrix)), size)
+        try:
+            factors = OrderedFactors.of(sparse.csr_array(matrix), order, 0.0 if symmetric else 1e-3)
+        except RuntimeError as error:
+            raise np.linalg.LinAlgError(_singular(matrix)) from error
+        result = Factorised(matrix, factors)
+        probe = np.random.default_rng(0).standard_normal(matrix.shape[0])
+        growth = np.abs(factors.solve(matrix.diagonal() * probe)).max()
+        if not growth < self.SINGULAR:
+            raise np.linalg.LinAlgError(_singular(matrix))
+        return result
+
+
+def _singular(matrix: sparse.bsr_array) -> str:
+    return (f"the matrix ({matrix.shape[0]} rows) is singular: a motion is left free by the supports and the contact "
+            "nodes that hold; add a support, or start from a state in which more nodes touch")
+
+
+@dataclass(frozen=True, eq=False)
+class Factorised:
+    """The factors of a matrix; :class:`Direct` makes it."""
+
+    matrix: sparse.bsr_array
+    factors: OrderedFactors
+
+    def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
+        """Solve and refine; see :class:`Prepared`. ``start`` is not needed."""
+        unknowns = self.factors.solve(rhs)
+        unknowns += self.factors.solve(rhs - self.matrix @ unknowns)
+        relative = _relative(rhs - self.matrix @ unknowns, rhs)
+        return LinearSolution(unknowns, 0, 0.0, relative, relative <= rtol)
+
+
+def _relative(residual: np.ndarray, rhs: np.ndarray) -> float:
+    size = float(np.linalg.norm(rhs))
+    return float(np.linalg.norm(residual)) / size if size > 0 else float(np.linalg.norm(residual))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AMG:
+    """Smoothed aggregation (pyamg) as preconditioner of conjugate gradients, or of flexible GMRES if not symmetric.
+
+    The defaults, and what is no option here, are those of ``pyamg.smoothed_aggregation_solver``.
+
+    Parameters
+    ----------
+    strength : float
+        Drop tolerance theta of the symmetric strength of connection, 0 <= theta < 1.
+    smoother : {"block_gauss_seidel", "gauss_seidel"}
+        A symmetric sweep before and after the coarse correction.
+    max_coarse : int
+        Unknowns of the coarsest level.
+    max_iterations : int
+        Krylov iterations at most.
+    lag : int
+        Within one active set solve, keep the hierarchy while at most so many dofs have been eliminated or released
+        since it was built: less set-up, more iterations. -1 builds one for every matrix.
+
+    Notes
+    -----
+    P. Vanek, J. Mandel, M. Brezina, Computing 56, 1996, doi:10.1007/BF02238511; N. Bell, L. Olson, J. Schroder,
+    B. Southworth, PyAMG, JOSS 8 (87), 2023, doi:10.21105/joss.05495.
+    """
+
+    strength: float = 0.0
+    smoother: str = "block_gauss_seidel"
+    max_coarse: int = 10
+    max_iterations: int = 500
+    lag: int = 8
+
+    #: iterations between restarts of GMRES: on slender bodies with slip it stagnates with 50
+    RESTART = 200
+
+    def __post_init__(self) -> None:
+        strength = checks.nonnegative("strength", self.strength)
+        if not strength < 1:
+            raise ValueError(f"strength must be < 1, got {self.strength!r}")
+        checks.choice("smoother", self.smoother, ("block_gauss_seidel", "gauss_seidel"))
+        checks.integer("max_coarse", self.max_coarse, 1)
+        checks.integer("max_iterations", self.max_iterations, 1)
+        checks.integer("lag", self.lag, -1)
+
+    def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
+              preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Preconditioned:
+        """Build a hierarchy of coarse matrices; see :class:`LinearSolver`."""
+        eliminated = None if near_nullspace is None else ~near_nullspace.any(axis=1)
+        if isinstance(previous, Preconditioned) and self._may_keep(previous.eliminated, eliminated):
+            return Preconditioned(matrix, previous.hierarchy, symmetric, self, previous.eliminated)
+        basis = matrix if preconditioner is None else preconditioner
+        smoother = (self.smoother, {"sweep": "symmetric"})
+        with seeded():
+            hierarchy = pyamg.smoothed_aggregation_solver(
+                sparse.bsr_matrix(basis), B=near_nullspace, symmetry="symmetric",
+                strength=("symmetric", {"theta": self.strength}), presmoother=smoother, postsmoother=smoother,
+                max_coarse=self.max_coarse)
+        return Preconditioned(matrix, hierarchy, symmetric, self, eliminated)
+
+    def _may_keep(self, before: np.ndarray | None, now: np.ndarray | None) -> bool:
+        return before is not None and now is not None and np.count_nonzero(before != now) <= self.lag
+
+
+@dataclass(eq=False)
+class Preconditioned:
+    """A matrix with its algebraic hierarchy; :class:`AMG` makes it."""
+
+    matrix: sparse.bsr_array
+    hierarchy: pyamg.MultilevelSolver
+    symmetric: bool
+    options: AMG
+    eliminated: np.ndarray | None
+    _products: int = field(default=0, init=False)
+    _cycles: int = field(default=0, init=False)
+
+    @property
+    def operator_complexity(self) -> float:
+        """Nonzeros of all levels over those of the finest."""
+        return float(self.hierarchy.operator_complexity())
+
+    @property
+    def cycle_passes(self) -> float:
+        """Passes over the finest matrix that a V-cycle costs; see the module for the formula."""
+        *levels, coarsest = self.hierarchy.levels
+        # four passes of two symmetric sweeps, and a residual
+        entries = sum(5 * level.A.nnz + 2 * level.P.nnz for level in levels)
+        return (entries + coarsest.A.shape[0] ** 2) / self.hierarchy.levels[0].A.nnz
+
+    def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
+        """Iterate until the error in the norm of the preconditioner is small, too; see :class:`Prepared`."""
+        shape, cycle = self.matrix.shape, self.hierarchy.aspreconditioner(cycle="V")
+        self._products = self._cycles = 0
+
+        def product(x: np.ndarray) -> np.ndarray:
+            self._products += 1
+            return self.matrix @ x.reshape(-1)
+
+        def precondition(x: np.ndarray) -> np.ndarray:
+            self._cycles += 1
+            return cycle @ x.reshape(-1)
+
+        operator = LinearOperator(shape, matvec=product, dtype=np.float64)
+        inverse = LinearOperator(shape, matvec=precondition, dtype=np.float64)
+        unknowns, iterations, tol = start, 0, rtol
+        size = _energy(rhs, precondition(rhs))
+        while True:
+            norms: list[float] = []
+            left = self.options.max_iterations - iterations
+            if self.symmetric:
+                unknowns, _ = pyamg.krylov.cg(operator, rhs, x0=unknowns, tol=tol, maxiter=left, M=inverse,
+                                              residuals=norms)
+            else:
+                restart = min(self.options.RESTART, left, shape[0])
+                unknowns, _ = pyamg.krylov.fgmres(operator, rhs, x0=unknowns, tol=tol, M=inverse, restart=restart,
+                                                  maxiter=-(-left // restart), residuals=norms)
+            iterations += max(len(norms) - 1, 0)
+            residual = rhs - product(unknowns)
+            error = _energy(residual, precondition(residual))
+            # a residual hides what is smooth: on a slender body nearly all of the error
+            if not error > rtol * size or not len(norms) > 1 or iterations >= self.options.max_iterations:
+                break
+            tol *= max(0.5 * rtol * size / error, 1e-2)
+        relative = _relative(residual, rhs)
+        passes = self._products + self._cycles * self.cycle_passes
+        converged = relative <= 1.1 * rtol
+        return LinearSolution(unknowns, iterations, passes, relative, converged)
+
+
+def _energy(residual: np.ndarray, preconditioned: np.ndarray) -> float:
+    """The energy norm of the error, as the preconditioner estimates it; sqrt(N m)."""
+    return float(np.sqrt(max(float(np.einsum("i,i->", residual, preconditioned)), 0.0)))

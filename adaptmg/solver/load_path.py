@@ -1,0 +1,450 @@
+r"""solve_path: quasi-static load histories, step by step.
+
+Friction acts on increments: at step k the slip is :math:`u_t^k - u_t^{k-1}`, against the displacement of the step
+before (implicit Euler; no time occurs). Every step is a contact problem of its own with other loads, prescribed values
+and slip references; matrices and transfers stay. What comes back is a sequence of Results, with the factors of their
+steps.
+
+PathWalk: what is posed at each step of a load path, what is known of the steps before, and how methods go on.
+
+The truncated multigrid keeps its set-up (:mod:`adaptmg.solver.load_steps`). With FullMultigrid each step
+has a nested start of the increment, unless the displacement extrapolated in the loads leaves far less: under
+proportional loading that is the solution. All other methods start from the better of the displacement of the step
+before and the extrapolated one; a FullMultigrid with another correction goes on as a Multigrid.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+
+from adaptmg import _checks as checks
+from adaptmg._runtime import one_blas_thread
+from adaptmg.discrete.load_steps import LoadSteps, load_steps, whole_load
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.stress import StressData
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.load_path import LoadPath
+from adaptmg.smoother.system import OPEN, SLIP, STICK
+from adaptmg.solver import step_store
+from adaptmg.solver.examine import Examiner
+from adaptmg.solver.load_steps import Past, StepSolver, better_start, coarse_displacements, past_of
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid
+from adaptmg.solver.projected import own
+from adaptmg.solver.record import Outcome, Run, Solver
+from adaptmg.solver.result import NotConverged, Result
+from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, result_of, solver_argument
+from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
+from adaptmg.solver.status import Status
+from adaptmg.solver.step_store import PathStore, fingerprint
+from adaptmg.solver.truncated import lifted_load
+
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["PathResult", "PathWalk", "StepNotConverged", "solve_path", "step_solver"]
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PathResult(Sequence[Result]):
+    """The steps of a load path, in order.
+
+    Attributes
+    ----------
+    results : tuple of Result
+        Of the steps done; where a step did not converge it is the last one.
+    factors : dict of str to (n_steps,) array
+        Factors of all steps of the path, by the name of the load; "default" where loads have no names.
+    fingerprint : dict
+        What the path was solved for, see :mod:`adaptmg.solver.step_store`; empty without a store.
+    n_steps : int
+        Steps of the whole path.
+    """
+
+    results: tuple[Result, ...]
+    factors: Mapping[str, np.ndarray]
+    fingerprint: Mapping[str, Any] = field(default_factory=dict)
+    n_steps: int = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether all steps of the path were solved to their tolerance."""
+        return len(self.results) == self.n_steps and all(result.status.ok for result in self.results)
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    @overload
+    def __getitem__(self, index: int) -> Result: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Result, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Result | tuple[Result, ...]:
+        return self.results[index]
+
+    def __iter__(self) -> Iterator[Result]:
+        return iter(self.results)
+
+    def __repr__(self) -> str:
+        about = f" of {self.results[0].solver_name} for {self.results[0].problem_name}" if self.results else ""
+        lines = [f"PathResult{about}: {len(self)} of {self.n_steps} steps",
+                 f"{'step':>4} {'status':>9} {'cycles':>6} {'seconds':>8} {'open':>6} {'slip':>6} {'stick':>6}  "
+                 "factors"]
+        for k, result in enumerate(self.results):
+            n = _counts(result)
+            factors = ", ".join(f"{name} {values[k]:g}" for name, values in self.factors.items())
+            lines.append(f"{k:>4} {result.status.name:>9} {result.cycles:>6} {result.seconds:>8.3g} {n['open']:>6} "
+                         f"{n['slip']:>6} {n['stick']:>6}  {factors}")
+        return "\n".join(lines)
+
+    def table(self) -> pandas.DataFrame:
+        """One row a step.
+
+        Returns
+        -------
+        pandas.DataFrame
+            step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural, relative);
+            open, slip and stick (contact nodes); force_x, force_y, force_z: resultant of all contact forces on the
+            contact boundaries, N (2D: N/m); pressure: the largest contact pressure, Pa; slip_size: the largest slip of
+            the step at a node in contact, m.
+        """
+        import pandas
+
+        rows = []
+        for k, result in enumerate(self.results):
+            force = result.resultant("contact").force
+            c = result.contact
+            slips = np.linalg.norm(c.slip, axis=1)[c.state != OPEN]
+            rows.append({"step": k} | {f"factor {name}": values[k] for name, values in self.factors.items()}
+                        | {"status": result.status.name, "cycles": result.cycles, "work_units": result.work_units,
+                           "seconds": result.seconds, "residual": result.residual} | _counts(result)
+                        | {f"force_{'xyz'[d]}": float(value) for d, value in enumerate(force)}
+                        | {"pressure": float(c.pressure.max()), "slip_size": float(slips.max(initial=0.0))})
+        return pandas.DataFrame(rows)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write a file a step, and the factors; the mesh goes into the first.
+
+        Raises
+        ------
+        ValueError
+            If the folder holds another path already.
+        """
+        step_store.write(checks.file_path("folder", folder), self.results, self.factors, self.n_steps, self.fingerprint)
+
+    @classmethod
+    def load(cls, folder: str | os.PathLike[str]) -> PathResult:
+        """Read what :meth:`save` wrote, or the steps that :func:`adaptmg.solve_path` has stored so far.
+
+        Raises
+        ------
+        ValueError
+            If the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
+        """
+        head, results = step_store.read(checks.file_path("folder", folder))
+        return cls(results, head.factors, head.fingerprint, head.steps)
+
+
+def _counts(result: Result) -> dict[str, int]:
+    """Contact nodes by state."""
+    states = np.bincount(np.asarray(result.contact.state, dtype=int), minlength=3)
+    return {"open": int(states[OPEN]), "slip": int(states[SLIP]), "stick": int(states[STICK])}
+
+
+class StepNotConverged(NotConverged):
+    """Raised by :func:`solve_path` when a step did not reach its tolerance.
+
+    Attributes
+    ----------
+    result : Result
+        The last iterate of that step.
+    step : int
+    described : str
+        The factors of that step.
+    partial : PathResult
+        The steps before it, and it.
+    """
+
+    def __init__(self, result: Result, step: int, described: str, partial: PathResult) -> None:
+        super().__init__(result)
+        self.step, self.described, self.partial = step, described, partial
+        self.args = (f"step {step} of {partial.n_steps} ({described}): {self.args[0]} Smaller load steps help where "
+                     "the contact status changes much; the steps before it are in .partial.",)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.result, self.step, self.described, self.partial)
+
+
+@one_blas_thread()
+def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
+               start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
+               depends: Mapping[str, Any] | None = None, throw: bool = True,
+               callback: Callable[[int, Result], None] | None = None,
+               progress: Callable[[int, dict[str, float]], None] | None = None) -> PathResult:
+    """Solve a contact problem along a load path on the finest level of a hierarchy.
+
+    Parameters
+    ----------
+    grids : Hierarchy or DiscreteProblem
+        A bare DiscreteProblem is a hierarchy of one level; its loads have no names, so that ``path`` has ``default``
+        alone.
+    path : LoadPath
+    solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or one's own, optional
+        The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a step;
+        "discretisation" sets it once, in the first step. Multigrid with :class:`adaptmg.Truncated` is set up once.
+    start : (n_nodes, dim) array or Result, optional
+        Displacement against which the first step slips, m. Default: the unloaded, undeformed bodies.
+    store : path, optional
+        A folder where every finished step is kept at once. A path that was interrupted goes on there; a folder with
+        steps of another problem, hierarchy, path or solver is refused. A user-defined solver is compared by its code
+        and the values that it reads.
+    depends : mapping of str to value, optional
+        For the store: values that stand for what cannot be compared (an open file, a generator of random numbers), by
+        the name of the variable that is read, or "solver".
+    throw : bool
+        Raise :class:`StepNotConverged` if a step does not reach the tolerance. False ends the path with that step,
+        whose status says it; ``complete`` is then False.
+    callback : callable, optional
+        Called with the number and the Result of each step when it is finished, and kept.
+    progress : callable, optional
+        Called with the number of the step and each row of its history.
+
+    Returns
+    -------
+    PathResult
+
+    Raises
+    ------
+    ValueError
+        Bad input, or a rigid motion that neither supports nor contact hold in a step.
+    StepNotConverged
+    """
+    grids = grids_argument(grids)
+    checks.instance("path", path, LoadPath, "a LoadPath")
+    solver = solver_argument(solver, grids)
+    checks.flag("throw", throw)
+    checks.optional_callable("callback", callback, "the number and Result of a step")
+    checks.optional_callable("progress", progress, "the number of a step and a row of its history")
+    walk = PathWalk(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
+    mark = {} if store is None else walk.fingerprint(depends)
+    kept = None if store is None else PathStore(store, walk.factors, len(path), mark)
+    results = [] if kept is None else kept.results
+    for k, result in enumerate(results):
+        walk.replay(k, result)
+    if len(results) < len(path):
+        warn_of_large_friction(walk.examiner)
+    for k in range(len(results), len(path)):
+        result = walk.step(k, progress)
+        results.append(result)
+        if not result.status.ok:
+            partial_result = PathResult(tuple(results), walk.factors, mark, len(path))
+            if throw:
+                raise StepNotConverged(result, k, walk.described(k), partial_result)
+            return partial_result
+        if kept is not None:
+            kept.put(k, result)
+        if callback is not None:
+            callback(k, result)
+    return PathResult(tuple(results), walk.factors, mark, len(path))
+
+
+def step_solver(solver: Solver) -> StepSolver:
+    """The way through the steps for a solver."""
+    if not isinstance(solver, Multigrid):
+        return _Restarted(solver, solver)
+    kept = own(solver.correction, "load_steps")
+    if kept is not None:
+        return kept(solver)
+    if not isinstance(solver, FullMultigrid):
+        return _Restarted(solver, solver)
+    plain = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
+    return _Restarted(solver, plain)
+
+
+class _Restarted:
+    """A solver that is run anew for every step: ``first`` without a start, ``later`` with one."""
+
+    def __init__(self, first: Solver, later: Solver) -> None:
+        self.first, self.later = first, later
+
+    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past) -> tuple[Outcome, None]:
+        if not past.given:
+            return self.first.run(hierarchy, run, None), None
+        start = better_start(examiner, past, run)
+        return self.later.run(hierarchy, run, start.reshape(examiner.discrete.n_nodes, -1)), None
+
+    def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> None:
+        """Nothing is kept."""
+
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(eq=False)
+class _Known:
+    """The displacement of a step on the finest level, and the forces that led there (n_dofs,), None if unknown."""
+
+    displacement: np.ndarray
+    forces: np.ndarray | None
+
+
+class PathWalk:
+    """The way along a path.
+
+    Parameters
+    ----------
+    grids : Hierarchy
+    path : LoadPath
+    solver : Solver
+    start : (n_nodes, dim) array or None
+        Displacement before the first step, m; between bodies relative.
+
+    Attributes
+    ----------
+    factors : dict of str to (n_steps,) array
+        Of everything that the path scales.
+    examiner : Examiner
+        Of the finest level at the present step.
+    """
+
+    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None) -> None:
+        self.grids, self.path, self.solver, self.start = grids, path, solver, start
+        self.factors = path.resolved(_problem_with_names(grids))
+        self.loads = _loads(grids)
+        for k in range(len(path)):
+            # two supports that no longer agree should show before the first step is solved
+            self.loads[-1].fixed_values(self._factors_at(k))
+        self.examiner = Examiner(grids.finest.discrete)
+        self.method = step_solver(solver)
+        begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
+        self.past = past_of(grids, begin, start is not None)
+        self.known = [_Known(begin, np.zeros_like(begin) if start is None else None)]
+
+    def fingerprint(self, depends: Mapping[str, Any] | None) -> dict[str, Any]:
+        """What the steps depend on."""
+        return fingerprint(self.grids, self.loads, self.factors, len(self.path), {"solver": self.solver}, self.start,
+                           depends)
+
+    def described(self, k: int) -> str:
+        """The factors of a step, for messages."""
+        return ", ".join(f"{name}={factor:g}" for name, factor in self._factors_at(k).items())
+
+    def _factors_at(self, k: int) -> dict[str, float]:
+        return {name: float(values[k]) for name, values in self.factors.items()}
+
+    def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
+        """Solve a step and remember it."""
+        finest = self.grids.finest.discrete
+        run = Run(unit=finest.matrix.nnz, callback=None if progress is None else partial(progress, k))
+        with run.phase("setup"):
+            grids = self._posed(k)
+            forces = lifted_load(grids.finest.discrete)
+            run.examiner = self.examiner = self.examiner.at_step(grids.finest.discrete)
+            past = replace(self.past, extrapolated=self._extrapolated(forces))
+        with run.phase("statics"):
+            try:
+                check_statics_of(grids, coarse_first=k > 0)
+            except ValueError as error:
+                raise ValueError(f"step {k} of {len(self.path)} ({self.described(k)}): {error}") from error
+        if self._at_rest(forces):
+            result, coarse = self._undeformed(k, grids, run), None
+        else:
+            outcome, coarse = self.method.run(grids, self.examiner, run, past)
+            outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
+            with run.phase("result"):
+                result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
+        with run.phase("result"):
+            self._remember(grids, result, forces, coarse)
+        _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,
+                  result.cycles)
+        return result
+
+    def replay(self, k: int, result: Result) -> None:
+        """Take over a step that is known already."""
+        grids = self._posed(k)
+        if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
+            raise ValueError(f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
+                             f"{grids.finest.n_nodes}")
+        moved = result.displacement.any()
+        coarse = self.method.replay(grids, self.past, result.rtol) if moved else None
+        self._remember(grids, result, lifted_load(grids.finest.discrete), coarse)
+
+    def _at_rest(self, forces: np.ndarray) -> bool:
+        """Whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b - A u_fixed."""
+        contact, quiet = self.examiner.contact, not (forces.any() or self.examiner.discrete.fixed_values.any())
+        slid = np.abs(contact.slip_reference).any(axis=1)
+        return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
+
+    def _stress_data(self, k: int) -> StressData | None:
+        return self.loads[-1].stress_data(self._factors_at(k))
+
+    def _undeformed(self, k: int, grids: Hierarchy, run: Run) -> Result:
+        """The result of a step in which nothing acts: no method could tell the relative error of its iterates."""
+        rtol = getattr(self.solver, "rtol", None)
+        outcome = Outcome(np.zeros(grids.finest.discrete.n_dofs), Status.CONVERGED, 0,
+                          float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0)
+        result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
+        # all forces vanish: a relative residual would be rounding over nothing
+        return replace(result, status=Status.CONVERGED, residual=0.0)
+
+    def _posed(self, k: int) -> Hierarchy:
+        """The hierarchy with loads, prescribed values and slip references of a step."""
+        factors, levels = self._factors_at(k), []
+        offset = len(self.grids) - len(self.past.levels)
+        for number, (level, loads) in enumerate(zip(self.grids.levels, self.loads, strict=True)):
+            if loads is not None and number >= offset:
+                problem, reference = level.discrete, level.discrete.contact.slip_reference
+                if self.past.given:
+                    reference = problem.at_contact(self.past.levels[number - offset])
+                step = problem.with_step(loads.load(factors), loads.fixed_values(factors), reference)
+                level = level.posing(step)
+            levels.append(level)
+        return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))
+
+    def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
+        """What the next step wants to know."""
+        discrete = grids.finest.discrete
+        # from the result, as a path that goes on from its store has it
+        displacement = discrete.relative(result.displacement).reshape(-1)
+        self.known = [*self.known[-1:], _Known(displacement, forces)]
+        if coarse is not None:
+            levels = [*coarse, displacement]
+        elif grids.discretised:
+            levels = coarse_displacements(grids, displacement)
+        else:
+            levels = [displacement]
+        self.past = Past(levels, displacement, True)
+
+    def _extrapolated(self, forces: np.ndarray) -> np.ndarray:
+        """The displacement for new forces if all goes on as between the last two steps, least squares in the forces."""
+        before, last = self.known[0], self.known[-1]
+        if len(self.known) < 2 or before.forces is None:
+            return last.displacement
+        change = last.forces - before.forces
+        # not through BLAS, whose threads cost more than they gain
+        size = float(np.einsum("i,i->", change, change))
+        if size == 0.0:
+            return last.displacement
+        ratio = float(np.einsum("i,i->", forces - last.forces, change)) / size
+        return last.displacement + ratio * (last.displacement - before.displacement)
+
+
+def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
+    """The problem, if its loads can be told apart on every level."""
+    known = all(level.mesh is not None for level in grids.levels if level.discrete is not None)
+    return grids.problem if known else None
+
+
+def _loads(grids: Hierarchy) -> list[LoadSteps | None]:
+    """Loads and supports one by one on each level; None where a level is only a space."""
+    named = _problem_with_names(grids) is not None
+    return [None if level.discrete is None
+            else load_steps(grids.problem, level.mesh, level.discrete.coupling) if named else whole_load(level.discrete)
+            for level in grids.levels]

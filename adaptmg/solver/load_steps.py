@@ -1,0 +1,254 @@
+r"""Past: what is known before a load step, on every level; and the protocol of what goes from step to step.
+
+KeptMultigrid: the truncated multigrid through load steps, set up once.
+
+Matrices, transfers, and the lists by which the contact status changes coarse matrices stay; loads, gaps and slip
+references change. The nested start of a step carries only what the step changes: level l solves its own step from
+
+.. math:: u_l^{k-1} + P\,(u_{l-1}^k - u_{l-1}^{k-1}),
+
+with its own history :math:`u_l^0, u_l^1, \dots` and slips measured against that. The error of such a start is the
+discretisation error of the increment, not of the whole displacement; it finds nodes that stick, and slips that turn
+round when a load is taken back, where the interpolation of the whole displacement would let every node slip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from scipy.sparse.linalg import lsmr
+
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.cycle import NestedStart
+from adaptmg.multigrid.rigid_motions import RigidMotions
+from adaptmg.multigrid.truncated_step import TruncatedStep
+from adaptmg.smoother.system import local_contact
+from adaptmg.solver.examine import Examiner
+from adaptmg.solver.iterate import StopTest
+from adaptmg.solver.projected import MultigridOptions, need_levels
+from adaptmg.solver.record import Outcome, Run
+from adaptmg.solver.truncated import TruncatedMultigrid, lifted_load
+
+__all__ = ["KeptMultigrid", "Past", "StepSolver", "TruncatedSteps", "better_start", "coarse_displacements", "past_of"]
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """What is known before a step.
+
+    Attributes
+    ----------
+    levels : list of (n_dofs,) arrays
+        Displacement of the step before, coarsest level first, Cartesian, m; between bodies relative. On the finest
+        level alone where the coarse ones are no contact problems.
+    extrapolated : (n_dofs,) array
+        On the finest level; the displacement of the step before where nothing is known.
+    given : bool
+        Whether there is a step before, or a start.
+    """
+
+    levels: list[np.ndarray]
+    extrapolated: np.ndarray
+    given: bool
+
+
+class StepSolver(Protocol):
+    """What :func:`adaptmg.solve_path` needs of a method."""
+
+    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
+            ) -> tuple[Outcome, list[np.ndarray] | None]:
+        """Solve a step; with the displacement of the coarse levels if the method has it."""
+
+    def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> list[np.ndarray] | None:
+        """The coarse displacements of a step whose result is known, solved to ``rtol``."""
+
+
+def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
+    """The displacement of the step before or the extrapolated one, whichever has the smaller natural residual."""
+    with run.phase("start"):
+        return min(past.levels[-1], past.extrapolated, key=examiner.relative_residual)
+
+
+def past_of(hierarchy: Hierarchy, displacement: np.ndarray, given: bool) -> Past:
+    """What is known before the first step: a displacement (n_dofs,) of the finest level, zero if none is given."""
+    if not hierarchy.discretised:
+        return Past([displacement], displacement, given)
+    if not given:
+        return Past([np.zeros(level.discrete.n_dofs) for level in hierarchy.levels], displacement, given)
+    return Past(coarse_displacements(hierarchy, displacement), displacement, given)
+
+
+def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list[np.ndarray]:
+    """A displacement of the finest level on all levels: each next coarser one that interpolates it best.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+        Discretised on all levels.
+    displacement : (n_dofs,) array
+        m; between bodies relative.
+
+    Returns
+    -------
+    list of (n_dofs,) arrays
+        Coarsest first, least squares in the nodal values.
+    """
+    result = [displacement]
+    for level in reversed(hierarchy.levels[1:]):
+        columns = result[0].reshape(level.n_nodes, -1).T
+        nodal = [lsmr(level.prolongation, column, atol=1e-8, btol=1e-8)[0] for column in columns]
+        result.insert(0, np.stack(nodal, axis=1).reshape(-1))
+    return result
+
+
+class KeptMultigrid(TruncatedMultigrid):
+    """The truncated multigrid for a sequence of steps.
+
+    Parameters
+    ----------
+    options : MultigridOptions
+        With :class:`~adaptmg.Truncated` as correction.
+    hierarchy : Hierarchy
+        Of the first step.
+    run : Run
+
+    Attributes
+    ----------
+    spent : bool
+        Another method had to take over: what is kept may be spoilt, it is set up anew.
+    """
+
+    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
+        super().__init__(options, hierarchy, run)
+        self._runners: dict[int, TruncatedStep] = {}
+        self.spent = False
+
+    def take(self, hierarchy: Hierarchy, run: Run) -> None:
+        """Go on to the next step: ``hierarchy`` differs in loads, prescribed values and slip references only."""
+        self.hierarchy, self.run, self.cycle.recorder = hierarchy, run, run
+        self.problems = [level.discrete for level in hierarchy.levels]
+        with run.phase("setup"):
+            finest = self._runners.get(len(hierarchy) - 1)
+            if finest is not None:
+                finest.truncation.restore()
+
+    def increment(self, start: NestedStart, past: list[np.ndarray]) -> list[np.ndarray]:
+        """The nested start of a step.
+
+        Parameters
+        ----------
+        start : NestedStart
+        past : list of (n_dofs,) arrays
+            Displacement of the step before on each level, coarsest first, Cartesian, prescribed values included, m;
+            between bodies relative.
+
+        Returns
+        -------
+        list of (n_dofs,) arrays
+            The same at this step: solutions of the coarse levels, and the start on the finest.
+        """
+        result: list[np.ndarray] = []
+        for number, problem in enumerate(self.problems):
+            if number == 0:
+                unknowns = self._solve_coarsest(start)
+            else:
+                change = (result[-1] - past[number - 1]).reshape(-1, problem.dim)
+                unknowns = past[number] + (self.cycle.prolongations[number - 1] @ change).reshape(-1)
+                unknowns = from_prescribed(problem, unknowns)
+                self.run.visit(number, "start")
+                if number < len(self.problems) - 1:
+                    runner = self._runner(number, unknowns)
+                    with self.run.phase("start"):
+                        self._start_cycles(runner, number, start)
+                        unknowns = runner.unknowns
+                        runner.truncation.restore()
+            result.append(unknowns + problem.fixed_values)
+        self.run.start_work_units = self.run.work_units
+        return result
+
+    def finish(self, unknowns: np.ndarray, cold: bool, rate: float | None = None) -> Outcome:
+        """See :class:`TruncatedMultigrid`."""
+        outcome = super().finish(unknowns, cold, rate)
+        self.spent = bool(self.run.fallback)
+        return outcome
+
+    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
+        if number not in self._runners:
+            self._runners[number] = super()._runner(number, unknowns)
+            return self._runners[number]
+        runner, problem = self._runners[number], self.problems[number]
+        with self.run.phase("setup"):
+            data, _ = local_contact(problem)
+            contact, load = runner.contact, lifted_load(problem)
+            contact.renew(data)
+            contact.start(unknowns)
+            runner.load, runner.unknowns = load, unknowns
+            runner.motions = RigidMotions.of(problem, contact, load)
+        return runner
+
+
+def from_prescribed(problem: DiscreteProblem, displacement: np.ndarray) -> np.ndarray:
+    """A displacement (n_dofs,) counted from the prescribed values, zero at fixed dofs, m."""
+    result = displacement - problem.fixed_values
+    result[problem.fixed] = 0.0
+    return result
+
+
+class TruncatedSteps:
+    """The truncated multigrid, with or without nested start."""
+
+    #: extrapolation is taken where it leaves less than this share of the residual of the nested start, whose error
+    #: is rough and soon smoothed away
+    EXTRAPOLATE = 0.05
+
+    def __init__(self, options: MultigridOptions) -> None:
+        self.options = options
+        self.multigrid: KeptMultigrid | None = None
+
+    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
+            ) -> tuple[Outcome, list[np.ndarray] | None]:
+        """See :class:`StepSolver`."""
+        multigrid, coarse, cold = self._kept(hierarchy, run), None, True
+        if self.options.start is not None:
+            *coarse, start = multigrid.increment(self.options.start, past.levels)
+            cold = False
+            with run.phase("start"):
+                if self._exact_enough(examiner, past, start):
+                    start = past.extrapolated
+        else:
+            start = better_start(examiner, past, run) if past.given else np.zeros(examiner.discrete.n_dofs)
+        outcome = multigrid.finish(from_prescribed(examiner.discrete, start), cold)
+        self._hold(outcome.rtol)
+        return outcome, coarse
+
+    def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> list[np.ndarray] | None:
+        """See :class:`StepSolver`."""
+        coarse = None
+        if self.options.start is not None:
+            multigrid = self._kept(hierarchy, Run(unit=hierarchy.finest.matrix.nnz))
+            coarse = multigrid.increment(self.options.start, past.levels)[:-1]
+        self._hold(rtol)
+        return coarse
+
+    def _exact_enough(self, examiner: Examiner, past: Past, nested: np.ndarray) -> bool:
+        """Whether to start from the extrapolated displacement; not where the nested start sets the tolerance."""
+        if not past.given or self.options.rtol == "discretisation":
+            return False
+        return (examiner.relative_residual(past.extrapolated)
+                <= self.EXTRAPOLATE * examiner.relative_residual(nested))
+
+    def _kept(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
+        need_levels(hierarchy)
+        if self.multigrid is None or self.multigrid.spent:
+            self.multigrid = KeptMultigrid(self.options, hierarchy, run)
+        else:
+            self.multigrid.take(hierarchy, run)
+        return self.multigrid
+
+    def _hold(self, rtol: float) -> None:
+        """Keep the tolerance that the discretisation error of the first step has set: increments have smaller ones."""
+        if self.options.rtol == "discretisation":
+            self.options = replace(self.options, rtol=max(rtol, StopTest.ROUNDING_LIMIT))
+            self.multigrid.options = self.options

@@ -1,1 +1,0 @@
-"""The semismooth Newton method: the contact conditions linearised, and how its steps are solved."""

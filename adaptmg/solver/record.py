@@ -1,0 +1,167 @@
+"""Run: the record of one solve: work units, history, timings by phase, and the path through the levels."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from adaptmg import _checks as checks
+from adaptmg.solver.status import Status
+
+if TYPE_CHECKING:
+    from adaptmg.hierarchy import Hierarchy
+    from adaptmg.solver.examine import Examiner
+
+__all__ = ["Outcome", "Run", "Solver"]
+
+
+@dataclass
+class Run:
+    """What a solver writes while it runs.
+
+    Parameters
+    ----------
+    unit : int
+        Stored nonzeros of the finest matrix: one work unit.
+    callback : callable, optional
+        Called with each new row of the history (a dict), for progress bars.
+    reference : (n_nodes, dim) array, optional
+        The exact discrete solution, m: solvers record the true relative A-norm error against it. Neither its work nor
+        its time is counted.
+
+    Attributes
+    ----------
+    work_units : float
+        Passes over matrices, weighted by nonzeros over ``unit``.
+    history : list of dict
+        One row a check: at least ``cycle``, ``work_units``, ``seconds``; further numbers as the solver has them
+        (``change``, ``residual``, ``error_estimate``, ``true_error`` where there is a reference).
+    timings : dict
+        Seconds by phase.
+    path : list of (level, action, times)
+        What was done on which level, in order: 'smooth', 'restrict', 'prolong', 'solve', 'start'.
+    start_work_units : float
+        The part of ``work_units`` of the nested start.
+    first_cycle : int
+        Cycles done by another method before the one that records now.
+    examiner : Examiner, optional
+        Of the problem on the finest level: a method may ask it before it stops (:meth:`shortfall`).
+    fallback : str
+        The method that took over from the one asked for, and after how many cycles; empty if none did.
+    """
+
+    unit: int
+    callback: Callable[[dict[str, float]], None] | None = None
+    reference: np.ndarray | None = None
+    work_units: float = 0.0
+    history: list[dict[str, float]] = field(default_factory=list)
+    timings: dict[str, float] = field(default_factory=dict)
+    path: list[tuple[int, str, int]] = field(default_factory=list)
+    started: float = field(default_factory=time.perf_counter)
+    start_work_units: float = 0.0
+    untimed_seconds: float = 0.0
+    first_cycle: int = 0
+    fallback: str = ""
+    examiner: Examiner | None = None
+    _nested_seconds: float = 0.0
+
+    #: the certificate errs by a factor of two: its estimate of the error may be so many times the tolerance
+    ENOUGH = 1.3
+    #: natural residual up to which the contact status is believed to be nearly that of the solution
+    SETTLED = 0.5
+    #: entries of ``path`` kept; a run of thousands of cycles repeats itself
+    PATH_LIMIT = 100_000
+
+    def count(self, passes: float, nonzeros: int) -> None:
+        """Count ``passes`` over a matrix of ``nonzeros`` stored entries; those of a user's part are checked here."""
+        passes = checks.nonnegative("the passes over the matrix that a smoother or linear solver returns", passes)
+        self.work_units += passes * nonzeros / self.unit
+
+    def visit(self, level: int, action: str, times: int = 1) -> None:
+        """Note an action on a level (0 = coarsest)."""
+        if len(self.path) < self.PATH_LIMIT:
+            self.path.append((level, action, times))
+
+    def record(self, *, cycle: int, **values: float) -> None:
+        """Add a row to the history."""
+        seconds = time.perf_counter() - self.started - self.untimed_seconds
+        row = {"cycle": self.first_cycle + cycle, "work_units": self.work_units, "seconds": seconds, **values}
+        self.history.append(row)
+        if self.callback is not None:
+            self.callback(row)
+
+    @contextmanager
+    def untimed(self) -> Iterator[None]:
+        """Keep a block (comparison with the reference) out of the seconds of the history and of its phase."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.untimed_seconds += time.perf_counter() - begin
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ...; inner ones apart."""
+        begin, untimed, outside = time.perf_counter(), self.untimed_seconds, self._nested_seconds
+        self._nested_seconds = 0.0
+        try:
+            yield
+        finally:
+            seconds = time.perf_counter() - begin - (self.untimed_seconds - untimed)
+            self.timings[name] = self.timings.get(name, 0.0) + seconds - self._nested_seconds
+            self._nested_seconds = outside + seconds
+
+    def shortfall(self, solved: np.ndarray, rtol: float) -> float:
+        """By how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not.
+
+        Between bodies in relative coordinates. What rounding explains is no shortfall. The energy error holds the
+        contact status: where that is still far from the solution's, which a large residual shows, no factor is granted.
+        """
+        if self.examiner is None or not rtol > 0:
+            return 0.0
+        with self.phase("certificate"):
+            found = self.examiner(solved)
+        checked, ratio = found.checked, found.checked.energy_error / rtol
+        enough = self.ENOUGH if found.residual <= self.SETTLED else 1.0
+        if ratio > enough and checked.energy_error > checked.energy_rounding:
+            return ratio
+        return 1.0 if checked.contradictions(rtol) else 0.0
+
+
+@dataclass
+class Outcome:
+    """What a solver returns.
+
+    Attributes
+    ----------
+    displacement : (n_nodes, dim) array
+        On the finest level, m.
+    status : Status
+    cycles : int
+        Cycles, sweeps or Newton steps on the finest level.
+    error_estimate : float
+        Estimated relative A-norm error; NaN if the solver has none.
+    rate : float
+        Asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown.
+    rtol : float
+        The tolerance asked for.
+    """
+
+    displacement: np.ndarray
+    status: Status
+    cycles: int
+    rtol: float
+    error_estimate: float = float("nan")
+    rate: float = float("nan")
+
+
+class Solver(Protocol):
+    """What :func:`adaptmg.solve` needs of a solver."""
+
+    def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+        """Solve on the finest level of ``hierarchy`` from ``start`` (n_nodes, dim) or zero, writing to ``run``."""

@@ -1,0 +1,365 @@
+"""Result: what :func:`adaptmg.solve` returns; it probes, sums forces, saves itself and comes back without pickle.
+
+What solvers, problems and versions are called in results, tables and pictures.
+
+NotConverged: the exception that carries the result.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.discrete.facets import area_vectors
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.stress import StressData, von_mises
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.solver.certificate import Certificate, certify
+from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.record import Run, Solver
+from adaptmg.solver.result_file import read_result, write_result
+from adaptmg.solver.status import Status
+
+__all__ = ["ContactResult", "NotConverged", "Result", "label", "problem_name", "solver_name", "versions"]
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The solution and how it was found.
+
+    Attributes
+    ----------
+    displacement : (n_nodes, dim) array
+        m.
+    contact : ContactResult
+    reaction : (n_nodes, dim) array
+        A u - b: nodal forces that supports and contact exert on the body, N (2D: N/m); ~0 at free nodes.
+    status : Status
+        Its value is advice.
+    cycles : int
+        Cycles, sweeps or Newton steps on the finest level.
+    work_units : float
+        Passes over matrices weighted by nonzeros over those of the finest. What is counted is matrix read, not
+        operations: the half sweeps of Truncated use each entry twice in a pass, the sweeps of SingleGrid once.
+    residual : float
+        Natural residual |D (prox_D(u - D^-1 (A u - b)) - u)| of this displacement, over
+        the largest of loads, contact forces and (with prescribed displacements) reactions, Euclidean norms of nodal
+        forces.
+    error_estimate : float
+        Estimated ||u - u_h||_A / ||u_h||_A against the exact discrete solution: the larger of what the solver and the
+        certificate find.
+    rate : float
+        Asymptotic convergence rate per cycle (geometric mean of the last cycles); NaN if unknown, and where the active
+        set method took over (``solver_name``).
+    rtol : float
+        What was asked for.
+    history : dict of str to (n,) array
+        By name: cycle, work_units, seconds, and what the solver recorded: residual (natural, relative), change (since
+        the check before, relative, A-norm), error_estimate, true_error (with a reference; relative, A-norm).
+    timings : dict of str to float
+        Seconds by phase.
+    path : list of (level, action, times)
+        The way through the levels.
+    levels : list of dict
+        The table of the hierarchy.
+    problem_name, solver_name : str
+        The solver as it was asked for, and what took over if it did not converge.
+    mesh : MeshArrays or None
+        Finest mesh (without its NGSolve source after loading).
+    start_work_units : float
+        The part of ``work_units`` spent before the first cycle on the finest level (nested start).
+    stress_data : StressData or None
+        Material constants and initial strains, for :meth:`stresses`; None for a bare DiscreteProblem.
+    checked : Certificate or None
+        What :meth:`certificate` returns.
+    supports : dict of str to str
+        By boundary the components that supports hold, such as "xy"; empty for a bare DiscreteProblem.
+    """
+
+    displacement: np.ndarray
+    contact: ContactResult
+    reaction: np.ndarray
+    status: Status
+    cycles: int
+    work_units: float
+    residual: float
+    error_estimate: float
+    rate: float
+    rtol: float
+    history: dict[str, np.ndarray]
+    timings: dict[str, float]
+    path: list[tuple[int, str, int]]
+    levels: list[dict[str, float]]
+    problem_name: str
+    solver_name: str
+    mesh: MeshArrays | None = None
+    start_work_units: float = 0.0
+    versions: dict[str, str] = field(default_factory=dict)
+    stress_data: StressData | None = None
+    checked: Certificate | None = None
+    supports: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return self.displacement.shape[1]
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of all phases of the solve (set-up included, meshing and assembly not)."""
+        return float(sum(self.timings.values()))
+
+    def __repr__(self) -> str:
+        states = np.bincount(np.asarray(self.contact.state, dtype=int), minlength=3)
+        return (f"Result of {self.solver_name} for {self.problem_name}: {self.status.name}\n"
+                f"  {len(self.displacement)} nodes, {len(self.contact)} contact nodes: "
+                f"{states[0]} open, {states[1]} slip, {states[2]} stick\n"
+                f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
+                f"  natural residual {self.residual:.2e}, estimated error {self.error_estimate:.2e} "
+                f"(rtol {self.rtol:g})" + self._certified())
+
+    def _certified(self) -> str:
+        if self.checked is None:
+            return ""
+        worst = self.checked.worst
+        return (f"\n  certificate: worst {worst.name} {worst.largest:.2e} {worst.unit} (relative "
+                f"{worst.relative:.2e}), energy error {self.checked.energy_error:.2e}; "
+                f"{self.timings.get('certificate', 0.0):.2g} s")
+
+    def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
+        """By how much each condition of the contact problem is violated, by code that shares nothing with the solvers.
+
+        Parameters
+        ----------
+        problem : DiscreteProblem, optional
+            Check against it anew. Default: what was found when the problem was solved.
+        bound : bool
+            The energy error by a sparse factorisation; needs ``problem``.
+
+        Returns
+        -------
+        Certificate
+        """
+        if problem is not None:
+            checks.instance("problem", problem, DiscreteProblem)
+            return certify(problem, self.displacement, self.contact, bound)
+        if bound or self.checked is None:
+            raise ValueError("problem: this result keeps no matrix; give the DiscreteProblem that was solved "
+                             "(grids.finest.discrete)")
+        return self.checked
+
+    def probe(self, points: np.ndarray) -> np.ndarray:
+        """Displacement at points.
+
+        Parameters
+        ----------
+        points : (n, dim) array-like
+            m.
+
+        Returns
+        -------
+        (n, dim) array
+            m.
+
+        Raises
+        ------
+        ValueError
+            Without a mesh, or where a point lies outside it.
+        """
+        from adaptmg.transfer import PointLocator
+
+        if self.mesh is None:
+            raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .displacement")
+        if getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points))):
+            points = [points]  # one point
+        points = check_arrays.array("points", points, (None, self.dim))
+        found = PointLocator(self.mesh).locate(points)
+        outside = found.distance > 1e-6 * self.mesh.element_sizes[found.element]
+        if outside.any():
+            i = int(np.argmax(outside))
+            raise ValueError(f"point {i} {points[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
+        corners = self.displacement[self.mesh.elements[found.element]]
+        return np.einsum("nk,nkd->nd", found.weights, corners)
+
+    def stresses(self) -> np.ndarray:
+        """Cauchy stress, constant on each element (but for the mean hoop stress of axisymmetric bodies).
+
+        Returns
+        -------
+        (n_elements, 6) array
+            Pa, tension positive: xx, yy, zz, xy, yz, xz. In 2D zz is the stress through the thickness (0 in plane
+            stress), yz and xz are 0; in axisymmetry x is r, y the axis and zz the hoop stress.
+
+        Raises
+        ------
+        ValueError
+            Without a mesh or materials, as of a bare DiscreteProblem.
+        """
+        return self._stress_tensors()[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+
+    def von_mises(self) -> np.ndarray:
+        """Von Mises stress of each element (n_elements,), Pa; errors as of :meth:`stresses`."""
+        return von_mises(self._stress_tensors())
+
+    def _stress_tensors(self) -> np.ndarray:
+        if self.mesh is None or self.stress_data is None:
+            raise ValueError("this result knows no materials to compute stresses from (it comes from a bare "
+                             "DiscreteProblem): solve on a Hierarchy of a ContactProblem, or give it mesh and "
+                             "stress_data=StressData.of(mesh, material) with dataclasses.replace")
+        return self.stress_data.tensors(self.mesh, self.displacement)
+
+    def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
+        """Force and moment exerted on the body through a boundary.
+
+        Parameters
+        ----------
+        boundary : str
+            'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its contact
+            forces), or any other boundary (reactions of its supports).
+        about : (dim,) array-like, optional
+            Point of the moment, m; default the origin.
+
+        Returns
+        -------
+        Resultant
+            N and N m (2D: per metre). Forces on slave and master of a pair balance to rounding; their moments do on
+            surfaces that lie on each other, and else up to the lever between the two discrete surfaces: 1e-8 to 1e-4 of
+            force times size on curved ones. The mortar transmits each force across the gap without regard to its arm.
+        """
+        nodes, forces = self._forces_on(boundary)
+        if self.mesh is None:
+            return Resultant(forces.sum(axis=0), None)
+        about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
+        arms = self.mesh.points[nodes] - about
+        moment = np.cross(arms, forces) if self.dim == 3 else arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0]
+        return Resultant(forces.sum(axis=0), moment.sum(axis=0))
+
+    def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node may have both)."""
+        checks.instance("boundary", boundary, str, "the name of a boundary")
+        c = self.contact
+        slave = np.array([boundary in ("contact", name) for name in c.names])
+        master = np.array([boundary == name != "" for name in c.masters or ("",) * len(c.names)])
+        if slave.any() or master.any():
+            own = slave[c.boundary]
+            others = np.where(self._on_slaves(), slave[c.master_boundary], master[c.master_boundary])
+            return (np.concatenate([c.node[own], c.master_node[others]]),
+                    np.concatenate([c.force[own], c.master_force[others]]))
+        if self.mesh is None:
+            raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {c.names}")
+        nodes, of_contact = self.mesh.boundary_nodes(boundary), np.zeros_like(self.reaction)
+        of_contact[c.node] = c.force
+        np.add.at(of_contact, c.master_node, c.master_force)
+        return nodes, self._share(boundary)[nodes] * (self.reaction - of_contact)[nodes]
+
+    def _share(self, boundary: str) -> np.ndarray:
+        """The part of each reaction (n_nodes, dim) that the support on a boundary carries."""
+        own, total = np.zeros_like(self.reaction), np.zeros_like(self.reaction)
+        for name, components in self.supports.items():
+            facets = self.mesh.boundary_facets(name)
+            area = np.linalg.norm(area_vectors(self.mesh.points, facets), axis=1)
+            at = np.bincount(facets.ravel(), np.repeat(area, self.dim), minlength=len(total))
+            held = at[:, None] * [c in components for c in "xyz"[:self.dim]]
+            total += held
+            if name == boundary:
+                own = held
+        return np.divide(own, total, out=np.ones_like(total), where=total > 0)
+
+    def _on_slaves(self) -> np.ndarray:
+        """Which of ``contact.master_node`` (m,) lie on the slave of their pair; without a mesh none."""
+        c = self.contact
+        result = np.zeros(len(c.master_node), dtype=bool)
+        for k, name in enumerate(c.names if self.mesh is not None else ()):
+            mine = c.master_boundary == k
+            if mine.any():
+                result[mine] = np.isin(c.master_node[mine], self.mesh.boundary_nodes(name))
+        return result
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.result_file`."""
+        write_result(path, self)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Result:
+        """Read what :meth:`save` wrote; ValueError, which names the file, if it is something else or damaged."""
+        return loaded(path)[0]
+
+
+def loaded(path: str | os.PathLike[str]) -> tuple[Result, dict[str, Any]]:
+    """The result in a file, and of which load path it is a part (empty if of none)."""
+    fields, part_of = read_result(path)
+    stress = fields["stress_data"]
+    return Result(**{**fields, "contact": ContactResult(**fields["contact"]),
+                     "stress_data": None if stress is None else StressData(**stress)}), part_of
+
+
+@dataclass(frozen=True, eq=False)
+class Resultant:
+    """Force (dim,) in N (2D: N/m) and moment in N m (3D: (3,); 2D: a number, N); None without a mesh."""
+
+    force: np.ndarray
+    moment: np.ndarray | float | None
+
+
+def label(option: object) -> str:
+    """The name of an option object with the fields that differ from their defaults, for tables and pictures."""
+    if not is_dataclass(option) or isinstance(option, type):
+        return repr(option)
+    shown = []
+    for item in fields(option):
+        value = getattr(option, item.name)
+        default = item.default_factory() if item.default_factory is not MISSING else item.default
+        if item.repr and (default is MISSING or value != default):
+            shown.append(f"{item.name}={label(value)}")
+    return f"{type(option).__name__}({', '.join(shown)})"
+
+
+def solver_name(solver: Solver, run: Run) -> str:
+    """The label of a solver, and of what took over from it."""
+    return f"{label(solver)}, then {run.fallback}" if run.fallback else label(solver)
+
+
+def problem_name(grids: Hierarchy) -> str:
+    """Of the problem, or else of the finest level."""
+    return grids.problem.name if grids.problem is not None else grids.finest.discrete.name
+
+
+@lru_cache(maxsize=1)
+def _versions() -> dict[str, str]:
+    return {name: importlib.metadata.version(name)
+            for name in ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")}
+
+
+def versions() -> dict[str, str]:
+    """Versions of adaptmg and of what its numbers depend on."""
+    return dict(_versions())
+
+
+class NotConverged(RuntimeError):
+    """Raised by :func:`adaptmg.solve` when the tolerance was not reached.
+
+    Attributes
+    ----------
+    result : Result
+        The last iterate with its true residual.
+    """
+
+    def __init__(self, result: Result) -> None:
+        self.result = result
+        found = () if result.checked is None else result.checked.contradictions(result.rtol)
+        contradicted = f" The certificate contradicts this tolerance: {', '.join(found)}." if found else ""
+        super().__init__(f"{result.solver_name}: {result.status.name} after {result.cycles} cycles, natural residual "
+                         f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}."
+                         f"{contradicted} The last iterate is in the exception's .result; throw=False returns "
+                         "it instead.")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # exceptions are rebuilt from .args, which is the text here: a process that is handed one back must not fail
+        return type(self), (self.result,)

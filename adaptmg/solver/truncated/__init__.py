@@ -1,1 +1,0 @@
-"""The truncated multigrid from start to end: options, nested start, cycles, what takes over."""

@@ -1,1 +1,0 @@
-"""What a row says of the process that made it: memory, commit."""

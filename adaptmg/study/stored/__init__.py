@@ -1,1 +1,0 @@
-"""What of a store lies beside its one class: tables, files of runs, rescue."""

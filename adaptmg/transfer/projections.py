@@ -1,0 +1,533 @@
+r"""Conforming and lumped projections between two meshes, and the integrals of both that they are made of.
+
+L2 projections: with the consistent mass matrix, a lumped one, the dual basis, and on patches of nodes.
+
+.. math:: M P = B, \qquad M_{ik} = \int \varphi^f_i \varphi^f_k, \qquad B_{ij} = \int \varphi^f_i \varphi^c_j
+
+P is full, but its entries decay exponentially with distance. It is found by the Chebyshev semi-iteration with the
+diagonal of M, whose spectrum lies in [1/2, (d + 2)/2] on every mesh (Wathen, IMA J. Numer. Anal. 7 (1987) 449-457), on
+sparse iterates from which small entries are dropped.
+
+Lumped: :math:`P = D^{-1} B`, :math:`D_{ii} = \int \varphi^f_i`. Pseudo-L2 is tested with the dual basis instead, so
+that no mass matrix is solved for:
+
+.. math:: P = D^{-1} B^\psi, \qquad B^\psi_{ij} = \int \psi_i\, \varphi^c_j, \qquad
+          \int_e \psi_i\, \varphi^f_k = \delta_{ik} \int_e \varphi^f_i \;\text{ on every element } e,
+
+which on a simplex in d dimensions gives :math:`\psi_i = (d + 2)\,\varphi^f_i - 1`. Dickopf and Krause, Evaluating local
+approximations of the L2-orthogonal projection between non-nested finite element spaces, Numer. Math. Theory Methods
+Appl. 7 (2014) 288-316; dual basis: Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989-1012.
+
+Quasi-interpolation of Clement type (RAIRO Anal. Numer. 9 (1975) 77-84) projects onto affine functions on the patch
+:math:`\omega_i` of fine elements around the node :math:`x_i` and evaluates there. With
+:math:`q(x) = (1, (x - x_i)/h_i)`
+
+.. math:: (Pu)_i = c_i\cdot\int_{\omega_i} q\, u, \qquad G_i c_i = (1, 0, \dots, 0), \qquad
+          G_i = \int_{\omega_i} q\, q^T .
+
+MixedMass: integrals of products of the shape functions of two non-nested meshes.
+
+.. math:: B^e_{ij} = \int_e \varphi^f_i\, \varphi^c_j
+
+over every fine element e. Elements that the coarse mesh covers are integrated exactly, by clipping against the coarse
+elements (:mod:`adaptmg.geometry.clipping`). Elements that stick out of the coarse mesh (curved boundaries) are
+integrated by a positive quadrature rule, exact for degree 6, whose points outside take the coarse value at the
+closest point: no part of the fine mesh is lost, and :math:`\sum_j B^e_{ij} = \int_e \varphi^f_i` on every element.
+
+The transfers are sums of these integrals with coefficients of their own over the elements e around a fine node i:
+
+.. math:: (T u)_i = \sum_{e \ni i} \sum_k a_{iek} \sum_j B^e_{kj} u_j .
+
+Kernels of the integrals of two meshes: find and clip overlapping elements, and add up over patches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _checks as checks
+from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.geometry.clipping import PIECES, SNAP, common_moments
+from adaptmg.geometry.location import affine_maps
+from adaptmg.geometry.quadrature import simplex_rule
+from adaptmg.geometry.search import STACK, bounding_box, overlapping, padded
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.transfer.contact_rows import with_contact_rows
+from adaptmg.transfer.interpolation import (
+    CLIP,
+    OUTSIDE_TOLERANCE,
+    PointLocator,
+    body_locators,
+    clipped_rows,
+    dropped,
+    locate_nodes,
+    nodes_of_bodies,
+    normalised,
+)
+
+__all__ = ["L2", "LumpedL2", "MixedMass", "Patches", "PseudoL2", "QuasiInterpolation", "clip_elements", "count_rows",
+           "fill_rows", "mixed_mass"]
+
+Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
+
+
+@dataclass(frozen=True, kw_only=True)
+class L2:
+    """The L2 projection.
+
+    Row sums 1; entries may be negative. Reproduces constants always and, as the moments of a row are restored after
+    entries were dropped, affine fields where the coarse mesh covers the fine one. On nested meshes it is the canonical
+    embedding. The most expensive transfer, with the densest matrices. Integrals:
+    :mod:`adaptmg.transfer.projections`.
+
+    Parameters
+    ----------
+    drop_tolerance : float
+        Entries of smaller magnitude are removed (rows sum to 1), at least ``CLIP``. The mass system is solved to a
+        hundredth of this. A row that cannot have its moments so, of a node next to a coarse one, is that of
+        :class:`PseudoL2`, which differs by less.
+    outside_tolerance : float
+        How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
+    """
+
+    drop_tolerance: float = 1e-3
+    outside_tolerance: float = OUTSIDE_TOLERANCE
+
+    def __post_init__(self) -> None:
+        checks.nonnegative("outside_tolerance", self.outside_tolerance)
+        if not CLIP <= checks.number("drop_tolerance", self.drop_tolerance) < 0.1:
+            raise ValueError(f"drop_tolerance must be at least {CLIP:g} and below 0.1, got {self.drop_tolerance!r}")
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
+        rhs = integrals.assemble(integrals.shape_coefficients())
+        mass = mass_matrix(fine)
+        centre = coarse.points.mean(axis=0)
+        # coordinate functions, projected to rounding: what the rows must reproduce after dropping
+        affine = np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])
+        moments = _chebyshev(mass, rhs @ affine, fine.dim, 1e-16, 0.0)
+        moments[:, 1:] -= (fine.points - centre) * moments[:, :1]
+        moments /= moments[:, :1]
+        inner = 0.01 * self.drop_tolerance
+        rows = _chebyshev(mass, rhs, fine.dim, inner, inner)
+        rows.sort_indices()
+        result, reached = clipped_rows(rows, coarse, fine, tolerance=self.drop_tolerance, moments=moments)
+        missed = np.flatnonzero(~reached)
+        return with_contact_rows(result, missed, _pseudo(integrals)[missed]) if len(missed) else result
+
+
+def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
+    """P1 mass matrix (n_nodes, n_nodes), m^2 or m^3."""
+    k = mesh.elements.shape[1]
+    blocks = (np.eye(k) + 1.0) * (mesh.volumes / (k * (k + 1)))[:, None, None]
+    rows, columns = np.repeat(mesh.elements, k, axis=1).ravel(), np.tile(mesh.elements, (1, k)).ravel()
+    return sparse.csr_array((blocks.ravel(), (rows, columns)), shape=(mesh.n_nodes, mesh.n_nodes))
+
+
+def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, drop: float) -> Rows:
+    """Solve M X = B to ``tolerance`` relative in the norm of M; sparse iterates lose entries below ``drop``."""
+    inverse = sparse.diags_array(1.0 / mass.diagonal()).tocsr()
+    low, high = 0.5, (dim + 2) / 2
+    middle, half = (high + low) / 2, (high - low) / 2
+    sigma = middle / half
+    scaled_mass, scaled_rhs = inverse @ mass, inverse @ rhs
+    solution = step = scaled_rhs / middle
+    root = np.sqrt(high / low)
+    steps = int(np.ceil(np.log(2 / tolerance) / np.log((root + 1) / (root - 1))))
+    rho = 1 / sigma
+    for _ in range(steps):
+        residual = scaled_rhs - scaled_mass @ solution
+        rho, previous = 1 / (2 * sigma - rho), rho
+        step = rho * previous * step + 2 * rho / half * residual
+        solution = solution + step
+        if drop > 0:
+            step, solution = dropped(step, drop), dropped(solution, drop)
+    return solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class LumpedL2:
+    """Averages of the coarse function, weighted by the fine shape functions.
+
+    Entries are >= 0 with row sums 1. Reproduces constants only: an affine field is evaluated at the centre of gravity
+    of the shape function, which is not the node unless the patch is symmetric, and never is on the boundary. For
+    comparison; :class:`adaptmg.transfer.PseudoL2` costs the same and does better. Integrals:
+    :mod:`adaptmg.transfer.projections`.
+
+    Parameters
+    ----------
+    outside_tolerance : float
+        How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
+    """
+
+    outside_tolerance: float = OUTSIDE_TOLERANCE
+
+    def __post_init__(self) -> None:
+        checks.nonnegative("outside_tolerance", self.outside_tolerance)
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
+        weighted = integrals.assemble(integrals.shape_coefficients())
+        data = weighted.data / np.repeat(integrals.lumped_mass, np.diff(weighted.indptr))
+        result = sparse.csr_array((data, weighted.indices, weighted.indptr), shape=weighted.shape)
+        return normalised(dropped(result, CLIP))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PseudoL2:
+    """The local projection closest to the true L2 projection.
+
+    Row sums 1; entries may be negative, so that it proves nothing for the monotone correction (interpolate the contact
+    rows there: :func:`adaptmg.transfer.with_contact_rows`). Reproduces constants always, and affine fields at fine
+    nodes whose elements the coarse mesh covers. On nested meshes it is the canonical embedding. Integrals are exact
+    where the coarse mesh covers the fine element: :mod:`adaptmg.transfer.projections`.
+
+    Parameters
+    ----------
+    outside_tolerance : float
+        How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
+    """
+
+    outside_tolerance: float = OUTSIDE_TOLERANCE
+
+    def __post_init__(self) -> None:
+        checks.nonnegative("outside_tolerance", self.outside_tolerance)
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        return _pseudo(mixed_mass(coarse, fine, self.outside_tolerance))
+
+
+def _pseudo(integrals: MixedMass) -> sparse.csr_array:
+    """Rows of the pseudo-L2 projection."""
+    coefficients = (integrals.fine.dim + 2) * integrals.shape_coefficients() - 1.0
+    coefficients /= integrals.lumped_mass[integrals.patches.nodes][:, None]
+    return clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuasiInterpolation:
+    """Clement quasi-interpolation on fine patches.
+
+    Row sums 1; entries may be negative. Reproduces constants always, and affine fields at fine nodes whose patch the
+    coarse mesh covers. Unlike the other affine transfers it is no projection: on nested meshes it smooths the kinks of
+    the coarse function. Integrals: :mod:`adaptmg.transfer.projections`.
+
+    Parameters
+    ----------
+    outside_tolerance : float
+        How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
+    """
+
+    outside_tolerance: float = OUTSIDE_TOLERANCE
+
+    def __post_init__(self) -> None:
+        checks.nonnegative("outside_tolerance", self.outside_tolerance)
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        integrals = mixed_mass(coarse, fine, self.outside_tolerance)
+        coefficients = _patch_coefficients(fine, integrals.patches)
+        return clipped_rows(integrals.assemble(coefficients), coarse, fine)[0]
+
+
+def _patch_coefficients(fine: MeshArrays, patches: Patches) -> np.ndarray:
+    """c_i . q(x_k) at the corners k of every element of the patch of i (n_incidences, dim + 1)."""
+    k = fine.dim + 1
+    node, first = patches.nodes, patches.indptr[:-1]
+    relative = fine.points[fine.elements[patches.elements]] - fine.points[node][:, None, :]
+    size = np.maximum.reduceat(np.abs(relative).max(axis=(1, 2)), first)
+    q = np.concatenate([np.ones((len(node), k, 1)), relative / size[node][:, None, None]], axis=2)
+    # integral of q q' over an element, from the values of q at its corners
+    total = q.sum(axis=1)
+    gram = np.einsum("pka,pkb->pab", q, q) + total[:, :, None] * total[:, None, :]
+    gram *= (fine.volumes[patches.elements] / (k * (k + 1)))[:, None, None]
+    right = np.zeros((fine.n_nodes, k, 1))
+    right[:, 0] = 1.0
+    c = np.linalg.solve(np.add.reduceat(gram, first, axis=0), right)[:, :, 0]
+    return np.einsum("pka,pa->pk", q, c[node])
+
+
+COVERED = 1e-11
+"""An element of which more than this share lies outside the coarse mesh is integrated by quadrature."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """The elements around every node.
+
+    Attributes
+    ----------
+    indptr : (n_nodes + 1,) array
+    elements, corners : (n_elements * (dim + 1),) arrays
+        Element and the node's number in it, node by node.
+    """
+
+    indptr: np.ndarray
+    elements: np.ndarray
+    corners: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: MeshArrays) -> Patches:
+        """Patches of all nodes."""
+        k = mesh.elements.shape[1]
+        order = np.argsort(mesh.elements.ravel(), kind="stable")
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(mesh.elements.ravel(), minlength=mesh.n_nodes))])
+        return cls(indptr=indptr, elements=order // k, corners=order % k)
+
+    @cached_property
+    def nodes(self) -> np.ndarray:
+        """The node of each entry."""
+        return np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr))
+
+
+@dataclass(frozen=True, eq=False)
+class MixedMass:
+    """The integrals B^e, element by element.
+
+    Attributes
+    ----------
+    coarse, fine : MeshArrays
+    indptr : (n_fine_elements + 1,) array
+    columns : (n_entries,) array
+        Coarse nodes; one may occur more than once in an element.
+    values : (n_entries, dim + 1) array
+        Integrals with the shape functions of the corners, m^2 or m^3.
+    patches : Patches
+        Of the fine mesh.
+    """
+
+    coarse: MeshArrays
+    fine: MeshArrays
+    indptr: np.ndarray
+    columns: np.ndarray
+    values: np.ndarray
+    patches: Patches
+
+    def assemble(self, coefficients: np.ndarray) -> sparse.csr_array:
+        """Sum over patches.
+
+        Parameters
+        ----------
+        coefficients : (n_incidences, dim + 1) array
+            a_iek at the entries of ``patches``.
+
+        Returns
+        -------
+        (n_fine, n_coarse) csr_array
+            Sorted.
+        """
+        patches, shape = self.patches, (self.fine.n_nodes, self.coarse.n_nodes)
+        indptr = np.zeros(shape[0] + 1, dtype=np.int64)
+        marker = np.full(shape[1], -1, dtype=np.int64)
+        count_rows(patches.indptr, patches.elements, self.indptr, self.columns, marker, indptr)
+        np.cumsum(indptr, out=indptr)
+        indices, data = np.empty(indptr[-1], dtype=np.int32), np.zeros(indptr[-1])
+        marker[:] = -1
+        fill_rows(patches.indptr, patches.elements, coefficients, self.indptr, self.columns, self.values, marker,
+                  indptr, indices, data)
+        result = sparse.csr_array((data, indices, indptr.astype(np.int32)), shape=shape)
+        result.sort_indices()
+        return result
+
+    def shape_coefficients(self) -> np.ndarray:
+        """Coefficients that test with the shape function of the node: a_iek = 1 at the corner i of e, else 0."""
+        coefficients = np.zeros((len(self.patches.corners), self.fine.dim + 1))
+        coefficients[np.arange(len(coefficients)), self.patches.corners] = 1.0
+        return coefficients
+
+    @cached_property
+    def lumped_mass(self) -> np.ndarray:
+        """Integrals of the fine shape functions (n_fine,), m^2 or m^3."""
+        share = np.repeat(self.fine.volumes / (self.fine.dim + 1), self.fine.dim + 1)
+        return np.bincount(self.fine.elements.ravel(), weights=share, minlength=self.fine.n_nodes)
+
+
+def mixed_mass(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float) -> MixedMass:
+    """Compute the integrals, body by body.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As :func:`adaptmg.transfer.interpolation.locate_nodes`; a fine node without an element.
+    """
+    locate_nodes(coarse, fine, outside_tolerance)
+    nodes_of_bodies(fine)
+    parts = []
+    for body, locator in body_locators(coarse, fine):
+        elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
+        parts += _body_entries(locator, fine, elements)
+    element, columns, values = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    order = np.argsort(element, kind="stable")
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(element, minlength=len(fine.elements)))])
+    return MixedMass(coarse=coarse, fine=fine, indptr=indptr, columns=columns[order], values=values[order],
+                    patches=Patches.of(fine))
+
+
+def _body_entries(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+    """Entries (element, coarse node, values) of clipped elements, then of those that need quadrature."""
+    k = fine.dim + 1
+    covered, fine_maps = np.empty(len(elements)), np.empty((len(fine.elements), fine.dim * k))
+    fine_points, tree = padded(fine.points), locator.tree
+    affine_maps(fine_points, fine.elements, fine_maps)
+    marker = np.full(locator.mesh.n_nodes, -1, dtype=np.int64)
+    capacity = 8 * k * len(elements) + 64
+    element, columns, values = np.empty(capacity, np.int64), np.empty(capacity, np.int32), np.empty((capacity, k))
+    done = count = 0
+    while True:
+        done, count = clip_elements(fine_points, fine.elements, fine_maps, elements, done, count, tree.points,
+                                    tree.simplices, locator.maps, tree.boxes, marker, covered, element, columns, values)
+        if done == len(elements):
+            break
+        element, columns, values = (np.concatenate([a, np.empty_like(a)]) for a in (element, columns, values))
+    whole = np.zeros(len(fine.elements), dtype=bool)
+    whole[elements] = np.abs(covered - 1.0) <= COVERED
+    kept = np.flatnonzero(whole[element[:count]])
+    volumes = fine.volumes[element[kept]]
+    clipped = element[kept], columns[kept], values[kept] * volumes[:, None]
+    return [clipped, _quadrature(locator, fine, elements[~whole[elements]])]
+
+
+def _quadrature(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Entries of elements that stick out of the coarse mesh, by quadrature."""
+    shape, weights = simplex_rule(fine.dim, 4)
+    points = np.einsum("qv,evc->eqc", shape, fine.points[fine.elements[elements]])
+    found = locator.locate(points.reshape(-1, fine.dim))
+    columns = locator.mesh.elements[found.element]
+    scaled = found.weights.reshape(len(elements), len(weights), fine.dim + 1) * fine.volumes[elements][:, None, None]
+    values = np.einsum("eqj,q,qv->eqjv", scaled, weights, shape)
+    return (np.repeat(elements, len(weights) * columns.shape[1]), columns.ravel(),
+            values.reshape(-1, columns.shape[1]))
+
+
+@kernel
+def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_points, coarse, maps, boxes, marker, covered,
+                  element, columns, values):
+    """Integrals over the ``chosen`` fine elements from the one numbered ``done`` on, each scaled to volume 1.
+
+    Entries are written from position ``count`` on: fine element, coarse node and the integrals with the shape
+    functions of the corners. ``covered`` gets the share of each element that the coarse mesh covers; ``marker``
+    (n_coarse,) is -1 throughout on entry and exit.
+
+    Returns
+    -------
+    done, count
+        Less than all elements are done when the arrays are full: enlarge them and call again.
+    """
+    k = elements.shape[1]
+    mu, moments = np.empty((k, k)), np.empty((k, k))
+    pieces, levels = np.empty((PIECES, 1 + 2 * k * k)), np.empty(PIECES, dtype=np.int64)
+    stack, box, candidates = np.empty(STACK, dtype=np.int64), np.empty(2 * (k - 1)), np.empty(len(coarse), np.int64)
+    for c in range(done, len(chosen)):
+        e = chosen[c]
+        start = count
+        covered[c] = 0.0
+        bounding_box(points, elements[e], box)
+        full = False
+        for at in range(overlapping(boxes, box, coarse_points, coarse, stack, candidates)):
+            s = candidates[at]
+            if (_apart(coarse_points, coarse[s], fine_maps, e, mu) or _apart(points, elements[e], maps, s, mu)):
+                continue
+            share = common_moments(mu, k, pieces, levels, moments)
+            full = count + k > len(columns)
+            if full:
+                break
+            if share > 0.0:
+                covered[c] += share
+                count = _add_entries(coarse[s], mu, moments, marker, count, columns, values)
+        for at in range(start, count):
+            marker[columns[at]] = -1
+            element[at] = e
+        if full:
+            return c, start
+    return len(chosen), count
+
+
+@kernel
+def _apart(points, corners, maps, e, mu):
+    """Whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``.
+
+    Writes the barycentric coordinate m of corner v at ``mu[v, m]``, snapped to zero.
+    """
+    # the same as ``barycentric``, but face by face: most pairs are parted by one of the first
+    k = len(corners)
+    dim = k - 1
+    for v in range(k):
+        mu[v, 0] = 1.0
+    for m in range(1, k):
+        largest = 0.0
+        for v in range(k):
+            value = 0.0
+            for c in range(dim):
+                value += maps[e, m * dim + c] * (points[corners[v], c] - maps[e, c])
+            mu[v, 0] -= value
+            mu[v, m] = value if abs(value) >= SNAP else 0.0
+            largest = max(largest, mu[v, m])
+        if largest == 0.0:
+            return True
+    largest = 0.0
+    for v in range(k):
+        if abs(mu[v, 0]) < SNAP:
+            mu[v, 0] = 0.0
+        largest = max(largest, mu[v, 0])
+    return largest == 0.0
+
+
+@inner_kernel
+def _add_entries(coarse_corners, mu, moments, marker, count, columns, values):
+    """Add the integrals of lambda_i mu_m = sum_v lambda_i lambda_v mu_m(v)."""
+    k = len(coarse_corners)
+    for m in range(k):
+        column = coarse_corners[m]
+        at = marker[column]
+        if at < 0:
+            at = count
+            marker[column] = at
+            columns[at] = column
+            values[at] = 0.0
+            count += 1
+        for i in range(k):
+            total = 0.0
+            for v in range(k):
+                total += moments[i, v] * mu[v, m]
+            values[at, i] += total
+    return count
+
+
+@kernel
+def count_rows(node_indptr, node_elements, indptr, columns, marker, counts):
+    """Number of distinct coarse nodes in the patch of each fine node i, to ``counts[i + 1]``; ``marker`` is -1."""
+    for i in range(len(node_indptr) - 1):
+        for p in range(node_indptr[i], node_indptr[i + 1]):
+            e = node_elements[p]
+            for at in range(indptr[e], indptr[e + 1]):
+                if marker[columns[at]] != i:
+                    marker[columns[at]] = i
+                    counts[i + 1] += 1
+
+
+@kernel
+def fill_rows(node_indptr, node_elements, coefficients, indptr, columns, values, marker, row_indptr, indices, data):
+    """Sum coefficients times integrals over the patch of each fine node; ``marker`` is -1, ``data`` 0."""
+    k = coefficients.shape[1]
+    for i in range(len(node_indptr) - 1):
+        first = row_indptr[i]
+        used = first
+        for p in range(node_indptr[i], node_indptr[i + 1]):
+            e = node_elements[p]
+            for at in range(indptr[e], indptr[e + 1]):
+                place = marker[columns[at]]
+                if place < first:
+                    place = used
+                    marker[columns[at]] = place
+                    indices[place] = columns[at]
+                    used += 1
+                for v in range(k):
+                    data[place] += coefficients[p, v] * values[at, v]

@@ -1,1 +1,0 @@
-"""Conforming and lumped projections between two meshes, and the integrals of both that they are made of."""
