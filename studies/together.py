@@ -53,10 +53,10 @@ class Turns:
         finally:
             self._turn.acquire()
 
-    def draw(self, figures: dict[str, tuple[Any, str, str]]) -> dict[str, Picture]:
+    def draw(self, figures: dict[str, tuple[Any, str]]) -> dict[str, Picture]:
         """Pictures, made by the workers."""
         sent = [self._client.submit(picture_of, *given, pure=False) for given in figures.values()]
-        for figure, _, _ in figures.values():
+        for figure, _ in figures.values():
             plt.close(figure)
         self._turn.release()
         try:
@@ -107,7 +107,7 @@ def in_turn(context: Context, names: Sequence[str], done: Done) -> list[str]:
         begin = time.perf_counter()
         try:
             section = importlib.import_module(name).run(context)
-            pictures = {key: picture_of(*given) for key, given in to_draw(name, section).items()}
+            pictures = {key: picture_of(*given) for key, given in to_draw(section).items()}
         except Exception as error:
             section, pictures = failure(name, error), {}
             failed.append(name)
@@ -122,10 +122,9 @@ def failure(name: str, error: Exception) -> Section:
     return Section(f"{name}: failed", f"python studies/{name}.py runs it alone.", summary=said)
 
 
-def to_draw(name: str, section: Section) -> dict[str, tuple[Any, str, str]]:
-    """What pictures of a page are made of: figure, caption, prefix."""
-    figures = [item for item in section.items if isinstance(item, Figure)]
-    return {item.name: (item.figure, item.caption, f"{name}-{k}") for k, item in enumerate(figures)}
+def to_draw(section: Section) -> dict[str, tuple[Any, str]]:
+    """The figures of a section by their names, with their captions."""
+    return {item.name: (item.figure, item.caption) for item in section.items if isinstance(item, Figure)}
 
 
 def at_once(context: Context, names: Sequence[str], done: Done, workers: int,
@@ -146,7 +145,7 @@ def at_once(context: Context, names: Sequence[str], done: Done, workers: int,
                 with turns.turn():
                     try:
                         section = modules[name].run(own)
-                        pictures = turns.draw(to_draw(name, section))
+                        pictures = turns.draw(to_draw(section))
                     except Exception as error:
                         section, pictures = failure(name, error), {}
                         failed.append(name)

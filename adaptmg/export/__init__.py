@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from adaptmg.export.petsc_files import petsc
-    from adaptmg.export.report import Report, study_report
+    from adaptmg.export.report import Report
+    from adaptmg.export.study_page import study_report
     from adaptmg.export.vtu import vtk, vtk_series
 
 _WHERE = {"Report": "adaptmg.export.report", "petsc": "adaptmg.export.petsc_files",
-          "study_report": "adaptmg.export.report", "vtk": "adaptmg.export.vtu", "vtk_series": "adaptmg.export.vtu"}
+          "study_report": "adaptmg.export.study_page", "vtk": "adaptmg.export.vtu", "vtk_series": "adaptmg.export.vtu"}
 
 __all__ = ["Report", "petsc", "study_report", "vtk", "vtk_series"]
 

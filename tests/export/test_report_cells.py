@@ -1,4 +1,4 @@
-"""Cells of a report's tables: digits alike, decimal points in one line, words for identifiers."""
+"""Cells of a report's tables: digits alike, words for identifiers."""
 
 from __future__ import annotations
 
@@ -29,20 +29,6 @@ def test_given_formats_are_kept():
     assert column([0.123456, 2.0], spec=".2g").texts == ["0.12", "2.0"]
     assert column([3.2e-15, 0.0], spec=".1e").texts == ["3.2e-15", "0"]
     assert column(pd.array([1.26, None], "Float64"), spec=".2g").texts == ["1.3", "-"]
-
-
-@pytest.mark.parametrize("values", [[0.5, 12.25, 100.0], [1e-7, 3.25, 1200.5, np.nan], [1.5e-12, 0.0],
-                                    [1, 2], [-0.5, 3]])
-def test_what_stands_right_of_every_point_is_equally_wide(values):
-    """In digits, points and letters of one kind, as figures of tables are equally wide."""
-    found = column(values)
-
-    def right(text: str, pad: str) -> str:
-        whole = len(text.split(".")[0].split("e")[0])
-        return "".join(sorted("0" if letter.isdigit() else letter for letter in text[whole:] + pad))
-
-    assert len({right(text, pad) for text, pad in zip(found.texts, found.pads, strict=True)}) == 1
-    assert not any(column(["0.5", "x"]).pads)
 
 
 def test_identifiers_become_words_and_their_unit():

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import re
 from html.parser import HTMLParser
+from xml.etree import ElementTree
 
 VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
 #: of flow content, what may not stand inside a paragraph or a header of a table
@@ -19,12 +21,15 @@ class Page(HTMLParser):
     tags : list of (str, dict)
     texts : list of (str, str)
         The innermost open element, and its text.
+    drawings : list of str
+        The texts in each SVG.
     """
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.texts: list[tuple[str, str]] = []
+        self.drawings: list[str] = []
         self._open: list[str] = []
         self.feed(text)
         self.close()
@@ -38,7 +43,7 @@ class Page(HTMLParser):
             self._open.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        assert "svg" in self._open or tag in VOID, f"<{tag}/> closes itself outside a drawing"
+        assert tag in VOID, f"<{tag}/> closes itself"
         self._take(tag, attrs)
 
     def handle_endtag(self, tag: str) -> None:
@@ -57,9 +62,11 @@ class Page(HTMLParser):
             if name in ("href", "src", "style", "action") and value and not value.startswith("data:image/"):
                 assert not _FOREIGN.search(value), f"<{tag} {name}> leads out of the page: {value}"
         if tag == "img":
-            assert found.get("alt") and (found.get("src") or "").startswith("data:image/png;base64,")
-        if tag == "svg":
-            assert found.get("role") == "img" and found.get("aria-label")
+            kind, data = re.fullmatch(r"data:image/(png|svg\+xml);base64,(.*)", found.get("src") or "").groups()
+            assert found.get("alt")
+            if kind != "png":
+                drawing = ElementTree.fromstring(base64.b64decode(data, validate=True))
+                self.drawings.append(" ".join(drawing.itertext()))
         self.tags.append((tag, found))
 
     def _check_names(self) -> None:

@@ -68,7 +68,7 @@ def test_where_nothing_has_run_the_first_screen_says_so():
 
 def test_the_front_is_made_of_what_sections_deliver_and_links_to_them():
     page = made({"grid_count": grid_count(), "adaptive_vs_uniform": adaptive(), "amg_comparison": linear()})
-    assert len(page.all("div", "absent")) == 2 and len(page.all("svg")) == 2
+    assert len(page.all("div", "absent")) == 2 and len(page.drawings) == 2
     links = [a["href"] for a in page.all("a")]
     assert {"#grid_count", "#adaptive_vs_uniform", "#amg_comparison", "table1.csv"} <= set(links)
     assert "50.4" in page.text("td") and "With V-cycles 86 (4 grids)" in page.text("p")

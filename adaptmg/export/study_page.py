@@ -1,0 +1,253 @@
+"""The report of a parameter study: the number of runs, pictures of the results, all runs, those that failed.
+
+A numeric result is drawn against the parameter that varies most, one line for each value of another parameter. Where
+several runs share a point (repeats, or parameters that are neither on the axis nor a line), the line is their median
+and a band spans the least and the largest, or the middle half where there are many. Where no two runs share a value of
+any parameter (a random design of several parameters), the runs are points without a line.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from pandas.api import types
+
+from adaptmg import _checks as checks
+from adaptmg.export.report import LONGEST, Report, count, label, worded
+from adaptmg.plot.style import CYCLE, plain, styled
+
+__all__ = ["Axis", "axes_of_study", "caption", "curves", "numbers", "study_report"]
+
+#: names of the columns of a study that are neither parameters nor results, and the status that is drawn
+_STATUS, _ERROR, _DONE = "status", "error", "done"
+#: how the spread of a result over all runs is described
+_MARKS = ["runs", "least", "lower quarter", "median", "upper quarter", "largest"]
+#: at most: characters of a text in a table, lines in a picture, marked points in a line, names along an axis
+_LETTERS, _LINES, _MARKED, _NAMES = 300, 7, 60, 40
+#: with this number of runs at a point the band is their middle half, not the least and the largest
+_MANY = 10
+#: an axis is logarithmic where the largest value is at least this multiple of the least
+_LOGARITHMIC = 30.0
+
+
+def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameters: Sequence[str],
+                 results: Sequence[str] | None = None, title: str = "", summary: str = "",
+                 units: Mapping[str, str] | None = None, formats: Mapping[str, str] | None = None,
+                 hidden: Sequence[str] = (), csv: str = "", made: Mapping[str, str] | None = None) -> Path:
+    """Write a report of a study: the number of runs, pictures of the results, all runs, those that failed.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        A row for each run, as :meth:`adaptmg.Study.run` returns it. A column ``status`` is counted, and only runs that
+        are 'done' are drawn; a column ``error`` is shown for the others alone.
+    path : path
+        The HTML file; it appears complete or not at all.
+    parameters : sequence of str
+        Columns that were varied. The pictures have the numeric one with most values along their axis, and a line for
+        each value of another one.
+    results : sequence of str, optional
+        Columns to draw, a picture each; default: the first two numeric columns that vary and are not parameters.
+    title, summary : str
+        Default title: the name of the study (``table.attrs["study"]``).
+    units, formats : mapping of column to str, optional
+        See :func:`adaptmg.study.as_text`.
+    hidden : sequence of str
+        Columns that are neither drawn nor shown (they may be in the CSV file).
+    csv : str
+        Name of a CSV file of the table next to the report, for a link.
+    made : mapping of str to str, optional
+        More to say of how the runs were made: machine, commit, seeds.
+
+    Returns
+    -------
+    pathlib.Path
+        Where it is.
+    """
+    if not isinstance(table, pd.DataFrame):
+        raise TypeError(f"table must be a pandas DataFrame, got {type(table).__name__}")
+    parameters, hidden = _columns("parameters", parameters, table), _columns("hidden", hidden, table)
+    units, formats = {"seconds": "s"} | dict(units or {}), dict(formats or {})
+    done = table[table[_STATUS] == _DONE] if _STATUS in table else table
+    varied = [name for name in done if name not in (*parameters, *hidden, _STATUS, _ERROR)
+              and (values := numbers(done[name])) is not None and values.nunique() > 1]
+    drawn = varied[:2] if results is None else _columns("results", results, table)
+    for name in drawn:
+        if len(done) and numbers(done[name]) is None:
+            raise ValueError(f"results: column {name!r} holds no numbers to draw, got "
+                             f"{checks.shown(done[name].iloc[0])} in its first row")
+    page = Report(title or str(table.attrs.get("study") or "") or "Study", f"{_counted(table)} {summary}".strip())
+
+    def add(frame: pd.DataFrame, caption: str, **options: Any) -> None:
+        frame = frame.copy()
+        for name in frame.select_dtypes(exclude="number"):
+            frame[name] = pd.Series([_cut(value) for value in frame[name]], frame.index, dtype=object)
+        page.table(frame, caption, units={k: v for k, v in units.items() if k in frame},
+                   formats={k: v for k, v in formats.items() if k in frame}, **options)
+
+    page.section("Results")
+    axis = axes_of_study(done, parameters) if len(done) else None
+    for result in drawn if axis else ():
+        page.figure(curves(done, axis, result, units.get(result, ""), units.get(axis.along, "")),
+                    caption(done, axis, result))
+    if len(table) > LONGEST and varied:
+        marks = pd.DataFrame({label(name, units.get(name)): numbers(done[name]) for name in varied}).describe().T
+        marks = marks.drop(columns=["mean", "std"]).set_axis(_MARKS, axis=1).astype({"runs": int})
+        page.table(marks.rename_axis("result").reset_index(), "Results of all runs that are done", open=True)
+    add(table.drop(columns=[c for c in {_ERROR, *hidden} if c in table]), "All runs", csv=csv, open=True)
+    if _ERROR in table:
+        failed = table.loc[table.index.difference(done.index, sort=False), [*parameters, _ERROR]]
+        failed = failed[failed[_ERROR].fillna("").astype(str) != ""]
+        if len(failed):
+            page.section("Runs that failed")
+            add(failed, "Errors", csv=csv if len(failed) > LONGEST else "")
+    if fixed := table.attrs.get("fixed"):
+        page.made(fixed_parameters=", ".join(f"{key} = {value}" for key, value in fixed.items()))
+    page.made(**{str(key): str(value) or "-" for key, value in (made or {}).items()})
+    return page.write(path)
+
+
+def _columns(name: str, given: Sequence[str], table: pd.DataFrame) -> list[str]:
+    if isinstance(given, str):
+        raise TypeError(f"{name} must be a sequence of column names, got {given!r}: write [{given!r}]")
+    missing = [column for column in given if column not in table.columns]
+    if missing:
+        raise ValueError(f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}")
+    return list(given)
+
+
+def _counted(table: pd.DataFrame) -> str:
+    """The number of runs, by status."""
+    if _STATUS not in table or not len(table):
+        return f"{count(len(table))} runs." if len(table) or _STATUS not in table else "No runs."
+    by_status = table[_STATUS].astype(str).value_counts()
+    return f"{count(len(table))} runs: " + ", ".join(f"{count(n)} {s}" for s, n in by_status.items()) + "."
+
+
+def _cut(value: object) -> object:
+    return f"{value[:_LETTERS]} ..." if isinstance(value, str) and len(value) > _LETTERS else value
+
+
+@dataclass(frozen=True)
+class Axis:
+    """The parameter along the axis, the one of the lines ("" for none), and whether points are joined."""
+
+    along: str
+    lines: str
+    joined: bool = True
+
+
+def numbers(column: pd.Series) -> pd.Series | None:
+    """Return a column as floats if all its values that are not missing are numbers, else None."""
+    present = column.dropna()
+    if present.empty or types.is_bool_dtype(present) or any(isinstance(v, bool | np.bool_ | str) for v in present):
+        return None
+    try:
+        values = pd.to_numeric(column)
+    except (TypeError, ValueError):
+        return None
+    return None if values.dtype.kind == "c" else values.astype(float)
+
+
+def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:
+    """Return the axis: of the parameters that vary the numeric one with most values; None if none varies.
+
+    One that is different in every run (a seed) is taken only where all are.
+    """
+    counts = {name: _keys(table[name]).nunique() for name in parameters}
+    varied = [name for name in parameters if counts[name] > 1]
+    if not varied:
+        return None
+    shared = [name for name in varied if counts[name] < len(table)]
+    numeric = [name for name in shared or varied if numbers(table[name]) is not None]
+    along = max(numeric or shared or varied, key=counts.get)
+    others = [name for name in varied if name != along and counts[name] <= _LINES]
+    return Axis(along, max(others, key=counts.get, default=""), bool(shared) or len(varied) == 1)
+
+
+@styled
+def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_unit: str = "") -> Figure:
+    """Return a picture of a numeric result of finished runs against a parameter."""
+    figure = Figure(figsize=(6.2, 3.9))
+    ax = figure.subplots()
+    position, names = numbers(table[axis.along]), None
+    if position is None:
+        names = list(dict.fromkeys(_keys(table[axis.along])))[:_NAMES]
+        position = _keys(table[axis.along]).map({name: float(k) for k, name in enumerate(names)})
+    data = pd.DataFrame({"x": position.to_numpy(), "y": numbers(table[result]).to_numpy(),
+                         "line": _keys(table[axis.lines]).to_numpy() if axis.lines else ""})
+    data = data[np.isfinite(data["x"]) & np.isfinite(data["y"])]
+    band = (0.25, 0.75) if _many(table, axis) else (0.0, 1.0)
+    for k, (line, part) in enumerate(data.groupby("line", sort=False)):
+        _line(ax, part, band, axis.joined and names is None, color=CYCLE[k % len(CYCLE)],
+              label=f"{plain(worded(axis.lines)[0])} = {_name(line)}")
+    ax.set(xlabel=plain(label(axis.along, along_unit)), ylabel=plain(label(result, unit)))
+    ax.grid(True)
+    if names is None:
+        _scale(ax, "x", data["x"])
+    else:
+        ax.set_xticks(range(len(names)), [_name(name) for name in names], rotation=90 if len(names) > 6 else 0)
+    _scale(ax, "y", data["y"])
+    if axis.lines and len(data):
+        # above the drawing, where nothing is drawn
+        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(4, data["line"].nunique()), borderpad=0.0)
+    return figure
+
+
+def caption(table: pd.DataFrame, axis: Axis, result: str) -> str:
+    """Return what :func:`curves` shows."""
+    lines = f", a line for each value of {worded(axis.lines)[0]}" if axis.lines else ""
+    spread = "of their middle half" if _many(table, axis) else "from the least to the largest"
+    return (f"{worded(result)[0]} against {worded(axis.along)[0]}{lines}; where runs share a point their median, and "
+            f"the band {spread}")
+
+
+def _many(table: pd.DataFrame, axis: Axis) -> bool:
+    """Whether points are shared by many runs."""
+    points = pd.concat([_keys(table[name]) for name in (axis.along, axis.lines) if name], axis=1)
+    return len(table) > 0 and len(table) >= _MANY * len(points.drop_duplicates())
+
+
+def _line(ax: Axes, part: pd.DataFrame, band: tuple[float, float], joined: bool, color: str, label: str) -> None:
+    values = part.groupby("x")["y"]
+    median, low, high = values.median(), values.quantile(band[0]), values.quantile(band[1])
+    marker = "o" if len(median) <= _MARKED else "" if joined else "."
+    ax.plot(median.index, median, color=color, label=label, linestyle="-" if joined else "", marker=marker)
+    if len(part) > len(median) and joined:
+        ax.fill_between(median.index, low, high, color=color, alpha=0.18, linewidth=0)
+    elif len(part) > len(median):
+        ax.vlines(median.index, low, high, color=color, alpha=0.5)
+
+
+def _scale(ax: Axes, name: str, values: pd.Series) -> None:
+    """Choose a logarithmic scale where values span much; on x, ticks at the values where these are few integers."""
+    axis, single = getattr(ax, f"{name}axis"), np.unique(values)
+    if len(single) and single[0] > 0 and single[-1] >= _LOGARITHMIC * single[0]:
+        ax.set(**{f"{name}scale": "log"})
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    elif name == "x" and 0 < len(single) <= 12 and (single == np.round(single)).all():
+        axis.set_ticks(single, [f"{value:g}" for value in single])
+
+
+def _name(value: str) -> str:
+    """A value as a name in the drawing, cut to the room there is."""
+    return plain(value if len(value) <= 24 else f"{value[:22]} …")
+
+
+def _keys(column: pd.Series) -> pd.Series:
+    """Values as texts, floats in few digits where that keeps them apart."""
+    texts = column.map(lambda value: f"{value:g}" if isinstance(value, float) else str(value)).astype(object)
+    if types.is_numeric_dtype(column) and texts.nunique() < column.nunique():
+        texts = column.map(repr).astype(object)
+    return texts
