@@ -13,7 +13,8 @@ import pytest
 import adaptmg
 
 REPOSITORY = Path(__file__).parents[1]
-PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+SETTINGS = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = SETTINGS["project"]
 TOP_LEVEL = {"pyproject.toml", "adaptmg", "studies", "tests", "data", "README.md", "LICENSE"}
 
 
@@ -35,6 +36,13 @@ def test_there_is_no_lock_file_and_nothing_else_at_the_top():
     assert {name for name in top if not name.startswith(".")} <= TOP_LEVEL
     pinned = re.compile(r"\.lock$|(requirements|constraints).*\.txt$")
     assert not [path.name for path in _files() if pinned.search(path.name)]
+
+
+def test_files_of_the_package_that_are_not_python_are_installed():
+    shipped = {f"{package.replace('.', '/')}/{name}" for package, names in
+               SETTINGS["tool"]["setuptools"]["package-data"].items() for name in names}
+    lying = [path.relative_to(REPOSITORY).as_posix() for path in _files() if path.suffix != ".py"]
+    assert {name for name in lying if name.startswith("adaptmg/")} == shipped
 
 
 def test_dependencies_have_lower_bounds_and_no_upper_ones():

@@ -16,7 +16,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
-from typing import Any
 from urllib.parse import quote
 
 import matplotlib
@@ -44,7 +43,8 @@ _TURNS = re.compile("[\u202a-\u202e]")
 _SMALL = re.compile(r"[\d.]+e-\d+")
 #: the end of a sentence: a full stop after two characters of a word or a bracket, then a capital
 _SENTENCE = re.compile(r"(?<=[\w)%'\"]{2}[.!?])\s+(?=[A-Z'\"])")
-_IDENTIFIER = re.compile(r"[A-Za-z]{2,}[A-Za-z0-9]*(_[A-Za-z0-9]+)+|[A-Za-z](_[A-Za-z0-9]+){2,}")
+#: words joined by underscores, but not a symbol with an index such as u_n
+_IDENTIFIER = re.compile(r"(?![A-Za-z]_[A-Za-z0-9]$)[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)+")
 _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _UNITS = {"s": "s", "ms": "ms", "us": "µs", "min": "min", "m": "m", "mm": "mm", "pa": "Pa", "mpa": "MPa", "n": "N",
           "kn": "kN", "mb": "MB", "mib": "MiB", "gb": "GB", "percent": "%"}
@@ -158,7 +158,7 @@ def _is_measured(column: pd.Series, spec: str) -> bool:
 
 
 def _table(frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None, formats: Mapping[str, str] | None,
-           **options: Any) -> _Table:
+           **options: str | bool | None) -> _Table:
     if not isinstance(frame, pd.DataFrame):
         raise TypeError(f"table must be a pandas DataFrame, got {type(frame).__name__}")
     return _Table(_text("caption", caption, empty=False), columns_of(frame.head(LONGEST), units, formats), len(frame),
@@ -218,7 +218,7 @@ class _Section:
 
     title: str
     key: str
-    parts: list[tuple[str, Any]] = field(default_factory=list)
+    parts: list[tuple[str, object]] = field(default_factory=list)
 
 
 def _paragraphs(text: str) -> list[str]:
@@ -296,7 +296,7 @@ class Report:
     def __init__(self, title: str, summary: str = "", *, terms: str = "", max_open: int = 15) -> None:
         self.title, self.summary = _text("title", title, empty=False), _text("summary", summary)
         self.terms, self.max_open = _text("terms", terms), checks.integer("max_open", max_open)
-        self._cards: list[dict[str, Any]] = []
+        self._cards: list[dict[str, object]] = []
         self._sections = [_Section("", "")]
         self._made: dict[str, str] = {}
 
@@ -393,7 +393,7 @@ class Report:
         """
         picture = figure if isinstance(figure, Picture) else picture_of(figure, caption)
         parts = self._sections[-1].parts
-        if parts and parts[-1][0] == "pictures":
+        if parts and isinstance(parts[-1][1], list):
             parts[-1][1].append(picture)
         else:
             parts.append(("pictures", [picture]))
@@ -415,13 +415,13 @@ class Report:
             title=self.title, summary=self.summary, terms=self.terms, cards=self._cards, sections=self._sections,
             opened=self._opened(), keys={section.key for section in self._sections[1:]}, facts=_made() | self._made)
 
-    def _add(self, kind: str, part: Any) -> None:
+    def _add(self, kind: str, part: object) -> None:
         if not isinstance(part, str) or part.strip():
             self._sections[-1].parts.append((kind, part))
 
     def _opened(self) -> list[_Table]:
         """The tables that stand open: first those that ask for it, then the first of each section."""
-        tables = [[part for kind, part in section.parts if kind == "table"] for section in self._sections]
+        tables = [[part for _, part in section.parts if isinstance(part, _Table)] for section in self._sections]
         asked = [table for each in tables for table in each if table.open]
         firsts = [each[0] for each in tables if each and each[0].open is None and not any(t.open for t in each)]
         room = self.max_open - sum(card["table"] is not None for card in self._cards)

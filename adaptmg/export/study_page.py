@@ -12,7 +12,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -87,7 +86,7 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
                              f"{checks.shown(done[name].iloc[0])} in its first row")
     page = Report(title or str(table.attrs.get("study") or "") or "Study", f"{_counted(table)} {summary}".strip())
 
-    def add(frame: pd.DataFrame, caption: str, **options: Any) -> None:
+    def add(frame: pd.DataFrame, caption: str, **options: str | bool) -> None:
         frame = frame.copy()
         for name in frame.select_dtypes(exclude="number"):
             frame[name] = pd.Series([_cut(value) for value in frame[name]], frame.index, dtype=object)
@@ -127,8 +126,10 @@ def _columns(name: str, given: Sequence[str], table: pd.DataFrame) -> list[str]:
 
 def _counted(table: pd.DataFrame) -> str:
     """The number of runs, by status."""
-    if _STATUS not in table or not len(table):
-        return f"{count(len(table))} runs." if len(table) or _STATUS not in table else "No runs."
+    if not len(table):
+        return "No runs."
+    if _STATUS not in table:
+        return f"{count(len(table))} runs."
     by_status = table[_STATUS].astype(str).value_counts()
     return f"{count(len(table))} runs: " + ", ".join(f"{count(n)} {s}" for s, n in by_status.items()) + "."
 
