@@ -166,7 +166,7 @@ def _table(frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None, f
 
 
 #: a drawing of more bytes as SVG becomes a PNG
-DENSE = 100_000
+DENSE = 60_000
 #: pixels of a PNG across at most
 _ACROSS = 1200
 

@@ -41,7 +41,7 @@ def example(report: Report) -> None:
     report.card("Best <sweeps>", "Two & no more.", to="first", table=FRAME, units={"n<": "m<"})
     report.card("A picture", to="nowhere", figure=drawing())
     report.card("Absent", "Run <it>.")
-    report.section("Sweeps <1>", "Text & more.", summary="In short <i>.", key="first")
+    report.section("Sweeps <1>", "Text & more {{ 7 * 7 }}{% x %}.", summary="In short <i>.", key="first")
     report.table(FRAME, "Table 1 & so on", "note <i>", units={"t": "µs"}, csv='a "b".csv')
     report.figure(drawing(label="<b> & x"), 'A "picture" <x>')
     report.section("Second")
@@ -66,7 +66,8 @@ def test_a_report_escapes_everything(tmp_path):
     for raw in ("<co>", "<b>", "<i>", "<x>", "Sweeps <1>", "n<<", "alert(1)</script>", "<it>", "<sweeps>"):
         assert raw not in text
     assert len(page.all("script")) == 1 and "<script>alert(1)</script>" in page.text("td")
-    for shown in ("Smoothing & <co>", "Two <b>.", 'A "picture" <x>', "Run <it>.", "[m<]", "1 < 2"):
+    for shown in ("Smoothing & <co>", "Two <b>.", 'A "picture" <x>', "Run <it>.", "[m<]", "1 < 2",
+                  "Text & more {{ 7 * 7 }}{% x %}."):
         assert shown in page.text(), shown
     assert "<b> & x" in page.drawings[1]
 
@@ -141,8 +142,8 @@ def test_what_is_the_same_in_every_row_is_said_once(tmp_path):
         report.table(frame.head(2), "short")
         report.table(frame[["a", "b", "same"]], "narrow")
 
-    page, _ = made(tmp_path, fill)
-    assert "In every row:" in page.text("p") and "x <y>." in page.text("p")
+    page, text = made(tmp_path, fill)
+    assert "2.5; same x &lt;y&gt;.</p>" in text and "In every row: g" in page.text("p")
     heads = [a for a in page.all("th") if a.get("scope") == "col"]
     assert len(heads) == 6 + 8 + 3
 
