@@ -28,8 +28,8 @@ __all__ = ["Axis", "axes_of_study", "caption", "curves", "numbers", "study_repor
 
 #: names of the columns of a study that are neither parameters nor results, and the status that is drawn
 _STATUS, _ERROR, _DONE = "status", "error", "done"
-#: how the spread of a result over all runs is described
-_MARKS = ["runs", "least", "lower quarter", "median", "upper quarter", "largest"]
+#: columns of the table that describes the results of all runs
+_SPREAD = ["result", "runs", "least", "lower quarter", "median", "upper quarter", "largest"]
 #: at most: characters of a text in a table, lines in a picture, marked points in a line, names along an axis
 _LETTERS, _LINES, _MARKED, _NAMES = 300, 7, 60, 40
 #: with this number of runs at a point the band is their middle half, not the least and the largest
@@ -99,9 +99,10 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
         page.figure(curves(done, axis, result, units.get(result, ""), units.get(axis.along, "")),
                     caption(done, axis, result))
     if len(table) > LONGEST and varied:
-        marks = pd.DataFrame({label(name, units.get(name)): numbers(done[name]) for name in varied}).describe().T
-        marks = marks.drop(columns=["mean", "std"]).set_axis(_MARKS, axis=1).astype({"runs": int})
-        page.table(marks.rename_axis("result").reset_index(), "Results of all runs that are done", open=True)
+        marks = pd.DataFrame({name: numbers(done[name]) for name in varied}).describe().drop(index=["mean", "std"])
+        spread = [[label(name, units.get(name)), *(int(x) if x.is_integer() else x for x in marks[name])]
+                  for name in marks]
+        page.table(pd.DataFrame(spread, columns=_SPREAD, dtype=object), "Results of all runs that are done", open=True)
     add(table.drop(columns=[c for c in {_ERROR, *hidden} if c in table]), "All runs", csv=csv, open=True)
     if _ERROR in table:
         failed = table.loc[table.index.difference(done.index, sort=False), [*parameters, _ERROR]]

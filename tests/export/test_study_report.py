@@ -45,6 +45,8 @@ def test_a_study_too_long_to_be_shown_says_what_came_out_of_all(tmp_path):
     assert "12\u202f000 runs: 11\u202f999 done" in page.text("p") and "12\u202f000 rows" in page.text("span")
     assert "All rows as CSV" in page.text("a") and len(page.all("details", "table")) == 3
     assert {"least", "median", "largest"} <= set(page.text("th").split())
+    # seeds 0 to 1999, six times each but for one that failed: whole numbers are written as such
+    assert page.text("td").split()[:5] == ["0", "500", "1000", "1500", "1999"]
     assert "word " * 30 in page.text("p", "td") and "word " * 70 not in page.text("p", "td")
     drawn = [a["alt"] for a in page.all("img")]
     assert all("middle half" in label for label in drawn) and drawn
