@@ -54,7 +54,7 @@ class Record:
     seconds : float
         Wall time of the run.
     code : str
-        Fingerprint of what the run depends on, see :mod:`adaptmg.runtime.fingerprint`.
+        Fingerprint of what the run depends on, see :mod:`adaptmg._fingerprint`.
     versions : dict of str to str
         Of Python and of the packages the results depend on.
     finished, started : str

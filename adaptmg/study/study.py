@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 #: parts of fingerprints as runs of this process left them, and as they were before
 _LEFT: dict[tuple[str, str], str] = {}
 #: parts that tell what is in files: who changes those while runs go on means it
-_OF_FILES = ("depends ", "module ", "adaptmg.")
+_OF_FILES = ("depends ", "package ", "adaptmg")
 
 
 class Study:
@@ -40,7 +40,7 @@ class Study:
 
     Each run is stored when it ends. A study that is run again takes what is stored and computes the rest: points
     never reached, points that failed, and points that are stale, which means that something changed on which a run
-    depends: code and values that the run function reads, the modules of adaptmg it can reach, a version of a package
+    depends: code and values that the run function reads, the numerical sources of adaptmg, a version of a package
     (:mod:`adaptmg._fingerprint` says what is seen and what is not, such as data files and
     environment variables, which ``depends`` can name; :meth:`status` what changed).
 

@@ -188,7 +188,7 @@ def test_laws_and_parts_of_the_user_are_compared_by_value(tmp_path):
         run(bump=-0.3)
     with pytest.raises(ValueError, match="another loop: value of mark differs"):
         run(share=0.4)
-    with pytest.raises(TypeError, match=r"value of mark, which cannot be told .*depends=\{'mark': \.\.\.\}"):
+    with pytest.raises(TypeError, match=r"value of mark, which cannot be compared .*depends=\{'mark': \.\.\.\}"):
         run(share=np.random.default_rng(0))
     with pytest.raises(TypeError, match="depends must be a mapping"):
         run(depends=3)

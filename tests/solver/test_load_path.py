@@ -401,7 +401,7 @@ class TestStore:
         with pytest.raises(ValueError, match="value of solver differs"):
             am.solve_path(rough, path, Kept(1e-8), store=tmp_path)
         drawn = Kept(np.random.default_rng(0))
-        with pytest.raises(TypeError, match=r"value of solver, which cannot be told.*depends=\{'solver': \.\.\.\}"):
+        with pytest.raises(TypeError, match=r"value of solver, which cannot be compared.*depends=\{'solver': \.\.\.\}"):
             am.solve_path(rough, path, drawn, store=tmp_path)
         with pytest.raises(TypeError, match="depends must be a mapping"):
             am.solve_path(rough, path, store=tmp_path, depends=3)
