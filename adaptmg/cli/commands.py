@@ -16,24 +16,23 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 from adaptmg import __version__
-from adaptmg._text import printable
-from adaptmg.cli.choices import (
-    CorrectionName,
-    EngineName,
-    IndicatorName,
-    LawName,
-    LinearName,
-    Shape,
-    SolverName,
-    TransferName,
-)
 
 __all__ = ["app", "main", "report", "runs", "study"]
+
+# names of classes, for --help, which loads none of them: a test compares these with adaptmg.cli.build
+SolverName = Literal["full-multigrid", "multigrid", "single-grid", "active-set"]
+LawName = Literal["frictionless", "coulomb", "tresca"]
+TransferName = Literal["interpolation", "l2", "lumped-l2", "pseudo-l2", "quasi-interpolation"]
+CorrectionName = Literal["truncated", "monotone", "paper"]
+Shape = Literal["V", "W", "F", "complete"]
+LinearName = Literal["direct", "amg"]
+EngineName = Literal["remesh", "bisect"]
+IndicatorName = Literal["residual", "recovery"]
 
 app = typer.Typer(pretty_exceptions_enable=False,
                   context_settings={"help_option_names": ["-h", "--help"]},
@@ -67,9 +66,9 @@ def cases(
         from adaptmg.cases import CASES
 
         if case is not None:
-            from adaptmg.cli import build
+            from adaptmg.cli import explain
 
-            _say(json.dumps(build.case_facts(case), indent=2) if as_json else build.about_case(case))
+            _say(json.dumps(explain.case_facts(case), indent=2) if as_json else explain.about_case(case))
             return
         if as_json:
             _say(json.dumps([{"name": n, "description": found.description} for n, found in CASES.items()], indent=2))
@@ -96,11 +95,12 @@ def solve(
     limit: Annotated[float | None, typer.Option(help="Tresca limit, Pa.")] = None,
     own: Annotated[list[str] | None, typer.Option(
         "--set", metavar="NAME=VALUE", help="Argument of the case, see 'adaptmg cases NAME'; several times.")] = None,
-    solver: Annotated[SolverName, typer.Option(help="Method.")] = SolverName.FULL,
+    solver: Annotated[SolverName, typer.Option(help="Method.")] = "full-multigrid",
     correction: Annotated[CorrectionName | None, typer.Option(
         show_default="truncated, or monotone with --cycle, --pre, --post, --omega",
         help="Multigrid: correction.")] = None,
-    cycle: Annotated[Shape | None, typer.Option(show_default="V", help="Multigrid: shape of the cycle.")] = None,
+    cycle: Annotated[Shape | None, typer.Option(
+        "--cycle", "--shape", show_default="V", help="Multigrid: shape of the cycle.")] = None,
     pre: Annotated[int | None, typer.Option(show_default="2", help="Multigrid: sweeps before the correction.")] = None,
     post: Annotated[int | None, typer.Option(show_default="0", help="Multigrid: sweeps after the correction.")] = None,
     omega: Annotated[float | None, typer.Option(show_default="1", help="Relaxation of the sweeps.")] = None,
@@ -118,13 +118,12 @@ def solve(
     """
     with _told(as_json):
         from adaptmg.cli import solve_case
-        from adaptmg.cli.build import method_of
         from adaptmg.cli.output import watched
 
         folder = None if out is None else solve_case.out_folder(out)
         problem = solve_case.problem_of(case, law, friction, limit, own or ())
-        method = method_of(solver, correction=correction, cycle=cycle, pre=pre, post=post, omega=omega, linear=linear,
-                           rtol=rtol, most=most)
+        method = solve_case.method_of(solver, correction=correction, shape=cycle, pre=pre, post=post, omega=omega,
+                                      linear=linear, rtol=rtol, max_cycles=most)
         with watched(method.rtol) as callback:
             grids = solve_case.hierarchy_of(problem, divisions, sizes, contact_ratio, transfer)
             result = solve_case.solved(grids, method, callback)
@@ -149,8 +148,8 @@ def adapt(
         show_default="20000 if no limit is given", help="Nodes at most.")] = None,
     max_seconds: Annotated[float | None, typer.Option(help="Begin no step after so many seconds.")] = None,
     engine: Annotated[EngineName, typer.Option(
-        help="Meshes made anew by sizes, or marked elements bisected.")] = EngineName.REMESH,
-    indicator: Annotated[IndicatorName, typer.Option(help="What estimates the error.")] = IndicatorName.RESIDUAL,
+        help="Meshes made anew by sizes, or marked elements bisected.")] = "remesh",
+    indicator: Annotated[IndicatorName, typer.Option(help="What estimates the error.")] = "residual",
     theta: Annotated[float, typer.Option(help="Share of the estimate whose elements are marked (bisect).")] = 0.5,
     law: Annotated[LawName | None, typer.Option(show_default="that of the case", help="Contact law.")] = None,
     friction: Annotated[float | None, typer.Option(help="Coefficient of Coulomb friction.")] = None,
@@ -238,6 +237,8 @@ def _words(error: Exception) -> str:
 
 def _say(text: str, err: bool = False) -> None:
     """Print a text whatever is in it and whatever the terminal can show; characters it cannot become codes."""
+    from adaptmg._text import printable
+
     stream = sys.stderr if err else sys.stdout
     code = getattr(stream, "encoding", None) or "utf-8"
     typer.echo(printable(text).encode(code, "backslashreplace").decode(code), err=err)
@@ -269,12 +270,12 @@ def study(
     """
     with _told(as_json, "what is done is stored, the same command goes on"):
         if keys or template is not None:
-            from adaptmg.cli import build
+            from adaptmg.cli import explain
 
             if as_json:
-                _say(json.dumps(build.key_facts() if keys else {"template": build.template(template)}, indent=2))
+                _say(json.dumps(explain.key_facts() if keys else {"template": explain.template(template)}, indent=2))
             else:
-                _say(build.keys() if keys else build.template(template))
+                _say(explain.keys() if keys else explain.template(template))
             return
         if file is None:
             raise ValueError("give a file: adaptmg study FILE.toml; --template CASE prints one to begin with")
@@ -300,7 +301,8 @@ def study(
         if as_json:
             _say(json.dumps(summary(made, True), indent=2, allow_nan=False))
         elif not quiet:
-            from adaptmg.cli.output import printed, units_of
+            from adaptmg.cli.measure import units_of
+            from adaptmg.cli.output import printed
 
             _say(printed(table.drop(columns=["error"]), made.parameters, units=units_of(table)))
             _say(f"\n{made.status()!r}\nstored in {target}")

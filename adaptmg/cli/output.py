@@ -3,8 +3,6 @@
 What is shown on standard error while a command works: the log of adaptmg and, on a terminal, a bar.
 
 Tables on a terminal that is narrower than they are: in blocks, the parameters at the left of each.
-
-What a run of a study file measures, in words and units. Apart from the functions: words do not make runs stale.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ import logging
 import math
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -25,7 +23,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from adaptmg.study.tables import as_text, cells
 
-__all__ = ["MEANINGS", "UNITS", "finite", "lines", "printed", "rows", "units_of", "watched", "watched_loop"]
+__all__ = ["finite", "lines", "printed", "rows", "watched", "watched_loop"]
 
 def finite(value: Any) -> Any:
     """Plain values as JSON takes them: numbers that are not finite become None, tuples lists."""
@@ -183,45 +181,3 @@ def printed(table: Mapping[str, Sequence[Any]], parameters: Sequence[str], *, un
         texts.append(as_text({name: table[name] for name in names}, units=mine,
                              note=note if block is blocks[-1] else ""))
     return "\n\n".join(texts)
-
-
-#: name -> what it is, and its unit
-MEANINGS: dict[str, tuple[str, str]] = {
-    "outcome": ("how the (last) solve ended: CONVERGED, LIMIT, STALLED, CYCLING or DIVERGED; always in the table", ""),
-    "cycles": ("cycles, sweeps or Newton steps, of all load steps or meshes", ""),
-    "work_units": ("passes over the finest matrix, of all load steps or meshes", ""),
-    "start_work_units": ("of these, in the nested start of the last solve", ""),
-    "solve_seconds": ("wall time of the last solve, without meshes", "s"),
-    "residual": ("natural residual of the contact conditions, relative", ""),
-    "error_estimate": ("estimated algebraic error, relative, energy norm", ""),
-    "energy_error": ("the same by the certificate, which is computed from the raw matrices", ""),
-    "violation": ("the certificate's largest violation of a condition of the problem, relative", ""),
-    "estimate": ("estimated discretisation error, relative, energy norm (with [adapt])", ""),
-    "rate": ("asymptotic convergence rate of a cycle", ""),
-    "steps": ("load steps, or meshes of an adaptive loop; else 1", ""),
-    "levels": ("grids", ""),
-    "nodes": ("nodes of the finest mesh", ""),
-    "contact_nodes": ("of these, nodes that may come into contact", ""),
-    "open": ("contact nodes that are open", ""),
-    "slip": ("contact nodes that slip", ""),
-    "stick": ("contact nodes that stick", ""),
-    "contact_area": ("area in contact (plane problems: length)", "m^2 or m"),
-    "max_pressure": ("largest contact pressure", "Pa"),
-    "max_traction": ("largest friction traction", "Pa"),
-    "max_slip": ("largest slip of the last step in contact", "m"),
-    "max_gap": ("largest gap of a contact node", "m"),
-    "max_displacement": ("largest displacement of a node", "m"),
-    "max_von_mises": ("largest von Mises stress of an element", "Pa"),
-    "force_x": ("resultant contact force on the body (of pairs: on the slaves), x component; plane problems: per metre",
-                "N or N/m"),
-    "force_y": ("the same, y component", "N or N/m"),
-    "force_z": ("the same, z component (3D alone)", "N or N/m"),
-}
-#: units by name
-UNITS = {name: unit for name, (_, unit) in MEANINGS.items() if unit}
-
-
-def units_of(columns: Iterable[str]) -> dict[str, str]:
-    """Units of the columns of a table of a study file."""
-    known = {"seconds": "s", "peak_memory": "bytes", **UNITS}
-    return {name: known.get(name, "N or N/m") for name in columns if name in known or name.startswith("force_")}

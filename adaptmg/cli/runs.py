@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
-from adaptmg.cli.output import units_of
 from adaptmg.study.record import DETAILS, RESERVED, Record
 from adaptmg.study.store import Store
 from adaptmg.study.tables import columns
@@ -81,6 +80,8 @@ def selected(store: Store, name: str, *, status: str | None = None, where: Seque
 def units(store: Store, name: str, found: dict[str, list[Any]]) -> dict[str, str]:
     """Units of the columns of a table: those of what study files measure where the study is of one."""
     if any("case.case" in record.parameters for record in store.runs(name, limit=1)):
+        from adaptmg.cli.measure import units_of  # loads the solvers
+
         return units_of(found)
     return {column: unit for column, unit in {"seconds": "s", "peak_memory": "bytes"}.items() if column in found}
 

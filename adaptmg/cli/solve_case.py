@@ -16,38 +16,36 @@ import numpy as np
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, write_bytes
-from adaptmg.cli.build import given_arguments, posed
-from adaptmg.cli.choices import EngineName, IndicatorName, LawName, TransferName
+from adaptmg.cli import build
 from adaptmg.cli.output import finite
 from adaptmg.solver.record import Solver
 
-__all__ = ["hierarchy_of", "limits", "loop_summary", "out_folder", "problem_of", "save_picture", "solved", "stepped",
-           "summary", "write", "write_loop"]
+__all__ = ["hierarchy_of", "limits", "loop_summary", "method_of", "out_folder", "problem_of", "save_picture",
+           "solved", "stepped", "summary", "write", "write_loop"]
 
-_DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
-
-
-def problem_of(case: str, law: LawName | None, friction: float | None, limit: float | None,
+def problem_of(case: str, law: str | None, friction: float | None, limit: float | None,
                texts: Sequence[str] = ()) -> am.ContactProblem:
-    """The case, with another law if one is asked for, and with its own arguments, ``NAME=VALUE``."""
-    return posed(am.cases.get(case).function, law, friction, limit, **given_arguments(case, texts))
+    """Return the case with the given law and its own arguments, ``NAME=VALUE``."""
+    return build.problem_of({**_given(case=case, law=law, friction=friction, limit=limit),
+                             **build.given_arguments(case, texts)}, "--")
 
 
 def hierarchy_of(problem: am.ContactProblem, divisions: str | None, sizes: str | None, contact_ratio: float | None,
-                 transfer: TransferName | None) -> am.Hierarchy:
-    """Uniform grids, or graded ones if sizes are given."""
-    if sizes is None:
-        if contact_ratio is not None or transfer is not None:
-            raise ValueError("--contact-ratio and --transfer belong to --sizes (independent, non-nested meshes)")
-        numbers = _DIVISIONS[problem.dim] if divisions is None else _numbers("divisions", divisions, int)
-        return am.Hierarchy.uniform(problem, divisions=numbers)
-    if divisions is not None:
-        raise ValueError("give --divisions or --sizes, not both")
-    kinds = {TransferName.L2: am.L2, TransferName.LUMPED: am.LumpedL2, TransferName.PSEUDO: am.PseudoL2,
-             TransferName.QUASI: am.QuasiInterpolation}
-    return am.Hierarchy.graded(problem, sizes=_numbers("sizes", sizes, float),
-                               contact_ratio=1.0 if contact_ratio is None else contact_ratio,
-                               transfer=kinds.get(transfer, am.Interpolation)())
+                 transfer: str | None) -> am.Hierarchy:
+    """Return uniform grids, or graded ones if sizes are given."""
+    return build.grids(problem, _given(
+        divisions=divisions if divisions is None else _numbers("divisions", divisions, int),
+        sizes=sizes if sizes is None else _numbers("sizes", sizes, float), contact_ratio=contact_ratio,
+        transfer=transfer), "--")
+
+
+def method_of(solver: str, **options: Any) -> Solver:
+    """Return the method with the options that are given."""
+    return build.solver_of({"method": solver, **_given(**options)}, "--", "--solver")
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def _numbers(option: str, text: str, kind: Callable[[str], Any]) -> tuple[Any, ...]:
@@ -119,23 +117,19 @@ def save_picture(file: Path, figure: Any) -> Path:
 
 
 _NODES = 20_000
-_ENGINES = {EngineName.REMESH: "Remesh", EngineName.BISECT: "Bisect"}
-_INDICATORS = {IndicatorName.RESIDUAL: "Residual", IndicatorName.RECOVERY: "Recovery"}
 
 
 def limits(tolerance: float | None, max_nodes: int | None, max_seconds: float | None) -> dict[str, Any]:
     """The limits that are given; a number of nodes where none is."""
-    given = {"tolerance": tolerance, "max_nodes": max_nodes, "max_seconds": max_seconds}
-    given = {name: value for name, value in given.items() if value is not None}
-    return given or {"max_nodes": _NODES}
+    return _given(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds) or {"max_nodes": _NODES}
 
 
-def stepped(problem: am.ContactProblem, start: float | None, indicator: IndicatorName, engine: EngineName, theta: float,
+def stepped(problem: am.ContactProblem, start: float | None, indicator: str, engine: str, theta: float,
             stops: dict[str, Any], store: Path | None, progress: Callable[[dict[str, Any]], None] | None,
             say: Callable[[str], None]) -> list[am.Step]:
     """Go through the loop and say each step."""
-    loop = am.adapt(problem, start, getattr(am, _INDICATORS[indicator])(), am.Doerfler(theta),
-                    getattr(am, _ENGINES[engine])(), store=store, progress=progress, **stops)
+    chosen = build.arguments_of(am.adapt, {"indicator": indicator, "engine": engine, "theta": theta}, "--", "adapt")
+    loop = am.adapt(problem, start, **chosen, store=store, progress=progress, **stops)
     say(am.Step.HEADER)
     steps = []
     for step in loop:

@@ -18,11 +18,10 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.cli import build as guide
-from adaptmg.cli import build as keys
-from adaptmg.cli.build import MEASURES, case_run, grids
-from adaptmg.cli.output import MEANINGS
-from adaptmg.cli.study_file import check_scheduler, checked, positions, read
+from adaptmg.cli import build, commands, explain
+from adaptmg.cli.build import grids
+from adaptmg.cli.measure import MEASURES, case_run
+from adaptmg.cli.study_file import check_scheduler, checked, read
 from adaptmg.study.progress import Watch
 
 GOOD = """
@@ -187,84 +186,93 @@ def test_whole_numbers_are_numbers_where_an_argument_is_one(tmp_path, monkeypatc
     assert len(set(sizes)) == 8 and all(isinstance(size, float) for size in sizes)
 
 
-@pytest.mark.parametrize("solver", [
-    {"correction": "paper", "gap": "largest", "slip": "minmod", "sliding_limit": "summed", "order": "symmetric"},
-    {"method": "single-grid", "condensed": True, "omega": 1.3}, {"method": "multigrid", "cycle": "complete", "pre": 1},
-    {"method": "active-set", "linear": "amg", "strength": 0.1, "lag": -1}])
-def test_settings_reach_the_method(solver):
-    from adaptmg.cli import build as parts
+@pytest.mark.parametrize(("solver", "wanted"), [
+    ({"correction": "paper", "gap": "largest", "slip": "minmod", "limit": "summed", "order": "symmetric"},
+     am.FullMultigrid(correction=am.PaperCorrection(gap="largest", slip="minmod", limit="summed"),
+                      smoother=am.ProjectedGaussSeidel(order="symmetric"))),
+    ({"method": "single-grid", "condensed": True, "omega": 1.3, "max_cycles": 9},
+     am.SingleGrid(omega=1.3, condensed=True, max_sweeps=9)),
+    ({"method": "multigrid", "shape": "complete", "pre": 1}, am.Multigrid(cycle=am.Cycle(shape="complete", pre=1))),
+    ({"correction": "monotone", "coarse.omega": 1.2, "start.rtol": 1e-6, "rtol": 1e-6},
+     am.FullMultigrid(correction=am.Monotone(), coarse=am.CoarseSolve(omega=1.2), rtol=1e-6,
+                      start=am.FullMultigrid().start.__class__(rtol=1e-6))),
+    ({"correction": "truncated", "recombine": 1}, am.FullMultigrid(correction=am.Truncated(recombine=1))),
+    ({"method": "active-set", "linear": "amg", "strength": 0.1, "lag": -1, "smoother": "gauss_seidel"},
+     am.ActiveSet(linear=am.AMG(strength=0.1, lag=-1, smoother="gauss_seidel")))])
+def test_settings_reach_the_method(solver, wanted):
+    assert build.solver_of(dict(solver)) == wanted
 
-    made = parts.solver_of({f"solver.{key}": value for key, value in solver.items()})
-    wanted = {"paper": am.FullMultigrid(correction=am.PaperCorrection(gap="largest", slip="minmod", limit="summed"),
-                                        smoother=am.ProjectedGaussSeidel(order="symmetric")),
-              "single-grid": am.SingleGrid(omega=1.3, condensed=True),
-              "multigrid": am.Multigrid(cycle=am.Cycle(shape="complete", pre=1)),
-              "active-set": am.ActiveSet(linear=am.AMG(strength=0.1, lag=-1))}
-    assert made == wanted[solver.get("method", "paper")]
+
+@pytest.mark.parametrize("method", build.METHODS)
+def test_every_listed_default_of_a_method_is_its_default(method):
+    """Keys are fields: each of them, set to the default that is listed, leaves the method unchanged."""
+    for key, known in build.keys_of(method).items():
+        owners = [name for name, kinds in build.OBJECTS.items() for kind in kinds[1:] if key in build.keys_of(kind)]
+        if known.default and not owners and key not in build.keys_of(am.Truncated):
+            value = tomllib.loads(f"value = {known.default}")["value"]
+            value = float(value) if known.real else value
+            assert build.solver_of({"method": build.name_of(method), key: value}) == method(), key
+
+
+def test_names_on_the_command_line_are_those_of_the_classes():
+    named = {"LawName": build.OBJECTS["law"], "TransferName": build.OBJECTS["transfer"], "SolverName": build.METHODS,
+             "CorrectionName": build.OBJECTS["correction"], "LinearName": build.OBJECTS["linear"],
+             "EngineName": build.OBJECTS["engine"], "IndicatorName": build.OBJECTS["indicator"][:2]}
+    for name, kinds in named.items():
+        assert list(getattr(commands, name).__args__) == [build.name_of(kind) for kind in kinds]
+    assert build.keys_of(am.Cycle)["shape"].values == " | ".join(commands.Shape.__args__)
 
 
 def test_sizes_of_bodies_can_be_varied(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = GOOD.replace('"greco_bar"', '"two_block_patch"').replace("divisions = [2, 4]", "sizes = [0.05, 0.03]")
-    said = read(written(text.replace('case.friction = [0.2, 1.0]', 'hierarchy.size_of.lower = [0.5, 1, 2]')))
-    assert said.design.names == ("hierarchy.size_of.lower",) and len(checked(said, None)) == 3
+    text = GOOD.replace('"greco_bar"', '"two_block_patch"').replace("divisions = [2, 4]", "sizes.upper = [0.05, 0.03]")
+    said = read(written(text.replace("case.friction = [0.2, 1.0]", "hierarchy.sizes.lower = [[0.05, 0.03], [0.1, 0.06]]"
+                                     )))
+    assert said.design.names == ("hierarchy.sizes.lower",) and len(checked(said, None)) == 2
     case = am.cases.two_block_patch()
-    for point in said.design.points():
-        factor = point["hierarchy.size_of.lower"]
-        found = grids(case, {**said.fixed, **point})
+    for factor, point in zip((1, 2), said.design.points(), strict=True):
+        found = grids(case, build.section({**said.fixed, **point}, "hierarchy"))
         wanted = am.Hierarchy.graded(case, [{"upper": size, "lower": factor * size} for size in (0.05, 0.03)])
         assert [level.mesh.n_nodes for level in found.levels] == [level.mesh.n_nodes for level in wanted.levels]
-    fixed = read(written(text.replace("[measure]", "size_of = {lower = 2}\n[measure]"))).fixed
-    assert fixed["hierarchy.size_of.lower"] == 2.0
 
 
-@pytest.mark.parametrize("first", [{"hierarchy.divisions": (4,)}, {"hierarchy.sizes": (8e-3,),
-                                                                    "hierarchy.contact_ratio": 2.0}])
+@pytest.mark.parametrize("first", [{"divisions": (4,)}, {"sizes": (8e-3,), "contact_ratio": 2.0}])
 def test_bisections_at_contact(first):
     case = am.cases.greco_bar()
-    begin = grids(case, first)
-    found = grids(case, {**first, "hierarchy.bisections": 2})
+    begin, found = grids(case, dict(first)), grids(case, {**first, "levels": 2})
     wanted = am.Hierarchy.bisected(case, begin.levels[0].mesh, 2)
     assert len(found.levels) == 3 and found.levels[2].mesh.n_nodes == wanted.levels[2].mesh.n_nodes
     assert (found.levels[0].mesh.points == begin.levels[0].mesh.points).all()
 
 
-@pytest.mark.parametrize("adapt", [
-    {"indicator": "goal", "goal": "displacement", "goal_point": (0.0, 0.0), "goal_component": "x"},
-    {"indicator": "goal", "goal": "displacement", "goal_point": ((0.0, 0.0), (0.01, 0.0)), "goal_component": "x"},
-    {"indicator": "goal", "goal": "mean-displacement", "goal_boundary": "top", "goal_component": "y",
-     "engine": "bisect"},
-    {"indicator": "goal", "goal": "contact-force"}, {"indicator": "goal", "goal": "opening", "engine": "bisect"},
-    {"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3, "coarsen": 0.02}])
-def test_settings_reach_the_adaptive_loop(adapt):
-    from adaptmg.cli import build as parts
-
-    given = {"case.case": "greco_bar", "adapt.max_nodes": 90, "adapt.start": 10e-3,
+@pytest.mark.parametrize(("adapt", "wanted"), [
+    ({"quantity": "displacement", "points": (0.0, 0.0), "component": "x"}, am.Displacement((0.0, 0.0), "x")),
+    ({"quantity": "displacement", "points": ((0.0, 0.0), (0.01, 0.0)), "component": "x"},
+     am.Displacement(((0.0, 0.0), (0.01, 0.0)), "x")),
+    ({"quantity": "mean-displacement", "boundary": "top", "component": "y", "engine": "bisect"},
+     am.MeanDisplacement("top", "y")),
+    ({"quantity": "contact-force"}, am.ContactForce()), ({"quantity": "opening", "engine": "bisect"}, am.Opening()),
+    ({"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3, "coarsen": 0.02}, None)])
+def test_settings_reach_the_adaptive_loop(adapt, wanted):
+    given = {"case.case": "greco_bar", "adapt.max_nodes": 90, "adapt.start": 10e-3, "adapt.indicator": "goal",
              **{f"adapt.{key}": value for key, value in adapt.items()}}
-    made = parts.adaptation(parts.problem_of(given), given)
-    goals = {"displacement": am.Displacement(adapt.get("goal_point", (0.0, 0.0)), "x"),
-             "mean-displacement": am.MeanDisplacement("top", "y"),
-             "contact-force": am.ContactForce(), "opening": am.Opening()}
-    assert made["indicator"] == (am.Goal(goals[adapt["goal"]]) if "goal" in adapt else am.Recovery())
-    assert made["mark"] == (am.Maximum(0.3) if "mark" in adapt else am.Doerfler(0.5))
-    assert made["engine"] == (am.Bisect(coarsen=adapt.get("coarsen", False)) if "engine" in adapt else
-                              am.Remesh(refinements=0))
+    made = build.adaptation(given)
+    assert made["indicator"] == (am.Recovery() if wanted is None else am.Goal(wanted))
+    assert made.get("mark") == (am.Maximum(0.3) if "mark" in adapt else None)
+    assert made.get("engine") == (am.Bisect(coarsen=adapt.get("coarsen", False)) if "engine" in adapt else None)
     found = case_run(**given, **{"measure.columns": ("estimate", "steps")})
     assert found["outcome"] == "CONVERGED" and found["estimate"] > 0 and found["steps"] >= 1
 
 
 def test_friction_of_a_case_that_takes_no_law(command):
-    from adaptmg.cli import build as parts
-
-    made = parts.problem_of({"case.case": "bolted_junction", "case.friction": 0.35, "case.head_friction": 0.1})
+    made = build.problem_of({"case": "bolted_junction", "friction": 0.35, "head_friction": 0.1})
     points = np.array([[0.1, 0.0], [0.1, 0.05], [0.2, 0.03]])
     wanted = am.cases.bolted_junction(friction=0.35, head_friction=0.1).law
     assert (made.law.friction(points) == wanted.friction(points)).all() and made.law.friction(points).max() == 0.35
-    with pytest.raises(ValueError, match="its law cannot be changed"):
-        parts.problem_of({"case.case": "bolted_junction", "case.law": "frictionless"})
-    with pytest.raises(ValueError, match="its law cannot be changed"):
-        parts.problem_of({"case.case": "bolted_junction", "case.law": "tresca", "case.friction": 0.3})
-    assert "give --friction alone" in command("solve", "bolted_junction", "--limit", "1e6")[2]
+    for given in ({"law": "frictionless"}, {"law": "tresca", "friction": 0.3}):
+        with pytest.raises(ValueError, match=r"case\.law has no meaning for the case bolted_junction"):
+            build.problem_of({"case": "bolted_junction", **given})
+    assert "--limit has no meaning for the case" in command("solve", "bolted_junction", "--limit", "1e6")[2]
 
 
 def test_repeats_and_load_paths_by_boundary(tmp_path, monkeypatch):
@@ -282,25 +290,26 @@ def test_repeats_and_load_paths_by_boundary(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", am.cases.names())
 def test_the_file_to_begin_with_can_be_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    said = read(written(guide.template(name)))
+    said = read(written(explain.template(name)))
     assert said.name == name and said.fixed["case.case"] == name and len(checked(said, None)) >= 2
     # and with all that stands in comments, but for what excludes each other
-    text = re.sub(r"^# (?=\w+ = )(?!law|method)", "", guide.template(name), flags=re.MULTILINE)
-    assert len(tomllib.loads(text)["case"]) > len(tomllib.loads(guide.template(name))["case"])
+    text = re.sub(r"^# (?=\w+ = )(?!law|method)", "", explain.template(name), flags=re.MULTILINE)
+    assert len(tomllib.loads(text)["case"]) > len(tomllib.loads(explain.template(name))["case"])
     assert len(checked(read(written(text)), None)) >= 2
 
 
 def test_all_keys_and_measures_are_explained(command):
     code, text, _ = command("study", "--keys")
     assert code == 0 and max(map(len, text.splitlines())) <= 110
-    for section, known in keys.SECTIONS.items():
-        assert f"[{section}]" in text
-        for name, key in known.items():
-            assert f"\n  {name}{'.NAME' if key.named else ''} " in text and key.meaning and key.values
-    assert set(MEANINGS) == set(MEASURES) and all(f"\n  {name} " in text for name in MEANINGS)
-    assert set(keys.WORDS) == set(keys.SECTIONS)
+    assert set(explain.PURPOSE) == set(explain.sections())
+    assert explain.case_keys("dovetail")["friction"].default == "0.2"
+    for section, known in explain.sections().items():
+        assert f"[{section}]" in text and all(f"\n  {name} " in text for name in known)
+    assert all(f"\n  {name} " in text and meaning for name, (_, meaning, _) in MEASURES.items())
     facts = json.loads(command("study", "--keys", "--json")[1])
-    assert facts["sections"]["hierarchy"]["sizes"]["values"] == "list, m"
+    assert facts["sections"]["hierarchy"]["sizes"]["values"] == "sequence of float or mapping"
+    assert facts["sections"]["solver"]["rtol"]["default"] == "1e-08"
+    assert facts["sections"]["solver"]["pre"]["meaning"].startswith("Smoothing sweeps before")
     assert facts["measures"]["max_pressure"] == {"meaning": "largest contact pressure", "unit": "Pa"}
     assert tomllib.loads(json.loads(command("study", "--template", "incline", "--json")[1])["template"])["vary"]
 
@@ -320,14 +329,6 @@ def test_a_case_is_explained(command):
 def test_without_a_file_one_is_told_how_to_get_one(command):
     code, out, err = command("study")
     assert code == 2 and out == "" and "--template" in err
-
-
-def test_positions_of_keys():
-    text = ('# c\nname = "x = [a]"\n[a]\nb.c = [1, # no = ]\n  2]\nd = """\n[x]\ny = 2\n"""\n\n'
-            '[ "v.w".u ]\n\'k=1\' = {z = 1}\n[[t]]\nlist = [\n  [2, 4],  # ]\n  ["n = 1"],\n]\nlast = 1\n')
-    assert positions(text) == {("name",): 2, ("a",): 3, ("a", "b"): 4, ("a", "b", "c"): 4, ("a", "d"): 6,
-                               ("v.w", "u"): 11, ("v.w", "u", "k=1"): 12, ("t",): 13,
-                               ("t", "list"): 14, ("t", "last"): 18}
 
 
 @pytest.mark.parametrize("width", range(8, 130, 7))

@@ -1,0 +1,132 @@
+"""The run function of study files, and what it measures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import adaptmg as am
+from adaptmg.cli.build import Settings, adaptation, grids, load_path, problem_of, section, solver_of
+
+if TYPE_CHECKING:
+    from adaptmg.solver.result import Result
+
+__all__ = ["COLUMNS", "MEASURES", "Solved", "case_run", "units_of"]
+
+#: what is measured where a file does not say
+COLUMNS = ("cycles", "work_units", "residual", "nodes")
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A run: the result of the last load step on the last mesh; cycles and work of all of them; the last estimate."""
+
+    result: Result
+    steps: int
+    cycles: int
+    work_units: float
+    estimate: float | None = None
+
+
+def _states(solved: Solved, code: int) -> int:
+    return int((solved.result.contact.state == code).sum())
+
+
+def _along(solved: Solved, boundary: str = "contact") -> dict[str, float | None]:
+    """Components of the force on a boundary; None for the third in 2D."""
+    force = solved.result.resultant(boundary).force
+    return {axis: float(force[k]) if k < len(force) else None for k, axis in enumerate("xyz")}
+
+
+def _largest(values: Any) -> float:
+    """The largest size of a number or vector, 0 of none."""
+    sizes = np.linalg.norm(values, axis=1) if values.ndim > 1 else np.abs(values)
+    return float(sizes.max(initial=0.0))
+
+
+def _in_contact(solved: Solved, name: str) -> Any:
+    """A contact quantity at the nodes that are not open."""
+    contact = solved.result.contact
+    return getattr(contact, name)[contact.state != am.OPEN]
+
+
+#: by name: function of a run, meaning, unit
+MEASURES: dict[str, tuple[Callable[[Solved], Any], str, str]] = {
+    "outcome": (lambda s: s.result.status.name, "how the (last) solve ended: CONVERGED, LIMIT, STALLED, CYCLING or "
+                "DIVERGED; always in the table", ""),
+    "cycles": (lambda s: s.cycles, "cycles, sweeps or Newton steps, of all load steps or meshes", ""),
+    "work_units": (lambda s: s.work_units, "passes over the finest matrix, of all load steps or meshes", ""),
+    "start_work_units": (lambda s: s.result.start_work_units, "of these, in the nested start of the last solve", ""),
+    "solve_seconds": (lambda s: s.result.seconds, "wall time of the last solve, without meshes", "s"),
+    "residual": (lambda s: s.result.residual, "natural residual of the contact conditions, relative", ""),
+    "error_estimate": (lambda s: s.result.error_estimate, "estimated algebraic error, relative, energy norm", ""),
+    "energy_error": (lambda s: s.result.certificate().energy_error,
+                     "the same by the certificate, which is computed from the raw matrices", ""),
+    "violation": (lambda s: s.result.certificate().worst.relative,
+                  "the certificate's largest violation of a condition of the problem, relative", ""),
+    "estimate": (lambda s: s.estimate, "estimated discretisation error, relative, energy norm (with [adapt])", ""),
+    "rate": (lambda s: s.result.rate, "asymptotic convergence rate of a cycle", ""),
+    "steps": (lambda s: s.steps, "load steps, or meshes of an adaptive loop; else 1", ""),
+    "levels": (lambda s: len(s.result.levels), "number of grids", ""),
+    "nodes": (lambda s: len(s.result.displacement), "nodes of the finest mesh", ""),
+    "contact_nodes": (lambda s: len(s.result.contact), "of these, nodes that may come into contact", ""),
+    "open": (lambda s: _states(s, am.OPEN), "contact nodes that are open", ""),
+    "slip": (lambda s: _states(s, am.SLIP), "contact nodes that slip", ""),
+    "stick": (lambda s: _states(s, am.STICK), "contact nodes that stick", ""),
+    "contact_area": (lambda s: float(_in_contact(s, "weights").sum()), "area in contact (plane problems: length)",
+                     "m^2 or m"),
+    "max_pressure": (lambda s: float(s.result.contact.pressure.max()), "largest contact pressure", "Pa"),
+    "max_traction": (lambda s: _largest(s.result.contact.traction), "largest friction traction", "Pa"),
+    "max_slip": (lambda s: _largest(_in_contact(s, "slip")), "largest slip of the last step in contact", "m"),
+    "max_gap": (lambda s: float(s.result.contact.gap.max()), "largest gap of a contact node", "m"),
+    "max_displacement": (lambda s: _largest(s.result.displacement), "largest displacement of a node", "m"),
+    "max_von_mises": (lambda s: float(s.result.von_mises().max()), "largest von Mises stress of an element", "Pa"),
+    "force_x": (lambda s: _along(s)["x"], "x component of the contact force on the body (of pairs: on the slaves); "
+                "plane problems: per metre", "N or N/m"),
+    "force_y": (lambda s: _along(s)["y"], "y component of the contact force", "N or N/m"),
+    "force_z": (lambda s: _along(s)["z"], "z component of the contact force (3D only)", "N or N/m"),
+}
+
+
+def units_of(columns: Iterable[str]) -> dict[str, str]:
+    """Return units of the columns of a table of a study file."""
+    known = {"seconds": "s", "peak_memory": "bytes",
+             **{name: unit for name, (_, _, unit) in MEASURES.items() if unit}}
+    return {name: known.get(name, "N or N/m") for name in columns if name in known or name.startswith("force_")}
+
+
+def case_run(**settings: Any) -> dict[str, Any]:
+    """Compute one run: how it ended, the columns, forces and displacements of [measure], and the kept result.
+
+    Parameters
+    ----------
+    settings
+        By ``"section.key"`` of the study file.
+    """
+    solved = _solved(settings)
+    measured = {name: MEASURES[name][0](solved)
+                for name in dict.fromkeys(("outcome", *settings.get("measure.columns", COLUMNS)))}
+    measured |= {f"force_{axis}({name})": value for name in settings.get("measure.forces_on", ())
+                 for axis, value in _along(solved, name).items() if value is not None}
+    if points := section(settings, "measure.points"):
+        rows = solved.result.probe(list(points.values()))
+        measured |= {f"{name}.{axis}": float(value) for name, row in zip(points, rows, strict=True)
+                     for axis, value in zip("xyz", row, strict=False)}
+    return measured | ({"result": solved.result} if settings.get("measure.keep") else {})
+
+
+def _solved(settings: Settings) -> Solved:
+    problem, path = problem_of(section(settings, "case")), load_path(settings)
+    if section(settings, "adapt"):
+        steps = list(am.adapt(problem, **adaptation(settings)))
+        return Solved(steps[-1].result, len(steps), sum(step.result.cycles for step in steps),
+                      float(steps[-1].total_work_units), steps[-1].estimate.relative)
+    levels, solver = grids(problem, section(settings, "hierarchy")), solver_of(section(settings, "solver"))
+    if path is None:
+        result = am.solve(levels, solver, throw=False)
+        return Solved(result, 1, result.cycles, result.work_units)
+    results = am.solve_path(levels, path, solver, throw=False)
+    return Solved(results[-1], len(results), sum(r.cycles for r in results), sum(r.work_units for r in results))
