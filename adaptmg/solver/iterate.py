@@ -70,7 +70,7 @@ def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status
         if status is None:
             status = method.step(stop)
         if status is not None:
-            return status
+            return Status.CONVERGED if status is Status.STALLED and stop.certified() else status
 
 
 class StopTest:
@@ -169,6 +169,13 @@ class StopTest:
         elif self.error_estimate < 1.5 * ratio * self.rtol:
             self._caution *= max(2.0, 1.5 * ratio)
         return ratio > 0.0
+
+    def certified(self) -> bool:
+        """Whether the certificate finds the last iterate good enough; near rounding no rate shows that any more."""
+        if self._certificate is None or not self.residual_met or self._certificate(self.rtol) > 0.0:
+            return False
+        self.error_estimate = min(self.error_estimate, self.rtol)
+        return True
 
     def measures(self) -> dict[str, float]:
         """Relative residual, change and estimate at the last iterate."""
