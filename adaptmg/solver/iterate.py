@@ -86,8 +86,8 @@ class StopTest:
         What errors and residuals refer to.
     certificate : callable, optional
         By how many times the present iterate falls short of a tolerance, 0 if it does not; asked before a test that is
-        met is believed. Where it contradicts, the estimate is larger by that factor from then on; it is asked again
-        once that meets the tolerance, or after half as many cycles again.
+        met is believed, and where the iterates no longer improve. Where it contradicts, the estimate is larger by that
+        factor from then on; it is asked again once that meets the tolerance, or after half as many cycles again.
 
     Attributes
     ----------
