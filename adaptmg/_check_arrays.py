@@ -29,19 +29,7 @@ def vector(name: str, value: Any, size: int | None = None) -> np.ndarray:
 
 
 def array(name: str, value: Any, shape: tuple[int | None, ...], *, integer: bool = False) -> np.ndarray:
-    """Return a read-only copy of ``value`` as a contiguous array of finite numbers.
-
-    Parameters
-    ----------
-    name : str
-        For messages.
-    value : array-like
-        Of real numbers; bools, strings, objects and complex numbers are refused, and floats where ``integer``.
-    shape : tuple
-        Wanted, None for any length.
-    integer : bool
-        Whole numbers, as int64; otherwise float64.
-    """
+    """Return a read-only copy of ``value`` as a contiguous array of finite numbers."""
     wanted = "integers" if integer else "real numbers"
     if isinstance(value, np.ma.MaskedArray):
         raise TypeError(f"{name} must be an array of {wanted}, got a masked one: fill it first")
@@ -82,14 +70,6 @@ def sparse_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = 
     Compiled code follows index arrays wherever they point, so that each must lie inside the matrix and the row
     pointers must rise from 0 to the number of entries. Bsr, csr and csc matrices stay what they are, with indices of 32
     bits where these suffice; others become csr.
-
-    Parameters
-    ----------
-    name : str
-        For messages.
-    value : scipy sparse matrix
-    shape : tuple
-        Wanted, None for any.
     """
     if not sparse.issparse(value):
         raise TypeError(f"{name} must be a scipy sparse matrix, got {type(value).__name__}")

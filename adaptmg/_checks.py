@@ -212,25 +212,7 @@ def boundary_name(name: str, value: Any) -> str:
 
 def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: np.ndarray,
           *, minimum: float | None = None, maximum: float = VAST) -> np.ndarray:
-    """Evaluate a number or a function of position at points.
-
-    Parameters
-    ----------
-    name : str
-        For messages.
-    value : float or callable
-        A constant, or a vectorised function: points (n, dim) in m -> (n,) values.
-    points : (n, dim) array
-        Where it is wanted, m.
-    minimum : float, optional
-        Smallest value allowed.
-    maximum : float
-        Largest absolute value allowed.
-
-    Returns
-    -------
-    (n,) float64 array
-    """
+    """Evaluate a number or a function of position at points."""
     n = len(points)
     if callable(value):
         returned = value(points)

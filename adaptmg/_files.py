@@ -51,11 +51,6 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
     A symbolic link is followed. A file that is there keeps its permissions; a new one has those of the umask. Devices
     and pipes are written to. ``~`` is expanded.
-
-    Raises
-    ------
-    OSError
-        If the folder does not exist, the path is a folder, or it cannot be written; the old file is then as it was.
     """
     given = Path(path).expanduser()
     descriptor = _stream(given)
@@ -83,13 +78,7 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def make_folder(name: str, path: Path) -> None:
-    """Make a folder and those above it where they are missing.
-
-    Raises
-    ------
-    OSError
-        If something else is in the way, or it cannot be made; the message begins with ``name``, the argument.
-    """
+    """Make a folder and those above it where they are missing."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:

@@ -183,16 +183,9 @@ def seeded() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class OnDemand:
-    """What a field is given in place of its value.
+    """What a field is given in place of its value."""
 
-    Parameters
-    ----------
-    make : callable
-        Of the object that has the field; returns the value. A function of a module, or a ``functools.partial`` of one,
-        so that objects which nobody has asked yet can be pickled.
-    """
-
-    make: Callable[[Any], Any]
+    make: Callable[[Any], Any]  # of the object that has the field; returns the value
 
 
 def made_on_demand(name: str, doc: str) -> property:

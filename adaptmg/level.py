@@ -164,21 +164,7 @@ _FAR_APART = 6
 
 
 def limits_of_bisection(meshes: Sequence[MeshArrays], boundaries: Sequence[str]) -> tuple[str, bool]:
-    """Words on what bisection near contact leaves: the elements that no level has touched, and what they do.
-
-    Parameters
-    ----------
-    meshes : sequence of MeshArrays
-        Coarse to fine.
-    boundaries : sequence of str
-        Contact.
-
-    Returns
-    -------
-    words : str
-    too_far : bool
-        Whether the elements left are so large that further levels hardly help.
-    """
+    """Words on what bisection near contact leaves: the elements that no level has touched, and what they do."""
     first, last = meshes[0].element_sizes, meshes[-1]
     contact = np.unique(np.concatenate([last.boundary_nodes(name) for name in boundaries]))
     near = np.isin(last.elements, contact).any(axis=1)

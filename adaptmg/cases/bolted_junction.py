@@ -377,16 +377,7 @@ class Flanges:
 
 
 def flange_section(flanges: Flanges, thickness: float, bolt: str) -> Polygon:
-    """Section of the upper flange, the joint at z = 0.
-
-    Parameters
-    ----------
-    flanges : Flanges
-    thickness : float
-        Of the flange, m.
-    bolt : {"ring", "traction", "solid"}
-        A solid bolt stands on the face, a ring and a traction act on the boundary ``seat``.
-    """
+    """Section of the upper flange, the joint at z = 0."""
     f, wall = flanges, flanges.bore + flanges.wall
     # the seat of a ring that is a body of its own is a little wider than its heads
     half = 0.5 * f.seat * (1.0 if bolt == "traction" else 1.2)

@@ -124,23 +124,7 @@ def transition_exponent(friction: float, poisson: float, away: bool) -> float:
 
 
 def transition_mode(kind: str, friction: float, poisson: float, away: bool) -> tuple[complex, complex, float]:
-    """The mode of the conditions at r = 1.
-
-    Parameters
-    ----------
-    kind : {"open", "stick"}
-        What lies at x < 0.
-    friction, poisson : float
-    away : bool
-        Slip in the direction of +x, away from the transition, or towards it.
-
-    Returns
-    -------
-    a, b : complex
-        Coefficients of the potentials, |a|^2 + |b|^2 = 1.
-    defect : float
-        The least singular value of the conditions over the largest: rounding where lambda is an eigenvalue.
-    """
+    """The mode of the conditions at r = 1."""
     exponent, sign = transition_exponent(friction, poisson, away), 1.0 if away else -1.0
     ends = np.array([1.0 + 0.0j, -1.0 + 0.0j])
     columns = []

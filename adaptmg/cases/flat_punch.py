@@ -149,33 +149,7 @@ _LARGEST = 0.65
 
 def point_meshes(domain: Domain, points: Sequence[Sequence[float]], *, size: float, radius: float, levels: int,
                  factor: float, grading: float) -> list[MeshArrays]:
-    """Meshes of a domain, coarse to fine.
-
-    Parameters
-    ----------
-    domain : Domain
-    points : sequence of points
-        m.
-    size : float
-        Edge length at the points on the finest mesh, m.
-    radius : float
-        Up to which distance from a point it stays the same, m.
-    levels : int
-        >= 1.
-    factor : float
-        By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
-    grading : float
-        Growth of the edge length per distance on the finest mesh.
-
-    Returns
-    -------
-    list of MeshArrays
-
-    Raises
-    ------
-    ValueError
-        If ``grading`` times ``factor`` to the number of coarser meshes is above 1.
-    """
+    """Meshes of a domain, coarse to fine."""
     from adaptmg.mesh import sized
 
     grading = checks.positive("grading", grading)

@@ -182,18 +182,10 @@ def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pres
 
 @dataclass(frozen=True)
 class ParabolicGap:
-    """The gap (position - x)^2 / (2 radius); a class, so that problems can be pickled.
+    """The gap (position - x)^2 / (2 radius); a class, so that problems can be pickled."""
 
-    Parameters
-    ----------
-    position : float
-        x at which the obstacle touches, m.
-    radius : float
-        Radius of curvature, m.
-    """
-
-    position: float
-    radius: float
+    position: float  # x at which the obstacle touches, m
+    radius: float  # radius of curvature, m
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Gaps (n,) at points (n, dim), m."""

@@ -63,21 +63,11 @@ __all__ = ["HertzContact", "LineContact", "PointContact", "hertz_cylinder", "her
 
 @dataclass(frozen=True, kw_only=True)
 class HertzContact(ABC):
-    """A pressure that falls like half an ellipse from the middle of contact.
+    """A pressure that falls like half an ellipse from the middle of contact."""
 
-    Parameters
-    ----------
-    load : float
-        P, > 0: N/m in line contact, N in point contact.
-    radius : float
-        R, of the relative curvature, m, > 0.
-    modulus : float
-        The contact modulus E*, Pa, > 0.
-    """
-
-    load: float
-    radius: float
-    modulus: float
+    load: float  # P, > 0: N/m in line contact, N in point contact
+    radius: float  # R, of the relative curvature, m, > 0
+    modulus: float  # the contact modulus E*, Pa, > 0
 
     def __post_init__(self) -> None:
         for name in ("load", "radius", "modulus"):
@@ -194,17 +184,7 @@ def hertz_reference(form: LineContact) -> Mapping[str, Any]:
 
 
 def quarter_cylinder(radius: float, contact: float, *, above: bool) -> Outline:
-    """The quarter x >= 0 of a cylinder that touches the origin from above or below, flat at its middle plane.
-
-    Parameters
-    ----------
-    radius : float
-        m.
-    contact : float
-        Up to which x the arc is called "contact", m; further out "side".
-    above : bool
-        Whether its boundaries are symmetry, contact, side and top, or bottom in place of top.
-    """
+    """The quarter x >= 0 of a cylinder that touches the origin from above or below, flat at its middle plane."""
     x, y = _on_circle(radius, contact)
     if above:
         return Outline(vertices=((0.0, 0.0), (x, y), (radius, radius), (0.0, radius)),

@@ -189,15 +189,7 @@ def adapt(
 
 @contextmanager
 def _told(as_json: bool = False, go_on: str = "") -> Iterator[None]:
-    """Bad input and files that cannot be written become a line on standard error and exit code 2; Ctrl-C is 130.
-
-    Parameters
-    ----------
-    as_json : bool
-        Print {"error": TEXT} too, as whoever reads JSON wants some.
-    go_on : str
-        What to say of an interrupt.
-    """
+    """Bad input and files that cannot be written become a line on standard error and exit code 2; Ctrl-C is 130."""
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn

@@ -99,13 +99,7 @@ def units_of(columns: Iterable[str]) -> dict[str, str]:
 
 
 def case_run(**settings: Any) -> dict[str, Any]:
-    """Compute one run: how it ended, the columns, forces and displacements of [measure], and the kept result.
-
-    Parameters
-    ----------
-    settings
-        By ``"section.key"`` of the study file.
-    """
+    """Compute one run: how it ended, the columns, forces and displacements of [measure], and the kept result."""
     solved = _solved(settings)
     measured = {name: MEASURES[name][0](solved)
                 for name in dict.fromkeys(("outcome", *settings.get("measure.columns", COLUMNS)))}

@@ -56,18 +56,7 @@ Callback = Callable[[dict[str, float]], None]
 
 @contextmanager
 def watched(rtol: float) -> Iterator[Callback | None]:
-    """Show log and progress of what happens inside.
-
-    Parameters
-    ----------
-    rtol : float
-        Tolerance of the solver: the bar is full when the error has come down to it.
-
-    Yields
-    ------
-    callable or None
-        Callback for :func:`adaptmg.solve`; None where standard error is no terminal.
-    """
+    """Show log and progress of what happens inside."""
     console = Console(stderr=True)
     with _logged(console):
         if not console.is_terminal:
@@ -97,13 +86,7 @@ def _advance(bar: Progress, rtol: float) -> Callback:
 
 @contextmanager
 def watched_loop() -> Iterator[Callable[[dict[str, Any]], None] | None]:
-    """Show log and progress of an adaptive loop inside: nodes, estimate, and when it should end.
-
-    Yields
-    ------
-    callable or None
-        ``progress`` for :func:`adaptmg.adapt`; None where standard error is no terminal.
-    """
+    """Show log and progress of an adaptive loop inside: nodes, estimate, and when it should end."""
     console = Console(stderr=True)
     with _logged(console):
         if not console.is_terminal:
@@ -148,19 +131,7 @@ def _logged(console: Console) -> Iterator[None]:
 
 def printed(table: Mapping[str, Sequence[Any]], parameters: Sequence[str], *, units: Mapping[str, str],
             note: str = "", width: int | None = None) -> str:
-    """A table as text, in blocks of columns where it is wider than the terminal.
-
-    Parameters
-    ----------
-    table : mapping, or pandas.DataFrame
-        By columns.
-    parameters : sequence of str
-        Columns that stand in every block.
-    units, note
-        As of :func:`adaptmg.study.tables.as_text`.
-    width : int, optional
-        Characters. Default: those of the terminal; where there is none tables may be as wide as they are.
-    """
+    """A table as text, in blocks of columns where it is wider than the terminal."""
     if width is None:
         width = shutil.get_terminal_size().columns if sys.stdout.isatty() else 10**9
     headers, columns = cells(table, units, None)

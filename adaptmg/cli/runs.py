@@ -126,21 +126,11 @@ _ABSENT = object()
 
 @dataclass(frozen=True)
 class RowFilter:
-    """A condition on one column.
+    """A condition on one column."""
 
-    Attributes
-    ----------
-    name : str
-        Of the column.
-    sign : str
-        One of ``= != < <= > >=``.
-    text : str
-        The value as it was written.
-    """
-
-    name: str
-    sign: str
-    text: str
+    name: str  # of the column
+    sign: str  # one of = != < <= > >=
+    text: str  # the value as it was written
 
     def holds(self, value: Any) -> bool:
         """Whether a value meets it; ``<`` and the like hold for numbers only."""

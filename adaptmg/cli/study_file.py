@@ -36,32 +36,15 @@ _TOP = ("name", "store")
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFile:
-    """What a file says.
+    """What a file says."""
 
-    Attributes
-    ----------
-    name : str
-        Of the study.
-    store : Path
-    design : Design
-        Of the settings that vary, as ``"section.key"``.
-    fixed : dict
-        The other settings, by the same names; ``measure.columns`` and the like too.
-    options : dict
-        Of :meth:`adaptmg.study.Study.run`.
-    path : Path
-        Of the file.
-    text : str
-        Its content.
-    """
-
-    name: str
+    name: str  # of the study
     store: Path
-    design: Design
-    fixed: dict[str, Any]
-    options: dict[str, Any]
-    path: Path
-    text: str
+    design: Design  # of the settings that vary, as "section.key"
+    fixed: dict[str, Any]  # the other settings, by the same names; measure.columns and the like too
+    options: dict[str, Any]  # of run
+    path: Path  # of the file
+    text: str  # its content
 
     def wrong(self, words: str, *place: str) -> ValueError:
         """Return an error that names the file and the line of a section, or of a key in it."""
@@ -86,15 +69,7 @@ def _line(text: str, *place: str) -> int:
 
 
 def read(path: str | os.PathLike[str]) -> StudyFile:
-    """Read a study file.
-
-    Raises
-    ------
-    ValueError
-        For what is wrong in it: the message says file, line and key.
-    OSError
-        If it cannot be read.
-    """
+    """Read a study file."""
     file = checks.file_path("FILE", path)
     text = _text(file)
     try:
@@ -302,13 +277,7 @@ _SHOWN, _TOLD = 20, 20_000
 
 
 def checked(said: StudyFile, store: Path | None) -> Study:
-    """Return the study, after making problem and solver of the first points and of those that bring a new value.
-
-    Raises
-    ------
-    ValueError
-        If a problem or a solver cannot be made; the message says for which values, and in which line.
-    """
+    """Return the study, after making problem and solver of the first points and of those that bring a new value."""
     seen: set[tuple[str, Any]] = set()
     count = 0
     for point in itertools.islice(said.design.points(), _SEEN):
@@ -379,15 +348,7 @@ _ADDRESS = re.compile(r"(tcp|tls|ws|wss|ucx)://(\[[^\]]+\]|[^:/\[\]\s]+):(\d+)/?
 
 
 def check_scheduler(address: str) -> None:
-    """Connect once.
-
-    Raises
-    ------
-    ValueError
-        If it is no address.
-    OSError
-        If nobody, or somebody else, answers there.
-    """
+    """Connect once."""
     found = _ADDRESS.fullmatch(address)
     if not found or not 0 < int(found[3]) < 65536:
         raise ValueError(f"--scheduler must be an address such as tcp://host:8786, got {checks.shown(address)}")

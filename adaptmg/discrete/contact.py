@@ -54,39 +54,7 @@ def contact_nodes(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: 
 
 def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
                  excluded: np.ndarray | None = None) -> tuple[ContactNodes, sparse.csr_array | None]:
-    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    mesh : MeshArrays
-    slip_reference : (n_nodes, dim) array, optional
-        Displacement of all nodes against which slip is measured (the previous load step), m. Between bodies relative
-        to the other body. Default 0.
-    excluded : (n,) int array, optional
-        Further slave nodes that carry no multiplier; their neighbours take their part.
-
-    Returns
-    -------
-    contact : ContactNodes
-        Unit normals out of the body, gaps (m), weights (m, in 3D and axisymmetry m^2), and the contact boundary of
-        each node.
-    weights : (n_nodes, n_nodes) csr_array or None
-        In the rows of slave nodes what they face; None without pairs.
-
-    Raises
-    ------
-    ValueError
-        If a node lies behind its obstacle, or bodies overlap, without ``allow_interference``; if a support fixes a
-        normal component; if normals cancel at a node; if an obstacle returns arrays of the wrong shape; if the
-        surfaces of a pair never face each other.
-
-    Notes
-    -----
-    Where a curved contact boundary ends on a plane of symmetry, the normal averaged from one side is off by about
-    half the angle of a facet. Components along fixed directions are therefore taken out of averaged normals that are
-    within 30 degrees of tangential to them.
-    """
+    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow."""
     owner = np.full(mesh.n_nodes, -1)
     facets = [named_facets(mesh, contact.boundary) for contact in problem.contact]
     for k in reversed(range(len(facets))):

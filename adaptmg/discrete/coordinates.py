@@ -58,29 +58,11 @@ _MOST_LINKS = 16  # bodies in a row of which each is the slave of the next
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """The transformation between displacements and relative coordinates.
+    """The transformation between displacements and relative coordinates."""
 
-    Parameters
-    ----------
-    weights : (n_nodes, n_nodes) sparse
-        W: in the row of a slave node the weights of the nodes it follows, else empty. Row sums 1.
-    fixed : (n_dofs,) bool array
-        Fixed dofs; those of slave nodes are not relative.
-
-    Attributes
-    ----------
-    upward : (n_nodes, n_nodes) csr_array
-        I + W + W^2 + ..., the inverse of I - W.
-
-    Raises
-    ------
-    TypeError, ValueError
-        On wrong shapes, rows whose sum is not 1, or nodes that follow each other in a circle.
-    """
-
-    weights: sparse.csr_array
-    fixed: np.ndarray
-    upward: sparse.csr_array = field(init=False, repr=False)
+    weights: sparse.csr_array  # (n_nodes, n_nodes) sparse
+    fixed: np.ndarray  # (n_dofs,) bool: fixed dofs; those of slave nodes are not relative
+    upward: sparse.csr_array = field(init=False, repr=False)  # (n_nodes, n_nodes) csr_array
     _by_dof: sparse.csr_array = field(init=False, repr=False)
     _series: sparse.csr_array = field(init=False, repr=False)
 
@@ -142,18 +124,6 @@ class Coupling:
         r"""A nodal prolongation P in relative coordinates on both levels, :math:`(I - W_f)\,P\,(I - W_c)^{-1}`.
 
         It spans the space that P spans: rigid motions of both bodies and all else that P reproduces.
-
-        Parameters
-        ----------
-        nodal : (n_nodes, n_nodes coarse) csr_array
-            For displacements.
-        coarse : Coupling
-            On the coarse level.
-
-        Returns
-        -------
-        (n_nodes, n_nodes coarse) csr_array
-            Weights that are zero to rounding are left out.
         """
         inner = sparse.csr_array(nodal @ coarse.upward)
         result = sparse.csr_array(inner - self.weights @ inner)
@@ -183,21 +153,11 @@ _WEIGHT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Exchange:
-    """How contact was posed, before nodes were exchanged.
+    """How contact was posed, before nodes were exchanged."""
 
-    Attributes
-    ----------
-    contact : ContactNodes
-        With the slave nodes .
-    weights : (n_contact, n_nodes) csr_array
-        What they face.
-    sigma : (n_contact,) array
-        Displacement relative to what the posed node faces, over that of the contact node: 1 where none was exchanged.
-    """
-
-    contact: ContactNodes
-    weights: sparse.csr_array
-    sigma: np.ndarray
+    contact: ContactNodes  # with the slave nodes 
+    weights: sparse.csr_array  # (n_contact, n_nodes) csr_array: what they face
+    sigma: np.ndarray  # (n_contact,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,27 +186,7 @@ def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
 
 def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray, law: Law
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The contact nodes to be exchanged, and for whom.
-
-    Parameters
-    ----------
-    nodes : (n_contact,) int array
-        Contact nodes.
-    weights : (n_nodes, n_nodes) csr_array
-        In the rows of slave nodes what they face.
-    fixed : (n_dofs,) bool array
-    law : Law
-        Nodal.
-
-    Returns
-    -------
-    places : (m,) int array
-        Indices of contact nodes.
-    carriers : (m,) int array
-        The nodes that take their places.
-    unmatched : (k,) int array
-        Indices of contact nodes that should be exchanged but for which there is no node.
-    """
+    """The contact nodes to be exchanged, and for whom."""
     dim = len(fixed) // weights.shape[0]
     fixed = fixed.reshape(-1, dim)
     limit, friction = law.bounds(len(nodes))

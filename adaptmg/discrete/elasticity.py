@@ -229,13 +229,7 @@ def _add_plane_block(a, b, xx, xy, yx, yy, indptr, indices, data):
 
 @kernel
 def add_plane(points, elements, body, lame, shear, indptr, indices, data):
-    """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies.
-
-    Returns
-    -------
-    int
-        -1, or the first element whose area is not positive.
-    """
+    """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies."""
     g = np.empty((3, 2))
     for e in range(len(elements)):
         area = _plane_gradients(points, elements[e], g)
@@ -253,13 +247,7 @@ def add_plane(points, elements, body, lame, shear, indptr, indices, data):
 
 @kernel
 def add_solid(points, elements, body, lame, shear, indptr, indices, data):
-    """Add the element matrices of solid elasticity; ``lame`` and ``shear`` are those of the bodies.
-
-    Returns
-    -------
-    int
-        -1, or the first element whose volume is not positive.
-    """
+    """Add the element matrices of solid elasticity; ``lame`` and ``shear`` are those of the bodies."""
     g = np.empty((4, 3))
     for e in range(len(elements)):
         volume = _solid_gradients(points, elements[e], g)
@@ -287,11 +275,6 @@ def add_axisymmetric(points, elements, body, lame, shear, rule, weights, indptr,
     """Add the element matrices of axisymmetric elasticity, x = r, y = z, over the full circumference.
 
     ``rule`` (n, 3) and ``weights`` (n,), of sum 1, are the barycentric points and weights of int . / r.
-
-    Returns
-    -------
-    int
-        -1, or the first element whose area is not positive.
     """
     g, hoop = np.empty((3, 2)), np.empty((3, 3))
     for e in range(len(elements)):
@@ -326,26 +309,7 @@ _ROUNDING = 1e-9
 
 
 def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]:
-    """Materials in the order of ``mesh.bodies``, checked against the mesh.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-    material : Elastic or mapping
-        One for all bodies, or body name -> Elastic.
-
-    Returns
-    -------
-    tuple of Elastic
-
-    Raises
-    ------
-    TypeError
-        If a material is no Elastic.
-    ValueError
-        If a body has no material, a dimension does not fit, axisymmetric and other materials are mixed, or an
-        axisymmetric mesh has nodes at r < 0.
-    """
+    """Materials in the order of ``mesh.bodies``, checked against the mesh."""
     if isinstance(material, Mapping):
         missing = [body for body in mesh.bodies if body not in material]
         if missing:

@@ -69,20 +69,7 @@ def named_facets(mesh: MeshArrays, boundary: str) -> np.ndarray:
 
 
 def area_vectors(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Area vectors of facets.
-
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
-    facets : (n, dim) array of int
-        Node numbers, oriented as in :class:`~adaptmg.mesh.arrays.MeshArrays`.
-
-    Returns
-    -------
-    (n, dim) array
-        Outward, with the length (m) or area (m^2) of the facet as norm.
-    """
+    """Area vectors of facets."""
     corners = points[facets]
     first = corners[:, 1] - corners[:, 0]
     if points.shape[1] == 2:
@@ -91,21 +78,7 @@ def area_vectors(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
 
 
 def shape_integrals(points: np.ndarray, facets: np.ndarray, axisymmetric: bool = False) -> np.ndarray:
-    r"""Integral of the shape function of each corner over the measure of its facet.
-
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
-    facets : (n, dim) array of int
-    axisymmetric : bool
-        x is a radius, and integrals are weighted with 2 pi r.
-
-    Returns
-    -------
-    (n, dim) array
-        1 / dim; in axisymmetry :math:`2\pi\,(2 r_i + r_j)/6`, m.
-    """
+    r"""Integral of the shape function of each corner over the measure of its facet."""
     if not axisymmetric:
         return np.full(facets.shape, 1.0 / points.shape[1])
     r = points[facets, 0]

@@ -26,26 +26,13 @@ __all__ = ["LoadSteps", "load_steps", "whole_load"]
 
 @dataclass(frozen=True, eq=False)
 class LoadSteps:
-    """Loads and prescribed displacements of one mesh, by the names that a load path knows.
-
-    Attributes
-    ----------
-    n_dofs : int
-    loads : dict of str to (n_dofs,) array
-        Nodal forces at factor 1, dual, N; with a coupling in relative coordinates.
-    prescribed : dict of str to ((n,) int array, (n,) array)
-        Fixed dofs of the supports and their displacements at factor 1, m.
-    stress : StressData or None
-        What stresses follow from before initial strains; None without a problem.
-    strains : dict of str to (n_elements, 3) array
-        Initial strains at factor 1.
-    """
+    """Loads and prescribed displacements of one mesh, by the names that a load path knows."""
 
     n_dofs: int
-    loads: Mapping[str, np.ndarray]
-    prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    stress: StressData | None = None
-    strains: Mapping[str, np.ndarray] = field(default_factory=dict)
+    loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
+    prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
+    stress: StressData | None = None  # what stresses follow from before initial strains; None without a problem
+    strains: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_elements, 3)
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | None:
         """What the stresses of a step follow from."""
@@ -62,13 +49,7 @@ class LoadSteps:
         return result
 
     def fixed_values(self, factors: Mapping[str, float]) -> np.ndarray:
-        """Prescribed displacement (n_dofs,) of a step, zero at free dofs, m.
-
-        Raises
-        ------
-        ValueError
-            If two supports want different values of one dof.
-        """
+        """Prescribed displacement (n_dofs,) of a step, zero at free dofs, m."""
         result = np.zeros(self.n_dofs)
         owner = np.full(self.n_dofs, -1)
         for k, (name, (dofs, values)) in enumerate(self.prescribed.items()):
@@ -85,20 +66,7 @@ class LoadSteps:
 
 
 def load_steps(problem: ContactProblem, mesh: MeshArrays, coupling: Coupling | None = None) -> LoadSteps:
-    """The loads and supports of a problem one by one.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    mesh : MeshArrays
-    coupling : Coupling, optional
-        Of the discrete problem on this mesh: the loads are then in its relative coordinates.
-
-    Returns
-    -------
-    LoadSteps
-        With all factors 1 the load and the fixed values that :func:`adaptmg.discretise` makes.
-    """
+    """The loads and supports of a problem one by one."""
     loads, strains = {}, {}
     for name in dict.fromkeys(map(name_in_path, problem.loads)):
         named = [load for load in problem.loads if name_in_path(load) == name]

@@ -106,21 +106,7 @@ def body_elements(mesh: MeshArrays, body: str) -> np.ndarray:
 
 
 def mean_initial_strain(mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric: bool = False) -> np.ndarray:
-    """Mean of all initial strains on each element.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-    loads : sequence of Load
-        Those that are no InitialStrain are passed over.
-    axisymmetric : bool
-        Weight the mean with r, and take the third component for the hoop strain.
-
-    Returns
-    -------
-    (n_elements, 3) array
-        Components along x, y and z (axisymmetric: r, z, hoop); those that are not given are 0.
-    """
+    """Mean of all initial strains on each element."""
     result = np.zeros((len(mesh.elements), 3))
     for load in loads:
         if isinstance(load, InitialStrain) and not any(map(callable, load.components)):
@@ -133,26 +119,7 @@ def mean_initial_strain(mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric
 
 
 def initial_strain_load(mesh: MeshArrays, load: InitialStrain, material: Materials) -> np.ndarray:
-    """Nodal forces of an initial strain.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-    load : InitialStrain
-        Its functions of position are called once each, with all quadrature points (n, dim).
-    material : Elastic or mapping
-        The same in all bodies, or body name -> Elastic.
-
-    Returns
-    -------
-    (n_nodes, dim) array
-        N (plane: per metre of thickness).
-
-    Raises
-    ------
-    ValueError
-        If there is no such body, or the components have the wrong number or are not finite.
-    """
+    """Nodal forces of an initial strain."""
     materials = body_materials(mesh, material)
     axisymmetric = is_axisymmetric(materials)
     elements, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)

@@ -66,18 +66,7 @@ def _nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
 
 @one_blas_thread()
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
-    """Rigid-body modes about the centroid, orthonormal.
-
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
-
-    Returns
-    -------
-    (n_nodes * dim, 3 or 6) array
-        Translations, then rotations; orthonormalised.
-    """
+    """Rigid-body modes about the centroid, orthonormal."""
     n, dim = points.shape
     # by coordinate, each in one piece: several times faster than the points as they are
     x = np.ascontiguousarray(points.T)

@@ -46,19 +46,7 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
 
 def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """Mean hoop strain u_r / r of axisymmetric elements.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        x = r, y = z.
-    displacement : (n_nodes, 2) or (n_dofs,) array
-        m.
-
-    Returns
-    -------
-    (n_elements,) array
-    """
+    """Mean hoop strain u_r / r of axisymmetric elements."""
     u = _nodal(mesh, displacement)
     if mesh.dim != 2:
         raise ValueError(f"axisymmetric meshes are 2D (r, z), got a {mesh.dim}D mesh")
@@ -71,22 +59,12 @@ _PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class StressData:
-    """What stresses follow from, beside a mesh and a displacement.
+    """What stresses follow from, beside a mesh and a displacement."""
 
-    Attributes
-    ----------
-    lame, shear : (n_bodies,) arrays
-        Lame constants as they enter the stress, Pa.
-    kind : (n_bodies,) int8 array
-        0 for plane strain and solids, 1 for plane stress, 2 for axisymmetric bodies.
-    initial_strain : (n_elements, 3) array, or (0, 3) for none
-        Means on the elements of the strain that carries no stress.
-    """
-
-    lame: np.ndarray
-    shear: np.ndarray
-    kind: np.ndarray
-    initial_strain: np.ndarray
+    lame: np.ndarray  # (n_bodies,)s: lame constants as they enter the stress, Pa
+    shear: np.ndarray  # (n_bodies,)s: lame constants as they enter the stress, Pa
+    kind: np.ndarray  # (n_bodies,) int8: 0 for plane strain and solids, 1 for plane stress, 2 for axisymmetric bodies
+    initial_strain: np.ndarray  # (n_elements, 3), or (0, 3) for none
 
     @classmethod
     def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = ()) -> StressData:

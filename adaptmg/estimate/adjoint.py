@@ -55,45 +55,22 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class AdjointSolution:
-    """A dual field.
+    """A dual field."""
 
-    Attributes
-    ----------
-    field : (n_dofs,) array
-        z in the unknowns of the problem, Cartesian, m/N times the unit of the quantity.
-    residual : float
-        Euclidean, over that of the functional.
-    iterations : int
-        0 of a direct solution.
-    converged : bool
-        Whether the residual is below the tolerance asked for.
-    """
-
-    field: np.ndarray
-    residual: float
-    iterations: int
-    converged: bool
+    field: np.ndarray  # (n_dofs,): z in the unknowns of the problem, Cartesian, m/N times the unit of the quantity
+    residual: float  # euclidean, over that of the functional
+    iterations: int  # 0 of a direct solution
+    converged: bool  # whether the residual is below the tolerance asked for
 
 
 @dataclass(frozen=True, eq=False)
 class AdjointSystem:
-    """The adjoint matrix in local components.
-
-    Attributes
-    ----------
-    contact : LinearisedContact
-    matrix : bsr_array (n_dofs, n_dofs)
-        E' (A + H) T, blown up to all dofs: other rows and columns are those of the unit matrix.
-    trial : (n_dofs,) bool array
-        Dofs that an error has.
-    test : csr_array (n_dofs, n_dofs)
-        T on them.
-    """
+    """The adjoint matrix in local components."""
 
     contact: LinearisedContact
-    matrix: sparse.bsr_array
-    trial: np.ndarray
-    test: sparse.csr_array
+    matrix: sparse.bsr_array  # bsr_array (n_dofs, n_dofs)
+    trial: np.ndarray  # (n_dofs,) bool: dofs that an error has
+    test: sparse.csr_array  # csr_array (n_dofs, n_dofs): T on them
 
     def direct(self, functionals: list[np.ndarray]) -> list[AdjointSolution]:
         """Dual fields of functionals (n_dofs,), by one sparse factorisation."""
@@ -115,17 +92,7 @@ class AdjointSystem:
 
     def multigrid(self, hierarchy: Hierarchy, functionals: list[np.ndarray], rtol: float, max_iterations: int
                   ) -> list[AdjointSolution]:
-        """Dual fields of functionals (n_dofs,), by GMRES with a multigrid cycle.
-
-        Parameters
-        ----------
-        hierarchy : Hierarchy
-            Whose finest level this is.
-        functionals : list of (n_dofs,) arrays
-        rtol : float
-            Of the Euclidean residual over that of the functional.
-        max_iterations : int
-        """
+        """Dual fields of functionals (n_dofs,), by GMRES with a multigrid cycle."""
         cycle, n = AdjointCycle(hierarchy, self.contact, self.matrix, self.trial), len(self.trial)
         preconditioner = LinearOperator((n, n), matvec=cycle.apply, dtype=np.float64)
         result = []
@@ -195,18 +162,7 @@ class _Counted:
 
 
 class AdjointCycle:
-    """V-cycles for the adjoint problem, two symmetric sweeps a level.
-
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-        At least two levels.
-    contact : LinearisedContact
-    matrix : bsr_array (n_dofs, n_dofs)
-        On the finest level, in local components.
-    trial : (n_dofs,) bool array
-        Dofs that are not decoupled.
-    """
+    """V-cycles for the adjoint problem, two symmetric sweeps a level."""
 
     def __init__(self, hierarchy: Hierarchy, contact: LinearisedContact, matrix: sparse.bsr_array,
                  trial: np.ndarray) -> None:
@@ -255,15 +211,7 @@ def _with_diagonal(matrix: sparse.csr_array, dim: int) -> sparse.bsr_array:
 
 
 def algebraic_part(view: GoalView, functional: Functional, dual: np.ndarray) -> float:
-    """J of the discrete solution minus J of the result, in the unit of the quantity.
-
-    Parameters
-    ----------
-    view : GoalView
-    functional : Functional
-    dual : (n_dofs,) array
-        Its dual field in the unknowns of the problem.
-    """
+    """J of the discrete solution minus J of the result, in the unit of the quantity."""
     contact, discrete = view.contact, view.posed.discrete
     dim, nodes, state = discrete.dim, contact.nodes, contact.state
     residual = np.where(discrete.fixed, 0.0, contact.residual)

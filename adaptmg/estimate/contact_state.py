@@ -29,55 +29,25 @@ _STILL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class LinearisedContact:
-    """The contact nodes of a solution, in local components (normal, tangents).
-
-    Attributes
-    ----------
-    discrete : DiscreteProblem
-    frames : (n, dim, dim) array
-    state : (n,) int array
-        ``am.OPEN``, ``am.SLIP``, ``am.STICK``.
-    unknowns : (n_dofs,) array
-        Of the problem (between bodies relative), Cartesian, m.
-    residual : (n_dofs,) array
-        A u - b, Cartesian, N.
-    gap, slip : (n,), (n, dim - 1) arrays
-        m.
-    force : (n, dim) array
-        Contact forces in local components; force[:, 0] <= 0. N.
-    limit, fixed_limit : (n,) arrays
-        Of the friction, and the part of it that does not depend on the pressure, N.
-    slips, sticks : (n,) bool arrays
-        Nodes on which friction acts and that move, or do not: under a fixed limit open ones too.
-    unit : (n, dim - 1) array
-        f at slipping nodes.
-    direction : (n, dim - 1) array
-        mu f at nodes that slip and touch, else 0.
-    hessian : (n, dim - 1, dim - 1) array
-        H of slipping nodes, N/m.
-    free : (n, dim) bool array
-        Components in which an error may move.
-    held : (n, dim - 1) bool array
-        Tangents that a support holds.
-    """
+    """The contact nodes of a solution, in local components (normal, tangents)."""
 
     discrete: DiscreteProblem
-    frames: np.ndarray
-    state: np.ndarray
-    unknowns: np.ndarray
-    residual: np.ndarray
-    gap: np.ndarray
-    slip: np.ndarray
-    force: np.ndarray
-    limit: np.ndarray
-    fixed_limit: np.ndarray
-    slips: np.ndarray
-    sticks: np.ndarray
-    unit: np.ndarray
-    direction: np.ndarray
-    hessian: np.ndarray
-    free: np.ndarray
-    held: np.ndarray
+    frames: np.ndarray  # (n, dim, dim)
+    state: np.ndarray  # (n,) int: am.OPEN, am.SLIP, am.STICK
+    unknowns: np.ndarray  # (n_dofs,): of the problem (between bodies relative), Cartesian, m
+    residual: np.ndarray  # (n_dofs,): A u - b, Cartesian, N
+    gap: np.ndarray  # (n,), (n, dim - 1)s: m
+    slip: np.ndarray  # (n,), (n, dim - 1)s: m
+    force: np.ndarray  # (n, dim): contact forces in local components; force[:, 0] <= 0. N
+    limit: np.ndarray  # (n,)s: of the friction, and the part of it that does not depend on the pressure, N
+    fixed_limit: np.ndarray  # (n,)s: of the friction, and the part of it that does not depend on the pressure, N
+    slips: np.ndarray  # (n,) bools
+    sticks: np.ndarray  # (n,) bools
+    unit: np.ndarray  # (n, dim - 1): f at slipping nodes
+    direction: np.ndarray  # (n, dim - 1): mu f at nodes that slip and touch, else 0
+    hessian: np.ndarray  # (n, dim - 1, dim - 1): H of slipping nodes, N/m
+    free: np.ndarray  # (n, dim) bool: components in which an error may move
+    held: np.ndarray  # (n, dim - 1) bool: tangents that a support holds
 
     @property
     def nodes(self) -> np.ndarray:
@@ -94,14 +64,7 @@ class LinearisedContact:
 
 
 def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedContact:
-    """The contact conditions of a result, linearised.
-
-    Parameters
-    ----------
-    discrete : DiscreteProblem
-    result : Result
-        Of this problem.
-    """
+    """The contact conditions of a result, linearised."""
     nodal, frames = local_contact(discrete)
     dim, nodes = discrete.dim, discrete.contact.nodes
     unknowns = discrete.relative(result.displacement).reshape(-1)

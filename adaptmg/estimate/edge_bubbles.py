@@ -227,38 +227,16 @@ _RTOL, _STEPS = 1e-2, 30
 
 @dataclass(frozen=True, eq=False)
 class BubbleError:
-    """Amplitudes of the bubbles in the error, (n_edges, dim) each, m.
+    """Amplitudes of the bubbles in the error, (n_edges, dim) each, m."""
 
-    Attributes
-    ----------
-    together : array
-        All bubbles at once: signed estimates.
-    alone : array
-        Each edge for itself: marks.
-    energy : float
-        Energy norm of the error as the bubbles see it, sqrt(N m).
-    """
-
-    together: np.ndarray
-    alone: np.ndarray
-    energy: float
+    together: np.ndarray  # all bubbles at once: signed estimates
+    alone: np.ndarray  # each edge for itself: marks
+    energy: float  # energy norm of the error as the bubbles see it, sqrt(N m)
 
 
 def bubble_error(problem: ContactProblem, bubbles: EdgeBubbles, spaces: BubbleSpaces, blocks: np.ndarray,
                  residual: np.ndarray) -> BubbleError:
-    """The error of a discrete solution in the space of bubbles.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    bubbles : EdgeBubbles
-    spaces : BubbleSpaces
-        Directions that the bubbles have.
-    blocks : (n_edges, dim, dim) array
-        a(b e_i, b e_j), N/m.
-    residual : (n_edges, dim) array
-        rho of unit vectors, N.
-    """
+    """The error of a discrete solution in the space of bubbles."""
     trial, test, shape = spaces.trial, spaces.test, residual.shape
     small = np.einsum("nik,nij,njl->nkl", test, blocks, trial)
     small[spaces.missing[:, :, None] & np.eye(shape[1], dtype=bool)] = 1.0
@@ -286,16 +264,10 @@ def bubble_error(problem: ContactProblem, bubbles: EdgeBubbles, spaces: BubbleSp
 
 @dataclass(frozen=True, eq=False)
 class BubbleSpaces:
-    """Directions of the bubbles; columns of zeros are directions that do not exist.
+    """Directions of the bubbles; columns of zeros are directions that do not exist."""
 
-    Attributes
-    ----------
-    trial, test : (n_edges, dim, dim) arrays
-        In columns: of errors; of dual fields.
-    """
-
-    trial: np.ndarray
-    test: np.ndarray
+    trial: np.ndarray  # (n_edges, dim, dim)s: in columns: of errors; of dual fields
+    test: np.ndarray  # (n_edges, dim, dim)s: in columns: of errors; of dual fields
 
     @property
     def missing(self) -> np.ndarray:
@@ -360,22 +332,12 @@ _LOCAL = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[0, 1], [0, 2], [0
 
 @dataclass(frozen=True, eq=False)
 class EdgeBubbles:
-    """The edges of a mesh and the bubbles on them.
-
-    Attributes
-    ----------
-    mesh : MeshArrays
-    axisymmetric : bool
-    edges : (n_edges, 2) array of int
-        Nodes, ascending.
-    element_edges : (n_elements, k) array of int
-        Edges of each element, k = 3 or 6.
-    """
+    """The edges of a mesh and the bubbles on them."""
 
     mesh: MeshArrays
     axisymmetric: bool
-    edges: np.ndarray
-    element_edges: np.ndarray
+    edges: np.ndarray  # (n_edges, 2) int: nodes, ascending
+    element_edges: np.ndarray  # (n_elements, k) int: edges of each element, k = 3 or 6
 
     @property
     def shares(self) -> np.ndarray:
@@ -404,21 +366,7 @@ class EdgeBubbles:
         return (values / self.shares)[self.element_edges].sum(axis=1)
 
     def actions(self, problem: ContactProblem, fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stiffness of the bubbles, and of fields against them.
-
-        Parameters
-        ----------
-        problem : ContactProblem
-        fields : (n_fields, n_nodes, dim) array
-            Displacements, m.
-
-        Returns
-        -------
-        blocks : (n_edges, dim, dim) array
-            a(b e_i, b e_j), N/m.
-        actions : (n_fields, n_edges, dim) array
-            a(field, b e_i), N.
-        """
+        """Stiffness of the bubbles, and of fields against them."""
         mesh, dim = self.mesh, self.mesh.dim
         lame, shear = lame_constants(body_materials(mesh, problem.material))
         rule, weights = self._rule
@@ -460,19 +408,7 @@ class EdgeBubbles:
         return quadrature_rule(self.mesh.dim + 1, AXISYMMETRIC_DEGREE if self.axisymmetric else PLAIN_DEGREE)
 
     def boundary_work(self, facets: np.ndarray, traction: np.ndarray) -> np.ndarray:
-        """Work (n_edges, dim) on the bubbles of a traction that is linear on facets.
-
-        Parameters
-        ----------
-        facets : (n, dim) array of int
-        traction : (n, dim, m) array
-            At the corners of each facet, Pa; m components.
-
-        Returns
-        -------
-        (n_edges, m) array
-            N.
-        """
+        """Work (n_edges, dim) on the bubbles of a traction that is linear on facets."""
         rule, weights = simplex_rule(self.mesh.dim - 1, 3)
         values = np.einsum("qc,ncm->nqm", rule, traction)
         result = np.zeros((len(self.edges), traction.shape[2]))

@@ -247,20 +247,7 @@ def _sizes(wanted: list[Functional]) -> np.ndarray:
 
 
 def transition_changes(view: GoalView, functional: Functional, dual: np.ndarray) -> np.ndarray:
-    """The change of a quantity, element by element.
-
-    Parameters
-    ----------
-    view : GoalView
-    functional : Functional
-    dual : (n_dofs,) array
-        Its dual field in the unknowns of the problem.
-
-    Returns
-    -------
-    (n_elements,) array
-        >= 0, in the unit of the quantity; that of a node is shared out evenly among its elements.
-    """
+    """The change of a quantity, element by element."""
     contact, discrete = view.contact, view.posed.discrete
     dim, nodes, state = discrete.dim, contact.nodes, contact.state
     opens, sticks = _beside(view, state == State.OPEN), _beside(view, state == State.STICK)

@@ -71,17 +71,9 @@ class GoalEstimate(Estimate):
 
 @dataclass(frozen=True, eq=False)
 class GoalView:
-    """A solution and what belongs to it.
+    """A solution and what belongs to it."""
 
-    Attributes
-    ----------
-    posed : Posed
-        Problem, mesh, discrete problem and result.
-    bubbles : EdgeBubbles
-    contact : LinearisedContact
-    """
-
-    posed: Posed
+    posed: Posed  # problem, mesh, discrete problem and result
     bubbles: EdgeBubbles
     contact: LinearisedContact
 
@@ -93,29 +85,14 @@ class GoalView:
 
 @dataclass(frozen=True, eq=False)
 class Functional:
-    """A quantity of a solution, and how it changes with it.
+    """A quantity of a solution, and how it changes with it."""
 
-    Attributes
-    ----------
-    name : str
-        For tables.
-    value : float
-        Of the discrete solution, in ``unit``.
-    unit : str
-    vector : (n_dofs,) array
-        Its derivative by the unknowns of the problem (between bodies relative), Cartesian.
-    bubbles : (n_edges, dim) array
-        Its derivative by the bubbles of the edges.
-    geometry : (n_edges,) array, optional
-        What the domain changes in it, which the mesh has with chords in the place of curves, in ``unit``; default none.
-    """
-
-    name: str
-    value: float
+    name: str  # for tables
+    value: float  # of the discrete solution, in unit
     unit: str
-    vector: np.ndarray
-    bubbles: np.ndarray
-    geometry: np.ndarray | None = None
+    vector: np.ndarray  # (n_dofs,): its derivative by the unknowns of the problem (between bodies relative), Cartesian
+    bubbles: np.ndarray  # (n_edges, dim): its derivative by the bubbles of the edges
+    geometry: np.ndarray | None = None  # (n_edges,)
 
 
 def checked_functionals(view: GoalView, quantity: Any) -> list[Functional]:

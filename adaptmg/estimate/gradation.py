@@ -24,14 +24,7 @@ _EDGES = 4
 
 
 class ElementsAtNodes:
-    """Which elements meet at each node of a mesh: built once, asked often.
-
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
-    elements : (n_elements, dim + 1) array of int
-    """
+    """Which elements meet at each node of a mesh: built once, asked often."""
 
     def __init__(self, points: np.ndarray, elements: np.ndarray) -> None:
         self.points, self.elements = points, elements
@@ -88,22 +81,7 @@ def _relax(points, elements, start, items, growth, sizes, queue, waiting):
 
 
 def graded_sizes(neighbours: ElementsAtNodes, sizes: np.ndarray, growth: float) -> np.ndarray:
-    """The largest sizes below the given ones that grow by at most ``growth`` per distance along edges.
-
-    Parameters
-    ----------
-    neighbours : ElementsAtNodes
-        Of the mesh.
-    sizes : (n_nodes,) array
-        m, > 0; not changed.
-    growth : float
-        > 0, per distance.
-
-    Returns
-    -------
-    (n_nodes,) array
-        m.
-    """
+    """The largest sizes below the given ones that grow by at most ``growth`` per distance along edges."""
     result = np.array(sizes, dtype=np.float64)
     waiting = np.ones(len(result), dtype=np.bool_)
     _relax(neighbours.points, neighbours.elements, neighbours.start, neighbours.items, float(growth), result,
@@ -112,23 +90,7 @@ def graded_sizes(neighbours: ElementsAtNodes, sizes: np.ndarray, growth: float) 
 
 
 def resolving(mesh: MeshArrays, sizes: np.ndarray, boundaries: Sequence[str], growth: float) -> np.ndarray:
-    """Sizes that leave each of some boundaries at least four edges across: contact needs nodes, whatever its error.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-    sizes : (n_nodes,) array
-        m, > 0; not changed.
-    boundaries : sequence of str
-        Names of boundaries of ``mesh``.
-    growth : float
-        As of :func:`graded_sizes`.
-
-    Returns
-    -------
-    (n_nodes,) array
-        m.
-    """
+    """Sizes that leave each of some boundaries at least four edges across: contact needs nodes, whatever its error."""
     result = np.array(sizes, dtype=np.float64)
     for name in boundaries:
         facets = mesh.boundary_facets(name)

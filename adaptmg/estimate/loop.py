@@ -93,17 +93,7 @@ class _Clock:
 
 
 class AdaptiveWalk:
-    """One run of the adaptive loop.
-
-    Parameters
-    ----------
-    start : Hierarchy
-        Its finest mesh is the first.
-    parts : Parts
-    limits : Limits
-    store : LoopStore or None
-    progress : callable or None
-    """
+    """One run of the adaptive loop."""
 
     #: nodes of the next mesh over those of the last, below which it is not worth making
     LEAST_GROWTH = 1.3
@@ -299,22 +289,7 @@ _RATE, _SLOWEST = 0.5, 0.9
 
 
 def solved(hierarchy: Hierarchy, solver: Solver | None, before: Step | None, start: np.ndarray | None) -> Result:
-    """The solution on the finest level.
-
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-    solver : Solver or None
-        The user's; it starts from ``start`` too, unless it makes its own start. None, or multigrid on one level: by
-        truncated multigrid to a tenth of the error that the mesh is expected to have.
-    before : Step or None
-    start : (n_nodes, dim) array or None
-        The displacement of the step before on this mesh, m.
-
-    Raises
-    ------
-    NotConverged
-    """
+    """The solution on the finest level."""
     if solver is not None and takes(solver, hierarchy):
         return solve(hierarchy, solver, start=None if isinstance(solver, FullMultigrid) else start)
     if len(hierarchy) == 1:
@@ -354,15 +329,7 @@ MOST_BETWEEN, GROWTH = 4, 1.2
 
 
 def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Any) -> Hierarchy:
-    """With a finer mesh, and meshes between it and the present finest where the size ratio asks for them.
-
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-    mesh : MeshArrays
-    engine : object
-        Asked for ``intermediate(problem, coarse, fine) -> MeshArrays``, if it offers that.
-    """
+    """With a finer mesh, and meshes between it and the present finest where the size ratio asks for them."""
     between = getattr(engine, "intermediate", None)
     for _ in range(MOST_BETWEEN if callable(between) else 0):
         finest = hierarchy.finest.mesh
@@ -394,21 +361,7 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
 
 
 def carried(hierarchy: Hierarchy, below: int, displacement: np.ndarray) -> np.ndarray:
-    """A displacement of a level interpolated to the finest one, level by level.
-
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-    below : int
-        Number of the level.
-    displacement : (n_nodes, dim) array
-        Of the bodies on that level, m.
-
-    Returns
-    -------
-    (n_nodes, dim) array
-        On the finest level, m: contact nodes follow the coarse contact surface, so that most keep their state.
-    """
+    """A displacement of a level interpolated to the finest one, level by level."""
     values = hierarchy[below].discrete.relative(displacement)
     for level in hierarchy.levels[below + 1:]:
         values = level.prolongation @ values
@@ -416,17 +369,7 @@ def carried(hierarchy: Hierarchy, below: int, displacement: np.ndarray) -> np.nd
 
 
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
-    """The hierarchy with the problem of load step ``k`` on the finest level, slips counted from the step before.
-
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-        Of the problem as it is posed.
-    path : LoadPath
-    results : PathResult
-        Of the finest level.
-    k : int
-    """
+    """The hierarchy with the problem of load step ``k`` on the finest level, slips counted from the step before."""
     problem, finest = hierarchy.problem, hierarchy.finest
     factors = {name: float(values[k]) for name, values in path.resolved(problem).items()}
     loads, discrete = load_steps(problem, finest.mesh, finest.discrete.coupling), finest.discrete

@@ -57,47 +57,19 @@ _AGAIN = "remove it and the steps after it to have them made again"
 
 @dataclass(frozen=True, eq=False)
 class StoredStep:
-    """What a folder keeps of a step.
-
-    Attributes
-    ----------
-    result : Result
-    estimate : Estimate
-    levels : list of (int, int)
-        Step and place of each mesh, coarsest first; place -1 is the mesh of the result, others are ``extra``.
-    extra : list of MeshArrays
-        Meshes that came with this step beside its own.
-    numbers : dict
-        total_seconds, work_units, total_work_units.
-    timings : dict of str to float
-    path : PathResult or None
-        Of a loop with a load path; in a folder ``path_0003``.
-    """
+    """What a folder keeps of a step."""
 
     result: Result
     estimate: Estimate
-    levels: list[tuple[int, int]]
-    extra: list[MeshArrays]
-    numbers: dict[str, float]
+    levels: list[tuple[int, int]]  # list of (int, int)
+    extra: list[MeshArrays]  # meshes that came with this step beside its own
+    numbers: dict[str, float]  # total_seconds, work_units, total_work_units
     timings: dict[str, float]
-    path: PathResult | None = None
+    path: PathResult | None = None  # of a loop with a load path; in a folder path_0003
 
 
 class LoopStore:
-    """A folder with finished steps.
-
-    Parameters
-    ----------
-    folder : path
-        Made where missing.
-    mark : mapping
-        The fingerprint of the loop.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds steps of something else; the message says what differs.
-    """
+    """A folder with finished steps."""
 
     def __init__(self, folder: str | os.PathLike[str], mark: Mapping[str, Any]) -> None:
         self.folder = checks.file_path("store", folder)
@@ -119,13 +91,7 @@ class LoopStore:
                              f"differ{'s' if len(different) == 1 else ''}; give another folder, or remove this one")
 
     def steps(self) -> list[StoredStep]:
-        """The finished steps, from the first on.
-
-        Raises
-        ------
-        ValueError
-            If one is missing before others, or a file is damaged.
-        """
+        """The finished steps, from the first on."""
         found = sorted(int(match[1]) for name in os.listdir(self.folder)
                        if (match := re.fullmatch(r"step_(\d+)\.json", name)))
         if found != list(range(len(found))):
@@ -275,13 +241,7 @@ Key = tuple[int, int]
 
 
 class Meshes:
-    """The meshes of a loop by step and place; see :class:`adaptmg.estimate.loop_store.StoredStep`.
-
-    Parameters
-    ----------
-    start : Hierarchy
-        Of the first step.
-    """
+    """The meshes of a loop by step and place; see :class:`adaptmg.estimate.loop_store.StoredStep`."""
 
     def __init__(self, start: Hierarchy) -> None:
         self.start = start

@@ -445,19 +445,7 @@ def friction_work(view: GoalView) -> np.ndarray:
 
 
 def master_work(view: GoalView, reaction: np.ndarray) -> np.ndarray:
-    """Work of contact forces on the bubbles of master surfaces.
-
-    Parameters
-    ----------
-    view : GoalView
-    reaction : (n_dofs,) array
-        A v - f in the unknowns of the problem, of the solution or of a dual field, N.
-
-    Returns
-    -------
-    (n_edges, dim) array
-        N; zero elsewhere.
-    """
+    """Work of contact forces on the bubbles of master surfaces."""
     discrete, mesh = view.posed.discrete, view.posed.mesh
     result = np.zeros((len(view.bubbles.edges), mesh.dim))
     if discrete.coupling is None:

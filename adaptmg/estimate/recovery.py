@@ -35,22 +35,11 @@ __all__ = ["RecoveredStress", "Recovery", "axisymmetric_energy", "axisymmetric_s
 
 @dataclass(frozen=True, eq=False)
 class RecoveredStress:
-    """A stress that is continuous in each body.
+    """A stress that is continuous in each body."""
 
-    Attributes
-    ----------
-    cells : (n_elements, dim + 1) int32 array
-        Rows of ``nodal`` at the corners: the nodes, and more where bodies share some.
-    nodal : (n, n_values) array
-        Normal stresses, then shear stresses as of :class:`~adaptmg.estimate.stress_fields.ElementStress`;
-        axisymmetric: rr, zz, hoop, rz. Pa.
-    sampled : (n_elements, n_values) array
-        What it was made from: the stress at the centroids, Pa.
-    """
-
-    cells: np.ndarray
-    nodal: np.ndarray
-    sampled: np.ndarray
+    cells: np.ndarray  # (n_elements, dim + 1) int32
+    nodal: np.ndarray  # (n, n_values)
+    sampled: np.ndarray  # (n_elements, n_values): what it was made from: the stress at the centroids, Pa
 
 
 @dataclass(frozen=True)
@@ -86,14 +75,7 @@ class Recovery:
 
 
 def recovered_stress(stress: ElementStress, across: np.ndarray) -> RecoveredStress:
-    """Fit a stress that is continuous in each body.
-
-    Parameters
-    ----------
-    stress : ElementStress
-    across : (n_elements, dim + 1) int32 array
-        See :class:`~adaptmg.estimate.stress_fields.Neighbours`.
-    """
+    """Fit a stress that is continuous in each body."""
     mesh = stress.mesh
     cells, points = _apart(mesh)
     centroids = mesh.points[mesh.elements].mean(axis=1)

@@ -237,12 +237,7 @@ def nodal_sizes(mesh: MeshArrays, sizes: np.ndarray) -> np.ndarray:
 
 
 class NodeCount:
-    """About how many nodes a mesh has whose sizes are given at the nodes of another (module docstring).
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-    """
+    """About how many nodes a mesh has whose sizes are given at the nodes of another (module docstring)."""
 
     def __init__(self, mesh: MeshArrays) -> None:
         self.mesh, dim = mesh, mesh.dim
@@ -268,31 +263,7 @@ class NodeCount:
 
 def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, *, finest: float = 0.25,
                        coarsest: float = 1.5, growth: float = 0.3) -> np.ndarray:
-    """Sizes at the nodes of a mesh, for a new mesh of about ``n_nodes`` nodes.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        Which the estimate is of.
-    squares : (n_elements,) array
-        Of the estimate, >= 0, in any unit: only their ratios count.
-    n_nodes : float
-        Wanted number of nodes. What the bounds do not allow is approached as far as they do.
-    finest, coarsest : float
-        Bounds of new over old size, 0 < finest < coarsest.
-    growth : float
-        Largest growth of sizes per distance along edges, > 0.
-
-    Returns
-    -------
-    (n_nodes,) array
-        m.
-
-    Raises
-    ------
-    ValueError
-        If the squares are not those of this mesh.
-    """
+    """Sizes at the nodes of a mesh, for a new mesh of about ``n_nodes`` nodes."""
     squares = np.asarray(squares, dtype=np.float64)
     if squares.shape != (len(mesh.elements),):
         raise ValueError(f"squares must have shape ({len(mesh.elements)},), one for each element of mesh, got "
@@ -334,17 +305,10 @@ def _constant(excess, low: float, high: float, dim: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SizeField:
-    """Sizes between the nodes of a mesh: linear on each element, outside those of the nearest point of the mesh.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-    sizes : (n_nodes,) array
-        Wanted edge lengths at its nodes, m, > 0.
-    """
+    """Sizes between the nodes of a mesh: linear on each element, outside those of the nearest point of the mesh."""
 
     mesh: MeshArrays
-    sizes: np.ndarray
+    sizes: np.ndarray  # (n_nodes,): wanted edge lengths at its nodes, m, > 0
 
     def __post_init__(self) -> None:
         sizes = np.array(self.sizes, dtype=np.float64)
@@ -373,13 +337,7 @@ class SizeField:
         return np.einsum("ij,ij->i", found.weights, self.sizes[mesh.elements[found.element]])
 
     def samples(self, dense: bool = False) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """What a mesher is told at once: by body, points (n, dim), m, and the sizes (n,) there, m.
-
-        Parameters
-        ----------
-        dense : bool
-            Nodes and centroids, and where ``dense`` the points halfway between each centroid and its corners too.
-        """
+        """What a mesher is told at once: by body, points (n, dim), m, and the sizes (n,) there, m."""
         mesh, k = self.mesh, self.mesh.elements.shape[1]
         centre = np.full((1, k), 1 / k)
         weights = np.concatenate([centre, 0.5 * (centre + np.eye(k))]) if dense else centre
@@ -394,25 +352,7 @@ class SizeField:
 
 
 def mean_sizes(coarse: MeshArrays, fine: MeshArrays, growth: float) -> SizeField:
-    """The geometric mean of the sizes of two meshes.
-
-    Parameters
-    ----------
-    coarse, fine : MeshArrays
-        Of the same bodies.
-    growth : float
-        Sizes grow by at most this per distance.
-
-    Returns
-    -------
-    SizeField
-        On ``fine``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        No meshes, or not of the same dimension and bodies.
-    """
+    """The geometric mean of the sizes of two meshes."""
     for name, mesh in (("coarse", coarse), ("fine", fine)):
         checks.instance(name, mesh, MeshArrays)
     if coarse.dim != fine.dim or set(coarse.bodies) != set(fine.bodies):

@@ -284,17 +284,7 @@ def _solid(points, elements, across, stress, weight, squares):
 
 
 def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -> np.ndarray:
-    """Squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus.
-
-    Parameters
-    ----------
-    stress : ElementStress
-    across : (n_elements, dim + 1) int32 array
-        See :class:`~adaptmg.estimate.stress_fields.Neighbours`. Bodies that are glued share nodes and so facets:
-        tractions must agree there too.
-    young : (n_elements,) array
-        Pa.
-    """
+    """Squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus."""
     mesh, squares, weight = stress.mesh, np.zeros(len(stress.values)), 0.5 / young
     if stress.axisymmetric:
         radial = np.ascontiguousarray(stress.displacement[:, 0])
@@ -338,15 +328,7 @@ def _volume_axisymmetric(points, elements, u, body, lame, shear, initial, stress
 
 
 def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarray) -> np.ndarray | None:
-    """Squares (n_elements,), N m; None where there is neither a body force nor axisymmetry.
-
-    Parameters
-    ----------
-    stress : ElementStress
-    loads : sequence of Load
-    young : (n_elements,) array
-        Pa.
-    """
+    """Squares (n_elements,), N m; None where there is neither a body force nor axisymmetry."""
     forces = [load for load in loads if isinstance(load, BodyForce)]
     if not forces and not stress.axisymmetric:
         return None

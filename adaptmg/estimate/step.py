@@ -37,17 +37,9 @@ LOOSEST, TIGHTEST = 3e-2, 1e-10
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """When the loop ends.
+    """When the loop ends."""
 
-    Parameters
-    ----------
-    tolerance : float, optional
-        For the relative estimate.
-    max_nodes : int, optional
-    max_seconds : float, optional
-    """
-
-    tolerance: float | None = None
+    tolerance: float | None = None  # for the relative estimate
     max_nodes: int | None = None
     max_seconds: float | None = None
 

@@ -102,22 +102,12 @@ def _solid(points, elements, body, u, lame, shear, initial, stress):
 
 @dataclass(frozen=True, eq=False)
 class ElementStress:
-    """Stress in a mesh.
-
-    Attributes
-    ----------
-    mesh : MeshArrays
-    displacement : (n_nodes, dim) array
-        m.
-    data : StressData
-    values : (n_elements, 3 or 6) array
-        xx, yy, xy or xx, yy, zz, xy, yz, xz, Pa; in axisymmetry without what the hoop strain adds.
-    """
+    """Stress in a mesh."""
 
     mesh: MeshArrays
-    displacement: np.ndarray
+    displacement: np.ndarray  # (n_nodes, dim): m
     data: StressData
-    values: np.ndarray
+    values: np.ndarray  # (n_elements, 3 or 6)
 
     @property
     def axisymmetric(self) -> bool:
@@ -132,23 +122,7 @@ class ElementStress:
 
     def tractions(self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
                   ) -> np.ndarray:
-        """Sigma n at points of facets.
-
-        Parameters
-        ----------
-        elements : (n,) int array
-            Whose stress.
-        normals : (n, dim) array
-        facets : (n, dim) int array
-            Nodes.
-        rule : (n_points, dim) array
-            Barycentric points.
-
-        Returns
-        -------
-        (n, n_points, dim) array
-            Pa.
-        """
+        """Sigma n at points of facets."""
         s, n = self.values[elements], normals
         if self.mesh.dim == 2:
             plain = np.column_stack([s[:, 0] * n[:, 0] + s[:, 2] * n[:, 1], s[:, 2] * n[:, 0] + s[:, 1] * n[:, 1]])
@@ -182,40 +156,15 @@ def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData)
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Who lies beside whom.
+    """Who lies beside whom."""
 
-    Attributes
-    ----------
-    across : (n_elements, dim + 1) int32 array
-        Element across the facet opposite each corner; -1 on the boundary of the mesh.
-    owner : (n_facets,) int32 array
-        Element of each boundary facet of the mesh, the one with the lower number where the facet lies inside.
-    corner : (n_facets,) int32 array
-        The corner of that element which lies opposite.
-    """
-
-    across: np.ndarray
-    owner: np.ndarray
-    corner: np.ndarray
+    across: np.ndarray  # (n_elements, dim + 1) int32
+    owner: np.ndarray  # (n_facets,) int32
+    corner: np.ndarray  # (n_facets,) int32: the corner of that element which lies opposite
 
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
-    """Neighbours in a mesh.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        Facets that more than two elements share have the last two of them as neighbours.
-
-    Returns
-    -------
-    Neighbours
-
-    Raises
-    ------
-    ValueError
-        If a boundary facet belongs to no element.
-    """
+    """Neighbours in a mesh."""
     n, k = mesh.elements.shape
     across = np.full((n, k), -1, dtype=np.int32)
     owner, corner = (np.full(len(mesh.facets), -1, dtype=np.int32) for _ in range(2))
@@ -285,15 +234,7 @@ _ROUNDING = 1e-13  # of A u, over the diagonal times u: bodies that their suppor
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """What a result solves.
-
-    Attributes
-    ----------
-    problem : ContactProblem
-    mesh : MeshArrays
-    discrete : DiscreteProblem
-    result : Result
-    """
+    """What a result solves."""
 
     problem: ContactProblem
     mesh: MeshArrays
@@ -353,23 +294,7 @@ class Posed:
 
 
 def posed(hierarchy: Hierarchy, result: Result) -> Posed:
-    """Checked to belong together.
-
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-        Of a ContactProblem; its finest mesh counts.
-    result : Result
-        Of :func:`adaptmg.solve` on it.
-
-    Raises
-    ------
-    TypeError
-        On other things.
-    ValueError
-        Without a problem or mesh, of a result of another mesh or found under other loads, or one with values that are
-        not finite.
-    """
+    """Checked to belong together."""
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
     checks.instance("result", result, Result, "a Result")
     mesh, discrete = hierarchy.finest.mesh, hierarchy.finest.discrete

@@ -130,21 +130,11 @@ _SAME_WAY = 0.8
 
 @dataclass(frozen=True, eq=False)
 class SurfaceTraction:
-    """Contact traction on one boundary.
+    """Contact traction on one boundary."""
 
-    Attributes
-    ----------
-    facets : (n, dim) int array
-        Nodes of the facets.
-    nodes : (m,) int array
-        Ascending.
-    values : (m, dim) array
-        On the body of this boundary, Cartesian, Pa.
-    """
-
-    facets: np.ndarray
-    nodes: np.ndarray
-    values: np.ndarray
+    facets: np.ndarray  # (n, dim) int: nodes of the facets
+    nodes: np.ndarray  # (m,) int: ascending
+    values: np.ndarray  # (m, dim): on the body of this boundary, Cartesian, Pa
 
     @property
     def corners(self) -> np.ndarray:
@@ -153,15 +143,7 @@ class SurfaceTraction:
 
 
 def contact_tractions(mesh: MeshArrays, contact: ContactResult, axisymmetric: bool) -> Mapping[str, SurfaceTraction]:
-    """Contact tractions on all boundaries that may touch something, masters too, by name.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-    contact : ContactResult
-    axisymmetric : bool
-        Forces are those over the full circumference.
-    """
+    """Contact tractions on all boundaries that may touch something, masters too, by name."""
     masters = contact.masters or ("",) * len(contact.names)
     on_slave = _on_slaves(mesh, contact)
     return {name: _on_surface(mesh, contact, masters, name, on_slave, axisymmetric)

@@ -207,25 +207,14 @@ def _written(target: Path) -> set[str]:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One file.
+    """One file."""
 
-    Attributes
-    ----------
-    name : str
-        Of the file, without its suffix.
-    kind : {"Mat", "Vec", "IS"}
-    meaning, unit : str
-    values : sparse matrix or array
-    block : int
-        Block size, 1 for none.
-    """
-
-    name: str
+    name: str  # of the file, without its suffix
     kind: str
     meaning: str
     unit: str
     values: sparse.sparray | np.ndarray
-    block: int = 1
+    block: int = 1  # block size, 1 for none
 
     def content(self) -> bytes:
         """The file."""

@@ -45,26 +45,7 @@ SNAP = 1e-13
 
 @kernel
 def common_moments(mu, k, pieces, levels, moments):
-    """Moments of the fine shape functions over the intersection of a fine and a coarse element.
-
-    Parameters
-    ----------
-    mu : (k, k) array
-        Coarse barycentric coordinate m of the fine corner v at [v, m], snapped.
-    k : int
-        dim + 1.
-    pieces : (PIECES, 1 + 2 k k) array
-        Scratch: a piece is its volume fraction, and fine and coarse barycentric coordinates of its corners.
-    levels : (PIECES,) int array
-        Scratch: the half-space to cut a piece by next.
-    moments : (k, k) array
-        Result: the integrals of lambda_i lambda_j over the intersection, for a fine element of volume 1.
-
-    Returns
-    -------
-    float
-        Volume of the intersection over that of the fine element.
-    """
+    """Moments of the fine shape functions over the intersection of a fine and a coarse element."""
     kk = k * k
     moments[:] = 0.0
     pieces[0, 0] = 1.0
@@ -179,20 +160,7 @@ def keep_left(polygon, n, ax, ay, bx, by, out):
 
 @kernel
 def clip(polygon, n, window, m, out, spare):
-    """Write the intersection of two polygons to ``out``.
-
-    Parameters
-    ----------
-    polygon, window : (room, 2) arrays
-        With n and m corners.
-    out, spare : (room, 2) arrays
-        With room for n + m + 1 corners. Result and scratch; neither may be ``polygon`` or ``window``.
-
-    Returns
-    -------
-    int
-        Number of corners of the result; below 3 there is none.
-    """
+    """Write the intersection of two polygons to ``out``."""
     count = n
     for i in range(n):
         out[i, 0], out[i, 1] = polygon[i, 0], polygon[i, 1]
@@ -282,24 +250,6 @@ def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states
 
     Its triangles are cut along the edges of one blocker after the other, depth first: what lies outside an edge goes
     on to the next blocker, what lies inside all of them is hidden.
-
-    Parameters
-    ----------
-    polygon : (room, 2) array
-        With n corners.
-    blockers : (n_triangles, 3, 2) array
-        Counter-clockwise, with an area; they may overlap.
-    hiding : (room,) array of int
-        The first ``n_hiding`` are those that hide parts of this polygon.
-    tolerance : float
-        Width of overlaps that are passed over, m.
-    stack : (room, 3, 2) array, states : (room, 2) array
-        Scratch: triangles, and the blocker and its edge to cut them by next. Room: n + 12 for each that hides, as a
-        cut leaves at most 4 triangles.
-    piece : (2, ROOM, 2) array
-        Scratch.
-    moments : (MOMENTS,) array
-        Result.
     """
     for c in range(MOMENTS):
         moments[c] = 0.0

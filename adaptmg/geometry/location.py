@@ -44,20 +44,6 @@ class SimplexLocator:
     Every point is found. The cost of a point is nearly the same for any number of elements and any grading, see
     :mod:`adaptmg.geometry.search`. A point on a node or an edge belongs to one of the elements there: its
     interpolation weights do not depend on which.
-
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
-    elements : (n, dim + 1) array of int
-        Triangles or tetrahedra.
-    chosen : (k,) array of int, optional
-        Look only at these elements. Default: all.
-
-    Raises
-    ------
-    ValueError
-        No elements, or one without volume.
     """
 
     def __init__(self, points: np.ndarray, elements: np.ndarray, chosen: np.ndarray | None = None) -> None:
@@ -74,22 +60,7 @@ class SimplexLocator:
                              "elements")
 
     def locate(self, points: np.ndarray) -> Location:
-        """Find points.
-
-        Parameters
-        ----------
-        points : (n, dim) array
-            m.
-
-        Returns
-        -------
-        Location
-
-        Raises
-        ------
-        ValueError
-            Wrong shape, or coordinates that are not finite.
-        """
+        """Find points."""
         queries = np.asarray(points, dtype=np.float64)
         if queries.ndim != 2 or queries.shape[1] != self.dim:
             raise ValueError(f"points must have shape (n, {self.dim}), got {queries.shape}")

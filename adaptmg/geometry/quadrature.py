@@ -46,22 +46,7 @@ _RULES = {
 
 
 def quadrature_rule(corners: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """A rule exact for polynomials up to a degree.
-
-    Parameters
-    ----------
-    corners : int
-        Of the cell: 2 edge, 3 triangle, 4 tetrahedron.
-    degree : int
-        ``PLAIN_DEGREE``, or on edges and triangles ``AXISYMMETRIC_DEGREE``.
-
-    Returns
-    -------
-    points : (n, corners) array
-        Barycentric coordinates, all > 0.
-    weights : (n,) array
-        > 0, of sum 1: times the measure of the cell.
-    """
+    """A rule exact for polynomials up to a degree."""
     return _RULES[corners, degree]
 
 
@@ -71,15 +56,7 @@ def quadrature_points(points: np.ndarray, cells: np.ndarray, rule: np.ndarray) -
 
 
 def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1.
-
-    Returns
-    -------
-    shape : (n**dim, dim + 1) array
-        Barycentric coordinates of the points, all inside.
-    weights : (n**dim,) array
-        > 0, sum 1; exact for polynomials of degree 2 n - 2 and more.
-    """
+    """Conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1."""
     shape, weights = np.ones((1, 1)), np.ones(1)
     for level in range(dim):
         # collapse the last coordinate: what is left of the simplex there has measure (1 - x)^level

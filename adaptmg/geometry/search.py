@@ -198,26 +198,7 @@ def _nearest_all(queries, points, simplices, boxes, dim, found, weights, distanc
 
 
 class BoxTree:
-    """Bounding boxes over simplices.
-
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
-    simplices : (n, k) array of int
-        Segments, triangles or tetrahedra (k = 2, 3, 4), at least one.
-
-    Attributes
-    ----------
-    order : (n,) array
-        Number of the simplex at each position along the curve.
-    simplices : (n, k) int32 array
-        Corners, in that order.
-    boxes : (2 n_leaves - 1, 2 dim) array
-        Lower and upper corners.
-    points : (n_nodes, 3) array
-        Padded with zeros in 2D.
-    """
+    """Bounding boxes over simplices."""
 
     def __init__(self, points: np.ndarray, simplices: np.ndarray) -> None:
         n, self.dim = len(simplices), points.shape[1]
@@ -231,22 +212,7 @@ class BoxTree:
         self.points = padded(points)
 
     def nearest(self, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The nearest simplex of each point.
-
-        Parameters
-        ----------
-        queries : (n, dim) array
-            m.
-
-        Returns
-        -------
-        simplex : (n,) array
-            Its number.
-        weights : (n, k) array
-            Barycentric weights of the closest point; >= 0, sums 1.
-        distance : (n,) array
-            m.
-        """
+        """The nearest simplex of each point."""
         n = len(queries)
         found = np.empty(n, dtype=np.int64)
         weights, distance = np.empty((n, self.simplices.shape[1])), np.empty(n)
@@ -297,13 +263,7 @@ def _codes(steps, out):
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:
-    """Order of points (n, dim), dim 2 or 3, along the Z-curve of their own bounding box.
-
-    Returns
-    -------
-    (n,) int64 array
-        ``points[order]`` follows the curve; points with equal codes stay in their order.
-    """
+    """Order of points (n, dim), dim 2 or 3, along the Z-curve of their own bounding box."""
     n, dim = points.shape
     codes = np.empty(n, dtype=np.uint64)
     if n == 0:

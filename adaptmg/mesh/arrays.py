@@ -188,28 +188,14 @@ _LOCAL = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 
 
 @dataclass(frozen=True, eq=False)
 class FacetTable:
-    """The distinct facets of a mesh, sorted by key.
+    """The distinct facets of a mesh, sorted by key."""
 
-    Parameters
-    ----------
-    keys : (n,) array of int64
-        Ascending, see :func:`facet_keys`.
-    counts : (n,) array of int
-        How many elements share the facet.
-    first, second : (n,) array of int
-        Two of those elements; ``second`` is -1 on the boundary.
-    facets : (n, dim) array of int
-        Nodes, oriented outwards as seen from ``first``.
-    folded : (n,) array of bool
-        Whether two elements see the facet in the same sense: of positively oriented ones, both lie on one side of it.
-    """
-
-    keys: np.ndarray
-    counts: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
-    facets: np.ndarray
-    folded: np.ndarray
+    keys: np.ndarray  # (n,) int64: ascending, see facet_keys
+    counts: np.ndarray  # (n,) int: how many elements share the facet
+    first: np.ndarray  # (n,) int: two of those elements; second is -1 on the boundary
+    second: np.ndarray  # (n,) int: two of those elements; second is -1 on the boundary
+    facets: np.ndarray  # (n, dim) int: nodes, oriented outwards as seen from first
+    folded: np.ndarray  # (n,) bool
 
     def find(self, keys: np.ndarray) -> np.ndarray:
         """Rows of this table that hold ``keys``, -1 where there is no such facet."""
@@ -223,19 +209,7 @@ def element_facets(elements: np.ndarray) -> np.ndarray:
 
 
 def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
-    """One integer a facet, the same for every order of its nodes.
-
-    Parameters
-    ----------
-    facets : (n, dim) array of int
-        Node numbers below ``n_nodes``.
-    n_nodes : int
-        At most ``MOST_NODES``.
-
-    Returns
-    -------
-    (n,) int64 array
-    """
+    """One integer a facet, the same for every order of its nodes."""
     dim = facets.shape[1]
     if n_nodes > MOST_NODES[dim]:
         raise ValueError(f"a {dim}D mesh may have at most {MOST_NODES[dim]} nodes, got {n_nodes}")
@@ -247,19 +221,7 @@ def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
 
 
 def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
-    """All distinct facets of a mesh.
-
-    Parameters
-    ----------
-    elements : (n_elements, dim + 1) array of int
-        At least one, positively oriented.
-    n_nodes : int
-        Number of nodes of the mesh.
-
-    Returns
-    -------
-    FacetTable
-    """
+    """All distinct facets of a mesh."""
     dim = elements.shape[1] - 1
     facets = element_facets(elements).reshape(-1, dim)
     keys = facet_keys(facets, n_nodes)
@@ -285,20 +247,7 @@ def same_orientation(facets: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
-    """Connected parts of a mesh: elements of one body that hang together through facets.
-
-    Parameters
-    ----------
-    table : FacetTable
-        Facets of the mesh.
-    element_body : (n_elements,) array of int
-        Body of each element.
-
-    Returns
-    -------
-    (n_elements,) int array
-        Number of the part.
-    """
+    """Connected parts of a mesh: elements of one body that hang together through facets."""
     inner = table.second >= 0
     a, b = table.first[inner], table.second[inner]
     same = element_body[a] == element_body[b]
@@ -313,22 +262,7 @@ BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "
 
 def distance_to_boundaries(domain: Rectangle | Polygon | Outline | Box, boundaries: Sequence[str],
                            points: np.ndarray) -> np.ndarray:
-    """Distance of points to the nearest of some boundaries of a domain.
-
-    Parameters
-    ----------
-    domain : Rectangle, Polygon, Outline or Box
-        Whose boundaries; arcs count as arcs.
-    boundaries : sequence of str
-        At least one of ``domain.boundaries``.
-    points : (n, dim) array
-        m; in a box, points of the box itself.
-
-    Returns
-    -------
-    (n,) array
-        m.
-    """
+    """Distance of points to the nearest of some boundaries of a domain."""
     distance = np.full(len(points), np.inf)
     if isinstance(domain, Box):
         for name in boundaries:

@@ -58,19 +58,7 @@ def _fill(elements, start, items):
 
 
 def cells_around(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Compressed rows of corners, as ``corners * element + corner``.
-
-    Parameters
-    ----------
-    elements : (n, corners) int32 array
-    n_nodes : int
-
-    Returns
-    -------
-    start : (n_nodes + 1,) int64 array
-    items : (n * corners,) int64 array
-        Those of node i in ``start[i] .. start[i + 1]``, ascending.
-    """
+    """Compressed rows of corners, as ``corners * element + corner``."""
     start, items = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int64)
     _fill(read_only(elements), start, items)
     return start, items
@@ -144,19 +132,7 @@ def _octahedra(points, nodes, octahedra, children):
 
 
 def halved(mesh: MeshArrays) -> MeshArrays:
-    """The mesh with every edge cut in two.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        Positively oriented.
-
-    Returns
-    -------
-    MeshArrays
-        Straight, sound where ``mesh`` is; without source and history. Old nodes keep their numbers; the children of an
-        element (a facet) follow each other.
-    """
+    """The mesh with every edge cut in two."""
     dim, n = mesh.dim, mesh.n_nodes
     ends = _EDGES[dim]
     numbers = np.empty((len(mesh.elements), len(ends)), dtype=np.int32)
@@ -186,20 +162,7 @@ def halved(mesh: MeshArrays) -> MeshArrays:
 
 
 def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
-    """Better shaped elements, of about the same sizes.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        Of one body, positively oriented.
-    rounds : int
-        In each, edges of triangles are swapped until none asks for it, and every inner node is moved once.
-
-    Returns
-    -------
-    MeshArrays
-        With the same nodes and facets; sound where ``mesh`` is; without source and history.
-    """
+    """Better shaped elements, of about the same sizes."""
     held = np.zeros(mesh.n_nodes, dtype=bool)
     held[mesh.facets] = True
     if mesh.dim == 2:
@@ -311,23 +274,7 @@ def _move_nodes_3d(points, cells, start, items, held, kept):
 
 
 def moved_tetrahedra(points: np.ndarray, elements: np.ndarray, held: np.ndarray, rounds: int) -> np.ndarray:
-    """Places of the nodes after some rounds.
-
-    Parameters
-    ----------
-    points : (n_nodes, 3) array
-        m.
-    elements : (n, 4) int32 array
-        Positively oriented.
-    held : (n_nodes,) bool array
-        Nodes that stay.
-    rounds : int
-
-    Returns
-    -------
-    (n_nodes, 3) array
-        m.
-    """
+    """Places of the nodes after some rounds."""
     result = np.array(points)
     start, items = cells_around(elements, len(points))
     for _ in range(rounds):
@@ -472,24 +419,7 @@ def _move_nodes_2d(points, elements, start, items, held, kept):
 
 def improved_triangles(points: np.ndarray, elements: np.ndarray, held: np.ndarray, rounds: int
                        ) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles on the same nodes, these moved, after some rounds of swaps and moves.
-
-    Parameters
-    ----------
-    points : (n_nodes, 2) array
-        m.
-    elements : (n, 3) int32 array
-        Positively oriented; of one body.
-    held : (n_nodes,) bool array
-        Nodes that stay.
-    rounds : int
-
-    Returns
-    -------
-    points : (n_nodes, 2) array
-        m.
-    elements : (n, 3) int32 array
-    """
+    """Triangles on the same nodes, these moved, after some rounds of swaps and moves."""
     points, elements = np.array(points), np.array(elements, dtype=np.int32)
     across = np.full_like(elements, -1)
     _across(elements, np.zeros(len(points) + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int64), across)

@@ -47,15 +47,7 @@ _FACING = -0.5
 
 
 def thickness(outline: Polygon | Outline, sizes: np.ndarray | None = None) -> float:
-    """Smallest distance between two edges that face each other, across the body or a slot; arcs as their chords.
-
-    Parameters
-    ----------
-    outline : Polygon or Outline
-        Edges that meet count with the height of the triangle between them.
-    sizes : (n_edges,) array, optional
-        Then each distance is divided by the smaller size of its two edges.
-    """
+    """Smallest distance between two edges that face each other, across the body or a slot; arcs as their chords."""
     a, owner = outline.chords() if isinstance(outline, Outline) else (np.array(outline.vertices), None)
     edges = np.roll(a, -1, axis=0) - a
     length = np.linalg.norm(edges, axis=1)
@@ -72,16 +64,7 @@ def thickness(outline: Polygon | Outline, sizes: np.ndarray | None = None) -> fl
 
 
 def refuse_thin(domain: Domain, size: float, side_sizes: Mapping[str, float]) -> None:
-    """Raise ValueError if a plane domain or solid is too thin for Netgen or OCC.
-
-    Parameters
-    ----------
-    domain : Rectangle, Polygon, Outline, Box or SolidDomain
-    size : float
-        Largest edge length, m.
-    side_sizes : mapping of str to float
-        Edge lengths along some boundaries, m.
-    """
+    """Raise ValueError if a plane domain or solid is too thin for Netgen or OCC."""
     if not isinstance(domain, Box | SolidDomain):
         outline = domain if isinstance(domain, Outline) else domain.polygon
         sizes = np.array([min(size, side_sizes.get(name, size)) for name in outline.boundaries])
@@ -175,28 +158,7 @@ class NetgenEndless(ValueError):
 
 
 def interruptible(function: Callable[..., Value], *args: Any, limit: float | None = None, **options: Any) -> Value:
-    """Call a function of Netgen or OCC.
-
-    Parameters
-    ----------
-    function : callable
-        Releases Python's lock while it works.
-    *args, **options
-        Its arguments.
-    limit : float, optional
-        Seconds it may take; by default ``_LIMIT_S``.
-
-    Returns
-    -------
-    What it returns; its exceptions are raised here.
-
-    Raises
-    ------
-    NetgenBusy
-        If an earlier call, which was interrupted, is still at work.
-    NetgenEndless
-        If it takes longer than the limit.
-    """
+    """Call a function of Netgen or OCC."""
     for ended in _abandoned[:]:
         if not ended.wait(_PATIENCE):
             raise NetgenBusy("Netgen is still at work on what was interrupted before, and cannot be stopped: wait, or "
@@ -281,18 +243,7 @@ except Exception as error:
 
 
 def check_step(path: Path) -> None:
-    """Raise ValueError unless OCC reads a STEP file in a process of its own.
-
-    Parameters
-    ----------
-    path : Path
-        An existing file.
-
-    Raises
-    ------
-    ValueError
-        If the process ends early, finds solids without a size, or takes longer than a minute and 20 s a megabyte.
-    """
+    """Raise ValueError unless OCC reads a STEP file in a process of its own."""
     data = path.read_bytes()
     key = hashlib.sha256(data).digest()
     if key not in _known:

@@ -48,35 +48,7 @@ NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
                 grading: float, rounds: int) -> MeshArrays:
-    """Mesh a domain by a size field.
-
-    Parameters
-    ----------
-    domain : Rectangle, Polygon, Outline or Box
-        Its boundaries name those of the mesh; of an Outline the mesh has the numbers of its edges instead, until
-        :func:`adaptmg.mesh.netgen_plane.finished`.
-    sizes : callable or sequence of these
-        Points (n, dim) in m -> wanted edge length (n,) in m; a sequence has one for each round, and the meshes before
-        the last are drafts.
-    max_size : float
-        No element is to be larger, m.
-    side_sizes : dict of str to float
-        Edge length along some of the boundaries, m.
-    grading : float
-        Growth of the size per distance.
-    rounds : int
-        How often to mesh again with the sizes at the centroids of the mesh before.
-
-    Returns
-    -------
-    MeshArrays
-        Deterministic: the same arrays for the same arguments.
-
-    Raises
-    ------
-    ValueError
-        If Netgen fails, or the mesh would have more than 5 million nodes (3D: 2 million).
-    """
+    """Mesh a domain by a size field."""
     lower, scale = extent(domain)
     refuse_thin(domain, max_size, side_sizes)
     refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
@@ -219,23 +191,7 @@ _NO_LIMIT = 1e99
 
 def spline_geometry(domain: Rectangle | Polygon | Outline, lower: np.ndarray, scale: float,
                     sides: dict[str, float]) -> SplineGeometry:
-    """Netgen's geometry of a plane domain, moved by ``-lower`` and divided by ``scale``.
-
-    Parameters
-    ----------
-    domain : Rectangle, Polygon or Outline
-        Boundaries get its names; those of an Outline the numbers of its edges.
-    lower : (2,) array
-        m.
-    scale : float
-        m.
-    sides : dict of str to float
-        Edge length along some of the boundaries, in scaled lengths.
-
-    Returns
-    -------
-    netgen.geom2d.SplineGeometry
-    """
+    """Netgen's geometry of a plane domain, moved by ``-lower`` and divided by ``scale``."""
     geometry = SplineGeometry()
     curved = isinstance(domain, Outline)
     vertices = domain.vertices if curved else domain.polygon.vertices
@@ -290,21 +246,7 @@ def straight_area(domain: Rectangle | Polygon | Outline, mesh: MeshArrays) -> fl
 
 
 def onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
-    """The mesh with its boundary nodes exactly on the outline, without source.
-
-    Parameters
-    ----------
-    domain : Outline
-        What was meshed.
-    mesh : MeshArrays
-        Boundaries are the numbers of the edges.
-
-    Returns
-    -------
-    MeshArrays
-        Nodes of arcs are moved along the radius (bisection puts them on chords), corners to the vertices, nodes of
-        horizontal and vertical edges to their coordinate.
-    """
+    """The mesh with its boundary nodes exactly on the outline, without source."""
     points = mesh.points.copy()
     vertices = np.array(domain.vertices)
     for i in range(len(vertices)):

@@ -94,27 +94,13 @@ _NETGEN_ERRORS = (netgen.meshing.NgException, RuntimeError)
 
 @dataclass(frozen=True)
 class SolidSizes:
-    """Edge lengths in a solid.
+    """Edge lengths in a solid."""
 
-    Parameters
-    ----------
-    size : float
-        Largest, m.
-    boundaries : mapping of str to float
-        Along some boundaries, m.
-    grading : float
-        Growth of the edge length per distance, above 0 and at most 1.
-    function : callable or float, optional
-        Points (n, 3) in m -> wanted edge length (n,) in m.
-    curvature : float
-        On curved faces edges are at most their radius of curvature over this, about.
-    """
-
-    size: float
-    boundaries: Mapping[str, float] = field(default_factory=dict)
-    grading: float = 0.3
+    size: float  # largest, m
+    boundaries: Mapping[str, float] = field(default_factory=dict)  # along some boundaries, m
+    grading: float = 0.3  # growth of the edge length per distance, above 0 and at most 1
     function: float | Callable[[np.ndarray], np.ndarray] | None = None
-    curvature: float = CURVATURE
+    curvature: float = CURVATURE  # on curved faces edges are at most their radius of curvature over this, about
 
     def __post_init__(self) -> None:
         for name in ("size", "grading", "curvature"):
@@ -129,19 +115,7 @@ class SolidSizes:
 
     def field(self, points: np.ndarray, mesh: MeshArrays, groups: Mapping[str, list[str]], floor: float = 0.0
               ) -> np.ndarray:
-        """Wanted edge lengths (n,), m, at points (n, 3).
-
-        Parameters
-        ----------
-        points : (n, 3) array
-            m.
-        mesh : MeshArrays
-            Distances are taken to nodes and centroids of its boundary facets.
-        groups : mapping of str to list of str
-            For each boundary of ``boundaries``, its parts among the boundaries of ``mesh``.
-        floor : float
-            Lengths below are raised: those of boundaries by a power of two, so that bisection makes it up exactly.
-        """
+        """Wanted edge lengths (n,), m, at points (n, 3)."""
         wanted = np.full(len(points), self.size)
         if self.function is not None:
             values = checks.field("size_function", self.function, points)
@@ -222,28 +196,7 @@ def scaled_shape(domain: SolidDomain | Box) -> tuple[Solid, list[str], np.ndarra
 
 def shape_mesh(shape: Solid, names: list[str], lower: np.ndarray, scale: float, sizes: SolidSizes, domain: Domain
                ) -> MeshArrays:
-    """Mesh one OCC solid.
-
-    Parameters
-    ----------
-    shape : netgen.occ.Solid
-        Of about unit size; the names and sizes of its faces are overwritten.
-    names : list of str
-        Of its faces.
-    lower : (3,) array
-        Where the origin of the shape lies, m.
-    scale : float
-        Unit length of the shape, m.
-    sizes : SolidSizes
-        Its boundaries are among the names.
-    domain : Domain
-        For messages.
-
-    Returns
-    -------
-    MeshArrays
-        Without source; not yet checked after its nodes have been put onto planes.
-    """
+    """Mesh one OCC solid."""
     groups: dict[str, list[str]] = {name: [] for name in sizes.boundaries}
     # cut off where powers of it would overflow
     cells = shape.mass * min(scale / sizes.size, _ENDLESS) ** 3
@@ -333,28 +286,7 @@ _ZERO = np.zeros(3)
 
 
 def occ_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> Solid:
-    """Build a solid.
-
-    Parameters
-    ----------
-    domain : SolidDomain or Box
-        What to build.
-    origin : (3,) array
-        Where the origin of the shape is to lie, m.
-    scale : float
-        Unit length of the shape, m.
-
-    Returns
-    -------
-    netgen.occ.Solid
-        A new shape; its faces have the names of the domain's boundaries.
-
-    Raises
-    ------
-    TypeError, ValueError
-        For another kind of domain, a profile that crosses itself, or a combination that fails, leaves nothing or leaves
-        several pieces.
-    """
+    """Build a solid."""
     shape = _shape(domain, np.asarray(origin, dtype=np.float64), float(scale))
     if len(shape.solids) != 1:
         what = "nothing" if len(shape.solids) == 0 else f"{len(shape.solids)} pieces"

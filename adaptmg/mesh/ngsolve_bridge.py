@@ -217,36 +217,7 @@ def _check_simplices(types: np.ndarray, allowed: tuple[int, ...]) -> None:
 
 def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_index: np.ndarray,
                facet_names: Sequence[str], body_index: np.ndarray, body_names: Sequence[str]) -> MeshArrays:
-    """MeshArrays from raw tables.
-
-    Elements are oriented positively, in whatever order their nodes are given (whether the mesh is folded over is seen
-    from where neighbours lie, by :func:`adaptmg.mesh.check_mesh`), boundary facets outwards; points of no element,
-    facets between two elements and names of nothing are dropped; what has the same name becomes one boundary or body.
-    The order of nodes, elements and facets is kept.
-
-    Parameters
-    ----------
-    points : (n_points, dim) array
-        m.
-    elements : (n_elements, dim + 1) array of int
-        In any orientation.
-    facets : (n_facets, dim) array of int
-        In any orientation; may hold facets inside the mesh.
-    facet_index, body_index : (n_facets,), (n_elements,) array of int
-        Index into the names.
-    facet_names, body_names : sequence of str
-        Names, possibly repeated or unused.
-
-    Returns
-    -------
-    MeshArrays
-        Without source and not yet checked, see :func:`adaptmg.mesh.with_source`.
-
-    Raises
-    ------
-    ValueError
-        If there are no elements, or nodes out of range.
-    """
+    """MeshArrays from raw tables."""
     if len(elements) == 0:
         raise ValueError("the mesh has no elements")
     for name, array in (("elements", elements), ("facets", facets)):

@@ -247,13 +247,7 @@ def _first_odd(words: list[bytes], kind: type) -> str:
 
 
 def check_gmsh_file(path: Path) -> None:
-    """Raise ValueError unless the sections of a ``.msh`` file are whole and its elements name nodes that it holds.
-
-    Parameters
-    ----------
-    path : Path
-        An existing file, MSH 2.2 or 4.1, text or binary.
-    """
+    """Raise ValueError unless the sections of a ``.msh`` file are whole and its elements name nodes that it holds."""
     data = path.read_bytes()
     try:
         version, binary = _format(data)
@@ -424,25 +418,7 @@ _COUNT = re.compile(rb"\d{1,10}")
 
 
 def from_netgen_file(path: Path) -> MeshArrays:
-    """Read a mesh of Netgen.
-
-    Parameters
-    ----------
-    path : Path
-        A ``.vol`` or ``.vol.gz`` file of triangles in the plane or of tetrahedra. Of second-order elements the corners
-        are read, curved ones become straight.
-
-    Returns
-    -------
-    MeshArrays
-        With its source, as of :func:`adaptmg.mesh.from_ngsolve`.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, cut off or another file, has other elements, or is not sound
-        (:func:`adaptmg.mesh.check_mesh`).
-    """
+    """Read a mesh of Netgen."""
     file = _File(path)
     dim = file.single("dimension")
     if dim not in (2, 3):

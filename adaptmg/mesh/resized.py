@@ -52,18 +52,10 @@ _FLAT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class PointSizes:
-    """Wanted edge lengths at points, so dense that sizes between them need not be known.
+    """Wanted edge lengths at points, so dense that sizes between them need not be known."""
 
-    Parameters
-    ----------
-    points : (n, dim) array
-        m.
-    sizes : (n,) array
-        m, > 0.
-    """
-
-    points: np.ndarray
-    sizes: np.ndarray
+    points: np.ndarray  # (n, dim): m
+    sizes: np.ndarray  # (n,): m, > 0
 
     def __post_init__(self) -> None:
         points, sizes = (np.asarray(a, dtype=np.float64) for a in (self.points, self.sizes))
@@ -99,29 +91,7 @@ class PointSizes:
 
 def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, grading: float = 0.3,
             refinements: int = 0) -> MeshArrays:
-    """Mesh a domain by sizes at points.
-
-    Parameters
-    ----------
-    domain : Rectangle, Polygon, Outline, Box, Cylinder, Cut or another solid, Assembly of these, or StepFile
-        What to mesh.
-    sizes : PointSizes; of several bodies a mapping of str to these
-        For each body.
-    grading : float
-        Growth of the edge length per distance that Netgen allows, above 0 and at most 1.
-    refinements : int
-        How often a coarser mesh of Netgen is refined uniformly, >= 0 (module docstring).
-
-    Returns
-    -------
-    MeshArrays
-        With its source; the same arrays for the same arguments. See :func:`adaptmg.mesh.graded` for arcs and bodies.
-
-    Raises
-    ------
-    TypeError, ValueError
-        On an unknown domain, bodies without sizes, or where Netgen fails.
-    """
+    """Mesh a domain by sizes at points."""
     refinements = checks.integer("refinements", refinements, 0)
     grading = checks.positive("grading", grading)
     if isinstance(domain, Assembly):

@@ -234,23 +234,7 @@ _DEEP = 0.05
 
 
 def check_overlap(mesh: MeshArrays) -> MeshArrays:
-    """Return the mesh if none of its bodies lies over itself.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        One that :func:`adaptmg.mesh.check_mesh` has passed.
-
-    Returns
-    -------
-    MeshArrays
-        The same object.
-
-    Raises
-    ------
-    ValueError
-        Elements wind more than once around a node or edge, or the boundary lies inside elements of its body.
-    """
+    """Return the mesh if none of its bodies lies over itself."""
     total, corners = _turns(mesh)
     if total.max() > 2 * np.pi * (1 + 1e-6):
         k = int(np.argmax(total))

@@ -59,31 +59,7 @@ def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float]
 def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, grading: float = 0.3,
               size_function: float | Callable[[np.ndarray], np.ndarray] | None = None, *, curvature: float = 2.0
               ) -> MeshArrays:
-    """Mesh the solids of a STEP file with straight tetrahedra, each solid apart.
-
-    Parameters
-    ----------
-    domain : StepFile
-        What to mesh.
-    size : float or mapping of str to float
-        Largest edge length, m; for all solids, or for each by its name.
-    boundary_sizes : mapping of str to float, optional
-        Edge length along some boundaries "solid.face", m.
-    grading, size_function, curvature
-        As of :func:`adaptmg.mesh.netgen_solid.solid_mesh`.
-
-    Returns
-    -------
-    MeshArrays
-        The solids are its bodies, in the order of the file; boundaries are called "solid.face". With its source.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    TypeError, ValueError
-        If it cannot be read, has no solids, on unknown names, bad sizes, or where Netgen fails.
-    """
+    """Mesh the solids of a STEP file with straight tetrahedra, each solid apart."""
     if not isinstance(domain, StepFile):
         raise TypeError(f"domain must be a StepFile, got {domain!r}")
     solids, contents = _read(domain)

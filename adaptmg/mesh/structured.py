@@ -234,20 +234,7 @@ def _starts(counts: Iterable[int]) -> np.ndarray:
 
 
 def per_body(name: str, value: Value | Mapping[str, Value], bodies: Sequence[str]) -> dict[str, Value]:
-    """An argument for each body.
-
-    Parameters
-    ----------
-    name : str
-        Of the argument, for messages.
-    value : anything, or a mapping of str to it
-        The same for all bodies, or one for each by its name.
-    bodies : sequence of str
-
-    Returns
-    -------
-    dict of str to the value
-    """
+    """An argument for each body."""
     if not isinstance(value, Mapping):
         return dict.fromkeys(bodies, value)
     if set(value) != set(bodies):

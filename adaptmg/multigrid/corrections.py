@@ -66,53 +66,21 @@ __all__ = ["Correction", "CorrectionLevel", "CorrectionLevels", "InitialContact"
 
 @dataclass(frozen=True, eq=False)
 class InitialContact:
-    """What the first solution on a level leaves behind (the paper's U0 and G0).
+    """What the first solution on a level leaves behind (the paper's U0 and G0)."""
 
-    Attributes
-    ----------
-    slip : (n_contact, dim - 1) array
-        m.
-    limit : (n_contact,) array
-        Sliding limit, N.
-    """
-
-    slip: np.ndarray
-    limit: np.ndarray
+    slip: np.ndarray  # (n_contact, dim - 1): m
+    limit: np.ndarray  # (n_contact,): sliding limit, N
 
 
 class Correction(Protocol):
-    """How contact data go to the next coarser level.
-
-    Attributes
-    ----------
-    needs_initial : bool
-        Whether the first coarse solutions must be computed and passed as ``initial``.
-    """
+    """How contact data go to the next coarser level."""
 
     @property
     def needs_initial(self) -> bool: ...
 
     def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coarse gap D, slip U and limit G.
-
-        Parameters
-        ----------
-        reach : Supports
-            Which fine contact nodes interpolate from each coarse one, and with which weights.
-        opening : (n_contact fine,) array
-            g0 - u_n >= 0, m.
-        slip : (n_contact fine, dim - 1) array
-            m.
-        limit : (n_contact fine,) array
-            Sliding limit, N.
-        initial : InitialContact or None
-            Of the coarse level.
-
-        Returns
-        -------
-        gap (n_contact coarse,), slip (n_contact coarse, dim - 1), limit (n_contact coarse,)
-        """
+        """Coarse gap D, slip U and limit G."""
 
 
 class Recorder(Protocol):
@@ -160,22 +128,12 @@ def _transported(correction: Correction, coarse: LocalSystem, found: object) -> 
 
 @dataclass(eq=False)
 class CorrectionLevel:
-    """One level of the coarse correction.
+    """One level of the coarse correction."""
 
-    Attributes
-    ----------
-    system : LocalSystem
-        Matrix on this level, local components.
-    prolongation, restriction : bsr_array or None
-        From the next coarser level (n_dofs, n_dofs coarse), and its transpose; None on the coarsest.
-    contact_prolongation : csr_array (n_contact, n_contact coarse) or None
-        Weights between contact nodes.
-    """
-
-    system: LocalSystem
+    system: LocalSystem  # matrix on this level, local components
     prolongation: sparse.bsr_array | None = None
     restriction: sparse.bsr_array | None = None
-    contact_prolongation: sparse.csr_array | None = None
+    contact_prolongation: sparse.csr_array | None = None  # csr_array (n_contact, n_contact coarse) or None
 
     @cached_property
     def supports(self) -> Supports:
@@ -194,17 +152,10 @@ class CorrectionLevel:
 
 @dataclass(eq=False)
 class CorrectionLevels:
-    """Levels, coarsest first, below one fine problem.
-
-    Attributes
-    ----------
-    levels : list of CorrectionLevel
-    fine : LocalProblem
-        The problem on the last level.
-    """
+    """Levels, coarsest first, below one fine problem."""
 
     levels: list[CorrectionLevel]
-    fine: LocalProblem
+    fine: LocalProblem  # the problem on the last level
 
     def __len__(self) -> int:
         return len(self.levels)
@@ -220,19 +171,7 @@ class CorrectionLevels:
 
 def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
                       coarse_matrices: str = "galerkin") -> CorrectionLevels:
-    """Level ``finest`` of a hierarchy and those below it.
-
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-    problems : list of LocalProblem
-        Its levels in local components, coarsest first.
-    finest : int
-        Level number, 0 = coarsest.
-    coarse_matrices : {"galerkin", "discretised"}
-        Where the coarse matrices come from; on nested meshes both are the same. Only Galerkin matrices make the
-        monotone correction provable.
-    """
+    """Level ``finest`` of a hierarchy and those below it."""
     fine = problems[finest]
     levels = [CorrectionLevel(fine.system)]
     for k in range(finest, 0, -1):

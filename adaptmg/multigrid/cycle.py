@@ -81,21 +81,7 @@ class Cycle:
 
 @dataclass(eq=False)
 class MultigridCycle:
-    """Cycles on the levels of a coarse correction; all they change they change in place.
-
-    Parameters
-    ----------
-    levels : CorrectionLevels
-    options : Cycle
-    smoother : Smoother
-    correction : Correction
-    coarse : CoarseSolve
-    recorder : Recorder
-    initial : list of InitialContact or None
-        By level, where the correction needs it.
-    condensed : Condensation or None
-        The coarsest matrix condensed to its contact dofs, where the coarse solve wants that.
-    """
+    """Cycles on the levels of a coarse correction; all they change they change in place."""
 
     levels: CorrectionLevels
     options: Cycle
@@ -103,7 +89,7 @@ class MultigridCycle:
     correction: Correction
     coarse: CoarseSolve
     recorder: Recorder
-    initial: list[InitialContact] = field(default_factory=list)
+    initial: list[InitialContact] = field(default_factory=list)  # by level, where the correction needs it
     condensed: Condensation | None = None
 
     #: cycles of a 'complete' coarse solution at most
@@ -299,20 +285,7 @@ def project(local: LocalProblem, unknowns: np.ndarray) -> None:
 
 def prolonged_start(nodal: sparse.csr_array, coarse: LocalProblem, unknowns: np.ndarray,
                     fine: LocalProblem) -> np.ndarray:
-    """Interpolate a coarse solution (primal values, all Cartesian components) to the next finer level.
-
-    Parameters
-    ----------
-    nodal : csr_array (n_nodes fine, n_nodes coarse)
-    coarse, fine : LocalProblem
-    unknowns : (n_dofs coarse,) array
-        Local components on the coarse level.
-
-    Returns
-    -------
-    (n_dofs fine,) array
-        Local components, prescribed values and gaps respected.
-    """
+    """Interpolate a coarse solution (primal values, all Cartesian components) to the next finer level."""
     result = fine.to_local(nodal @ coarse.to_cartesian(unknowns))
     project(fine, result)
     return result

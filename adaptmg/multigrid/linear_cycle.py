@@ -41,31 +41,14 @@ class LevelVectors:
 
 @dataclass(eq=False)
 class LinearCycle:
-    """V-cycles for the linear problem on any of the levels.
+    """V-cycles for the linear problem on any of the levels."""
 
-    Parameters
-    ----------
-    levels : list of SplitMatrix
-        Coarsest first.
-    prolongations : list of csr_array
-        Between neighbours, of nodes (n_nodes, n_nodes coarse) or of dofs (n_dofs, n_dofs coarse).
-    recorder : Recorder
-        Counts passes, and notes the way.
-    sweeps : sequence of int
-        By level, smoothing before and after the coarse correction: 1 (forward, then backward; 2 passes a level) or 2
-        (symmetric both times; 3 passes).
-    coarse_solve : LinearSolve, optional
-        In place of LU factors on the coarsest level.
-    coarse_smoother : LinearSmoother, optional
-        In place of the symmetric sweeps.
-    """
-
-    levels: list[SplitMatrix]
+    levels: list[SplitMatrix]  # coarsest first
     prolongations: list[sparse.csr_array]
-    recorder: Recorder
+    recorder: Recorder  # counts passes, and notes the way
     sweeps: Sequence[int]
-    coarse_solve: LinearSolve | None = None
-    coarse_smoother: LinearSmoother | None = None
+    coarse_solve: LinearSolve | None = None  # in place of LU factors on the coarsest level
+    coarse_smoother: LinearSmoother | None = None  # in place of the symmetric sweeps
     factors: CoarseFactors = field(init=False)
 
     def __post_init__(self) -> None:
@@ -153,12 +136,6 @@ class LinearCycle:
 class CoarseFactors:
     """Solves with the coarsest matrix; a singular one is shifted by a small part of its diagonal before it is
     factorised, dense or sparse by its size.
-
-    Parameters
-    ----------
-    level : SplitMatrix
-    own : LinearSolve, optional
-        Solves in place of the factors.
     """
 
     #: a pivot below this times the largest means singular, and the shift that mends it, over the diagonal

@@ -277,32 +277,7 @@ def _alone_blocks(dim, nodes, indptr, columns, blocks, diagonal, follow_indptr, 
 
 
 class Interface:
-    """Nodes within ``LAYERS`` edges of the graph of the matrix from the slave nodes (master nodes are neighbours).
-
-    Parameters
-    ----------
-    level : SplitMatrix
-        Only its lower half and its diagonal blocks are read.
-    coupling : Coupling
-
-    Attributes
-    ----------
-    nodes : (n,) int32 array
-        Ascending.
-    indptr, indices, blocks : arrays
-        Their rows of the matrix without diagonal blocks; columns are nodes, blocks flat.
-    diagonal : (n * dim * dim,) array
-        Diagonal blocks.
-    follow_indptr, followers, follow_weights : arrays
-        Slave nodes that follow each node, as positions in ``nodes``, and their weights by component (zero where the
-        slave is fixed), flat.
-    alone : (n * dim * dim,) array
-        Inverse blocks of each node moved without its followers.
-    forward, backward : (n,) int32 arrays
-        Positions in the order of sweeps.
-    nonzeros : int
-        Entries of the rows, what a sweep reads.
-    """
+    """Nodes within ``LAYERS`` edges of the graph of the matrix from the slave nodes (master nodes are neighbours)."""
 
     #: one layer does nearly as well, more than two gain nothing
     LAYERS = 2

@@ -48,31 +48,15 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
 
 @dataclass(eq=False)
 class RigidContact:
-    """The contact nodes between two steps.
+    """The contact nodes between two steps."""
 
-    Attributes
-    ----------
-    motions : (n, dim, m) array
-        N_i, T_i: local values of the rigid motions.
-    values : (n, dim) array
-        Local unknowns, those of the level: steps change them.
-    gap : (n,) array
-    reference : (n, dim - 1) array
-        Of the slip.
-    limit, friction, pressure : (n,) arrays
-        s, mu and p.
-    factor : float
-        What g is multiplied by: pressures that are not settled may give a friction that cannot hold the body, and an
-        energy without minimum.
-    """
-
-    motions: np.ndarray
-    values: np.ndarray
-    gap: np.ndarray
-    reference: np.ndarray
-    limit: np.ndarray
-    friction: np.ndarray
-    pressure: np.ndarray
+    motions: np.ndarray  # (n, dim, m): N_i, T_i: local values of the rigid motions
+    values: np.ndarray  # (n, dim): local unknowns, those of the level: steps change them
+    gap: np.ndarray  # (n,)
+    reference: np.ndarray  # (n, dim - 1): of the slip
+    limit: np.ndarray  # (n,)s: s, mu and p
+    friction: np.ndarray  # (n,)s: s, mu and p
+    pressure: np.ndarray  # (n,)s: s, mu and p
     factor: float = 1.0
 
     #: share of F to which a minimum balances the forces; in 2D only a node that holds the body will do
@@ -115,20 +99,7 @@ class RigidContact:
         return null_combinations(np.concatenate([self.motions[closed, 0], self.motions[held, 1:].reshape(-1, count)]))
 
     def step(self, free: np.ndarray, work: np.ndarray) -> np.ndarray | None:
-        """Take one step.
-
-        Parameters
-        ----------
-        free : (m, j) array
-            From :meth:`free`, not empty.
-        work : (m,) array
-            Of the load on the motions, F.
-
-        Returns
-        -------
-        (m,) array or None
-            None if this is the minimum, or there is none.
-        """
+        """Take one step."""
         resistance = np.where(self.resists, self.limit + np.where(self.closed, self.friction * self.pressure, 0.0), 0.0)
         tangents, force = self.motions[:, 1:] @ free, free.T @ work
         enough = self.BALANCED[self.values.shape[1]] * np.linalg.norm(force)
@@ -191,28 +162,14 @@ class RigidContact:
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """The energy along a direction d.
+    """The energy along a direction d."""
 
-    Attributes
-    ----------
-    slip, change : (n, dim - 1) arrays
-        tau and T d.
-    speed : (n,) array
-        |T d|.
-    bound : (n,) array
-        g, zero where friction does not act or the node does not move.
-    work : float
-        F.d.
-    stops : (n,) array
-        Lengths at which open nodes close.
-    """
-
-    slip: np.ndarray
-    change: np.ndarray
-    speed: np.ndarray
-    bound: np.ndarray
-    work: float
-    stops: np.ndarray
+    slip: np.ndarray  # (n, dim - 1)s: tau and T d
+    change: np.ndarray  # (n, dim - 1)s: tau and T d
+    speed: np.ndarray  # (n,): |T d|
+    bound: np.ndarray  # (n,): g, zero where friction does not act or the node does not move
+    work: float  # F.d
+    stops: np.ndarray  # (n,): lengths at which open nodes close
 
     @classmethod
     def along(cls, contact: RigidContact, bound: np.ndarray, change: np.ndarray, across: np.ndarray,
@@ -269,26 +226,13 @@ class _Line:
 
 @dataclass(eq=False)
 class RigidMotions:
-    """The rigid motions of one level that its supports leave free.
-
-    Attributes
-    ----------
-    problem : DiscreteProblem
-    contact : TruncatedContact
-        Its values are kept equal to the unknowns.
-    load : (n_dofs,) array
-        f.
-    coefficients : (k, m) array
-        Of the motions, in the columns of ``problem.near_nullspace``.
-    at_contact : (n_contact, dim, m) array
-        Their local values N_i, T_i at the contact nodes.
-    """
+    """The rigid motions of one level that its supports leave free."""
 
     problem: DiscreteProblem
-    contact: TruncatedContact
-    load: np.ndarray
-    coefficients: np.ndarray
-    at_contact: np.ndarray
+    contact: TruncatedContact  # its values are kept equal to the unknowns
+    load: np.ndarray  # (n_dofs,): f
+    coefficients: np.ndarray  # (k, m): of the motions, in the columns of problem.near_nullspace
+    at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
     _work: np.ndarray | None = field(default=None, init=False)
 
     #: steps at most
@@ -308,22 +252,7 @@ class RigidMotions:
                    np.einsum("nij,njk->nik", contact.frames.reshape(-1, dim, dim), cartesian))
 
     def settle(self, unknowns: np.ndarray, past: list[np.ndarray], defect: np.ndarray) -> int:
-        """Move to the least energy, in place.
-
-        Parameters
-        ----------
-        unknowns : (n_dofs,) array
-            Cartesian, admissible, those of the contact.
-        past : list of (n_dofs,) arrays
-            Iterates that are moved alike.
-        defect : (n_dofs,) array
-            f - A u.
-
-        Returns
-        -------
-        int
-            Steps taken; 0 if the contact status leaves no motion free.
-        """
+        """Move to the least energy, in place."""
         contact = RigidContact.of(self.contact, self.at_contact, defect)
         total, steps = np.zeros(self.at_contact.shape[2]), 0
         while steps < self.STEPS:

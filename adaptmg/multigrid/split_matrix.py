@@ -26,35 +26,19 @@ __all__ = ["SplitMatrix", "count", "decouple", "distribute", "galerkin_levels", 
 
 @dataclass(eq=False)
 class SplitMatrix:
-    """A matrix of ``dim`` x ``dim`` blocks in Cartesian components, fixed dofs eliminated.
-
-    Attributes
-    ----------
-    dim : int
-    lower_indptr, upper_indptr : (n_nodes + 1,) int32 arrays
-    lower_indices, upper_indices : uint32 arrays
-        Block columns, ascending in a row.
-    lower, upper : float64 arrays
-        Blocks, row by row, flat. All three arrays of the upper half are empty where it is the transpose of the lower.
-    diagonal, inverse : (n_nodes * dim * dim,) arrays
-        Diagonal blocks and their inverses, flat; :meth:`drop_diagonal` empties ``diagonal`` when it is of no more use.
-    fixed : (n_fixed,) int64 array
-        Fixed dofs.
-    nonzeros : int
-        Stored entries of the whole matrix, the unit of work on this level.
-    """
+    """A matrix of ``dim`` x ``dim`` blocks in Cartesian components, fixed dofs eliminated."""
 
     dim: int
-    lower_indptr: np.ndarray
-    lower_indices: np.ndarray
-    lower: np.ndarray
-    upper_indptr: np.ndarray
-    upper_indices: np.ndarray
-    upper: np.ndarray
-    diagonal: np.ndarray
-    inverse: np.ndarray
-    fixed: np.ndarray
-    nonzeros: int
+    lower_indptr: np.ndarray  # (n_nodes + 1,) int32s
+    lower_indices: np.ndarray  # block columns, ascending in a row
+    lower: np.ndarray  # blocks, row by row, flat
+    upper_indptr: np.ndarray  # (n_nodes + 1,) int32s
+    upper_indices: np.ndarray  # block columns, ascending in a row
+    upper: np.ndarray  # blocks, row by row, flat
+    diagonal: np.ndarray  # (n_nodes * dim * dim,)s
+    inverse: np.ndarray  # (n_nodes * dim * dim,)s
+    fixed: np.ndarray  # (n_fixed,) int64: fixed dofs
+    nonzeros: int  # stored entries of the whole matrix, the unit of work on this level
 
     @property
     def n_nodes(self) -> int:
@@ -120,20 +104,7 @@ class SplitMatrix:
 
 
 def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) -> SplitMatrix:
-    """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed.
-
-    Parameters
-    ----------
-    matrix : bsr_array (n_dofs, n_dofs)
-        Square blocks; columns sorted in each row.
-    fixed : (n_dofs,) bool array
-    symmetric : bool
-        Store L alone, and take its transpose for U.
-
-    Returns
-    -------
-    SplitMatrix
-    """
+    """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed."""
     dim = matrix.blocksize[0]
     n = matrix.shape[0] // dim
     indptr, indices, data = read_only(matrix.indptr), read_only(matrix.indices), matrix.data.reshape(-1)

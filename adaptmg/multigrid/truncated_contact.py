@@ -31,19 +31,11 @@ __all__ = ["StatusChange", "TruncatedContact", "classify", "count_cut", "directi
 
 @dataclass(frozen=True)
 class StatusChange:
-    """What an update of the contact status finds.
+    """What an update of the contact status finds."""
 
-    Attributes
-    ----------
-    changed : int
-        Nodes whose status differs from that of the last update.
-    natural, reactions : float
-        Sums of squares of the natural residual and of the contact forces, N^2.
-    """
-
-    changed: int
-    natural: float
-    reactions: float
+    changed: int  # nodes whose status differs from that of the last update
+    natural: float  # sums of squares of the natural residual and of the contact forces, N^2
+    reactions: float  # sums of squares of the natural residual and of the contact forces, N^2
 
 
 @dataclass(eq=False)
@@ -51,51 +43,27 @@ class TruncatedContact:
     """Contact data and contact status of one level, flat as the kernels read them.
 
     The kernels are those of :mod:`adaptmg.multigrid.truncated_contact`.
-
-    Attributes
-    ----------
-    dim : int
-    nodes : (n_contact,) int32 array
-    contact_of : (n_nodes,) int32 array
-        Index of a node among the contact nodes, or -1.
-    frames : (n_contact * dim * dim,) array
-    diagonal : (n_contact * dim * dim,) array
-        Cartesian diagonal blocks.
-    blocks : (n_contact * dim * (dim + 1) / 2,) array
-        Upper triangles of the local ones.
-    gap, limit, friction : (n_contact,) arrays
-    reference : (n_contact * (dim - 1),) array
-    values : (n_contact * dim,) array
-        Local unknowns.
-    codes : (n_contact,) int8 array
-        Of :mod:`adaptmg.smoother.system`; -1 before the first update.
-    pressure : (n_contact,) array
-        p >= 0, N.
-    direction, hessian : (n_contact * (dim - 1),), (n_contact * (dim - 1)^2,) arrays
-        Of the slip, as the matrices have them.
-    driven : (k,) int array
-        Nodes that slip along a first tangent which a support holds.
     """
 
     #: share of the contact nodes that a recombination may cut
     FEW: ClassVar[float] = 0.02
 
     dim: int
-    nodes: np.ndarray
-    contact_of: np.ndarray
-    frames: np.ndarray
-    diagonal: np.ndarray
-    blocks: np.ndarray
-    gap: np.ndarray
-    reference: np.ndarray
-    limit: np.ndarray
-    friction: np.ndarray
-    values: np.ndarray
-    codes: np.ndarray
-    pressure: np.ndarray
-    direction: np.ndarray
-    hessian: np.ndarray
-    driven: np.ndarray
+    nodes: np.ndarray  # (n_contact,) int32
+    contact_of: np.ndarray  # (n_nodes,) int32: index of a node among the contact nodes, or -1
+    frames: np.ndarray  # (n_contact * dim * dim,)
+    diagonal: np.ndarray  # (n_contact * dim * dim,): cartesian diagonal blocks
+    blocks: np.ndarray  # (n_contact * dim * (dim + 1) / 2,): upper triangles of the local ones
+    gap: np.ndarray  # (n_contact,)s
+    reference: np.ndarray  # (n_contact * (dim - 1),)
+    limit: np.ndarray  # (n_contact,)s
+    friction: np.ndarray  # (n_contact,)s
+    values: np.ndarray  # (n_contact * dim,): local unknowns
+    codes: np.ndarray  # (n_contact,) int8: of system; -1 before the first update
+    pressure: np.ndarray  # (n_contact,): p >= 0, N
+    direction: np.ndarray  # (n_contact * (dim - 1),), (n_contact * (dim - 1)^2,)s
+    hessian: np.ndarray  # (n_contact * (dim - 1),), (n_contact * (dim - 1)^2,)s: of the slip, as the matrices have them
+    driven: np.ndarray  # (k,) int: nodes that slip along a first tangent which a support holds
 
     @classmethod
     def of(cls, problem: DiscreteProblem, level: SplitMatrix) -> TruncatedContact:

@@ -40,46 +40,15 @@ __all__ = ["Recombination", "StepState", "TruncatedStep", "line_minimum"]
 
 @dataclass(frozen=True)
 class StepState:
-    """What is known of an iterate after smoothing.
+    """What is known of an iterate after smoothing."""
 
-    Attributes
-    ----------
-    changed : int
-        Contact nodes whose status changed.
-    residual : float
-        Euclidean norm of the natural residual, N.
-    reactions : float
-        Norm of the contact forces, N.
-    """
-
-    changed: int
-    residual: float
-    reactions: float
+    changed: int  # contact nodes whose status changed
+    residual: float  # euclidean norm of the natural residual, N
+    reactions: float  # norm of the contact forces, N
 
 
 class TruncatedStep:
-    """Steps on level ``number`` of the levels of a linear cycle, with contact.
-
-    Parameters
-    ----------
-    cycle : LinearCycle
-        Levels and coarse cycles.
-    number : int
-        >= 1.
-    contact : TruncatedContact
-    load : (n_dofs,) array
-        Cartesian, zero at fixed dofs.
-    unknowns : (n_dofs,) array
-        Start, Cartesian, counted from the prescribed values; admissible.
-    depth : int
-        Of the recombination.
-    motions : RigidMotions, optional
-        Those that contact alone holds.
-    interface : Interface, optional
-        Between bodies.
-    interface_sweeps : int
-        Local sweeps over it after each smoothing.
-    """
+    """Steps on level ``number`` of the levels of a linear cycle, with contact."""
 
     def __init__(self, cycle: LinearCycle, number: int, contact: TruncatedContact, load: np.ndarray,
                  unknowns: np.ndarray, depth: int, motions: RigidMotions | None = None,
@@ -252,15 +221,7 @@ def _combined(now, first, second, alpha_1, alpha_2, result):
 
 
 class Recombination:
-    """The last restricted residuals of one level.
-
-    Parameters
-    ----------
-    dim, n_dofs : int
-        Of the next coarser level.
-    depth : int
-        Iterates recombined besides the present one, 0 to 2.
-    """
+    """The last restricted residuals of one level."""
 
     #: the normal equations count as singular below this relative determinant
     SINGULAR = 1e-10

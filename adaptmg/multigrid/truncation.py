@@ -78,19 +78,7 @@ class _ChangedDofs:
 
 
 class DofUpdate:
-    """Carries changed blocks down scalar levels.
-
-    Parameters
-    ----------
-    levels : list of SplitMatrix
-        The coarse levels, coarsest first, of blocks of size 1.
-    prolongations : list of csr_array
-        From each of them to the next finer level (n_dofs, n_dofs coarse).
-    dim : int
-        Block size of the finest level.
-    rows, columns : int32 arrays
-        Of the changed blocks there.
-    """
+    """Carries changed blocks down scalar levels."""
 
     def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], dim: int, rows: np.ndarray,
                  columns: np.ndarray) -> None:
@@ -157,17 +145,7 @@ class _ChangedBlocks:
 
 
 class NodalUpdate:
-    """Carries changed blocks down the levels by nodal prolongations, through lists of products made once.
-
-    Parameters
-    ----------
-    levels : list of SplitMatrix
-        The coarse levels, coarsest first.
-    prolongations : list of csr_array
-        From each of them to the next finer level, nodal.
-    rows, columns : int32 arrays
-        Of the changed blocks on the finest level.
-    """
+    """Carries changed blocks down the levels by nodal prolongations, through lists of products made once."""
 
     def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], rows: np.ndarray,
                  columns: np.ndarray) -> None:
@@ -220,18 +198,7 @@ def _products(level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, col
 
 
 class Truncation:
-    """Keeps the matrices of the levels below one level as the contact status of that level demands.
-
-    Parameters
-    ----------
-    levels : list of SplitMatrix
-        Coarsest first; the last is the level of the contact nodes. The others are changed in place and must come with
-        their base matrices, of which ``P' A P`` is the pattern at least near contact.
-    prolongations : list of csr_array
-        Between neighbours, all of nodes or all of dofs.
-    contact : TruncatedContact
-        The contact nodes of the last level, whose matrix is taken as symmetric.
-    """
+    """Keeps the matrices of the levels below one level as the contact status of that level demands."""
 
     def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array],
                  contact: TruncatedContact) -> None:

@@ -168,39 +168,17 @@ _AROUND = 0.5
 
 @dataclass(frozen=True)
 class Flat:
-    """A contact surface in the plane.
+    """A contact surface in the plane."""
 
-    Attributes
-    ----------
-    index : (n,) int array
-        Into the contact arrays.
-    points : (n, 2) array
-        In the units of the labels.
-    triangles : (m, 3) int array or None
-        Numbers within ``index``; None without a mesh.
-    labels : pair of str
-        Of the axes.
-    equal : bool
-        Whether both axes have the same scale (not for an angle and a length).
-    """
-
-    index: np.ndarray
-    points: np.ndarray
-    triangles: np.ndarray | None
-    labels: tuple[str, str]
-    equal: bool = True
+    index: np.ndarray  # (n,) int: into the contact arrays
+    points: np.ndarray  # (n, 2): in the units of the labels
+    triangles: np.ndarray | None  # (m, 3) int or None: numbers within index; None without a mesh
+    labels: tuple[str, str]  # of the axes
+    equal: bool = True  # whether both axes have the same scale (not for an angle and a length)
 
 
 def flattened(result: Result, boundary: str) -> Flat:
-    """The contact nodes of a boundary in the plane.
-
-    Parameters
-    ----------
-    result : Result
-        Three-dimensional.
-    boundary : str
-        Contact boundary.
-    """
+    """The contact nodes of a boundary in the plane."""
     c = result.contact
     index = np.flatnonzero(c.boundary == c.names.index(boundary))
     x, normals = c.x[index], c.normal[index]
@@ -272,34 +250,15 @@ def _triangles(result: Result, boundary: str, index: np.ndarray) -> np.ndarray |
 
 @dataclass(frozen=True)
 class Line:
-    """One connected stretch of a contact boundary.
+    """One connected stretch of a contact boundary."""
 
-    Attributes
-    ----------
-    index : (n,) int array
-        Into the contact arrays, in order along the line.
-    position : (n,) array
-        Along the line, increasing, in the unit the label says.
-    label : str
-        For the axis.
-    """
-
-    index: np.ndarray
-    position: np.ndarray
-    label: str
+    index: np.ndarray  # (n,) int: into the contact arrays, in order along the line
+    position: np.ndarray  # (n,): along the line, increasing, in the unit the label says
+    label: str  # for the axis
 
 
 def lines_of(result: Result, boundary: str) -> list[Line]:
-    """The connected stretches of a contact boundary, drawn against x or y where straight, else against arc length.
-
-    Parameters
-    ----------
-    result : Result
-        Two-dimensional. Without a mesh the nodes are put in order along the direction of their largest extent, and
-        without coordinates as they come.
-    boundary : str
-        Contact boundary.
-    """
+    """The connected stretches of a contact boundary, drawn against x or y where straight, else against arc length."""
     index = np.flatnonzero(result.contact.boundary == result.contact.names.index(boundary))
     x = result.contact.x[index]
     if not np.isfinite(x).all():
@@ -345,23 +304,7 @@ def _stretches(result: Result, boundary: str, index: np.ndarray, factor: float
 
 def draw_map(ax: Axes, flat: Flat, values: np.ndarray, label: str, norm: Normalize | None = None,
              bar: bool = True, largest: float = 0.0) -> None:
-    """Draw nodal values in colours.
-
-    Parameters
-    ----------
-    ax : matplotlib Axes
-    flat : Flat
-    values : (n,) array
-        At ``flat.index``.
-    label : str
-        Of the colour bar.
-    norm : matplotlib Normalize, optional
-        By default from zero, or from the smallest value where that is negative.
-    bar : bool
-        Whether to draw a colour bar.
-    largest : float
-        Of such values elsewhere: what is only rounding beside it is drawn as zero.
-    """
+    """Draw nodal values in colours."""
     if norm is None:
         low, high = min(float(values.min()), 0.0), float(values.max())
         norm = Normalize(low, high) if high - low > 1e-9 * largest else Normalize(0.0, 1.0)

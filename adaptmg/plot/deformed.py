@@ -155,16 +155,7 @@ def _legend(ax: Axes, scene: Scene, present: list[int]) -> None:
 
 
 def _draw_plane(ax: Axes, scene: Scene, lines: bool) -> None:
-    """Draw a scene.
-
-    Parameters
-    ----------
-    ax : matplotlib Axes
-    scene : Scene
-        Two-dimensional.
-    lines : bool
-        Whether to draw the edges of the elements.
-    """
+    """Draw a scene."""
     width = float(np.clip(12 / np.sqrt(scene.n_elements), 0.08, 0.6))
     for k, shape in enumerate(scene.shapes):
         rings = walks(shape.facets)

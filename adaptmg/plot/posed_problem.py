@@ -71,15 +71,9 @@ _SMOOTH = np.cos(np.radians(20.0))
 
 @dataclass(frozen=True)
 class Curve:
-    """A smooth part of a boundary, the body on its left.
+    """A smooth part of a boundary, the body on its left."""
 
-    Attributes
-    ----------
-    corners : (k, 2) array
-        Of the polyline.
-    """
-
-    corners: np.ndarray
+    corners: np.ndarray  # (k, 2): of the polyline
 
     @property
     def steps(self) -> np.ndarray:
@@ -147,26 +141,7 @@ def curves_of(domain: Domain) -> dict[str, list[Curve]]:
 
 
 class Plan:
-    """Bodies and boundaries of a plane problem in plot units.
-
-    Attributes
-    ----------
-    polygons : dict of str to (n, 2) array
-        By body.
-    curves : dict of str to list of Curve
-        By boundary.
-    scale, unit : float, str
-        Plot units a metre, and what they are called.
-    lower, upper : (2,) arrays
-        Corners of the bounding box.
-    size : float
-        What lengths in the picture are measured by.
-    several : bool
-        Whether there are several bodies: they have colours and a legend then, and pairs are not told in words beside
-        them.
-    legend : list of (artist, str)
-        Filled while drawing.
-    """
+    """Bodies and boundaries of a plane problem in plot units."""
 
     def __init__(self, posed: ContactProblem, ax: Axes) -> None:
         polygons = polygons_of(posed.domain)

@@ -154,15 +154,7 @@ def state_colormap() -> tuple[ListedColormap, BoundaryNorm]:
 
 
 def shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
-    """Shade the background in runs of equal state; they meet half way between nodes.
-
-    Parameters
-    ----------
-    ax : matplotlib Axes
-    position : (n,) array
-        Increasing, in units of the axis.
-    state : (n,) int array
-    """
+    """Shade the background in runs of equal state; they meet half way between nodes."""
     starts = np.flatnonzero(np.diff(state, prepend=state[0] - 1))
     ends = np.append(starts[1:], len(state)) - 1
     for a, b in zip(starts, ends, strict=True):
@@ -172,18 +164,7 @@ def shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
 
 
 def halves(points: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """A polyline cut half way between its nodes, each half in the colour of its node.
-
-    Parameters
-    ----------
-    points : (n, 2) array
-    state : (n,) int array
-
-    Returns
-    -------
-    segments : (2 (n - 1), 2, 2) array
-    colors : list of str
-    """
+    """A polyline cut half way between its nodes, each half in the colour of its node."""
     middle = 0.5 * (points[:-1] + points[1:])
     segments = np.stack([np.stack([points[:-1], middle], 1), np.stack([middle, points[1:]], 1)], 1).reshape(-1, 2, 2)
     codes = np.stack([state[:-1], state[1:]], 1).ravel()
@@ -210,15 +191,6 @@ def walks(edges: np.ndarray) -> list[np.ndarray]:
 
     Open walks come first, by the number of their first node; then rings, whose last node is their first (rings that
     touch in a node are one).
-
-    Parameters
-    ----------
-    edges : (n, 2) int array
-        From node to node.
-
-    Returns
-    -------
-    list of int arrays
     """
     following: dict[int, list[int]] = defaultdict(list)
     surplus: dict[int, int] = defaultdict(int)
@@ -240,14 +212,7 @@ def walks(edges: np.ndarray) -> list[np.ndarray]:
 
 
 def filled_path(points: np.ndarray, rings: list[np.ndarray]) -> Path:
-    """One closed path of rings of nodes; holes run clockwise and stay empty.
-
-    Parameters
-    ----------
-    points : (n, 2) array
-    rings : list of int arrays
-        As :func:`walks` returns them.
-    """
+    """One closed path of rings of nodes; holes run clockwise and stay empty."""
     vertices = [points[ring] for ring in rings]
     codes = [np.r_[Path.MOVETO, np.full(len(ring) - 2, Path.LINETO), Path.CLOSEPOLY] for ring in rings]
     return Path(np.concatenate(vertices), np.concatenate(codes))

@@ -159,40 +159,16 @@ _FINER = 2
 
 @dataclass(frozen=True)
 class Lines:
-    """Segments on or near the surface.
+    """Segments on or near the surface."""
 
-    Attributes
-    ----------
-    ends : (n, 2, 3) array
-        In data units.
-    color : str
-    width : float
-        Points.
-    dash : (on, off)
-        Points; off = 0 for a solid line.
-    """
-
-    ends: np.ndarray
+    ends: np.ndarray  # (n, 2, 3): in data units
     color: str
-    width: float
-    dash: tuple[float, float] = (1.0, 0.0)
+    width: float  # points
+    dash: tuple[float, float] = (1.0, 0.0)  # (on, off): points; off = 0 for a solid line
 
 
 class Surface(Artist):
-    """Shaded triangles and lines; the light stands behind the viewer's left shoulder.
-
-    Parameters
-    ----------
-    corners : (n, 3, 3) array
-        In data units, of axes with equal scales.
-    colors : (n, 4) or (n, 3, 4) array
-        Of triangles, or of their corners; opaque.
-    width : float
-        Of the triangles' edges, points; 0 for none.
-    lines : sequence of Lines
-    shading : float
-        How much darker a triangle is that turns from the light, 0 to 1; small where colours mean something.
-    """
+    """Shaded triangles and lines; the light stands behind the viewer's left shoulder."""
 
     def __init__(self, corners: np.ndarray, colors: np.ndarray, width: float = 0.0,
                  lines: tuple[Lines, ...] = (), shading: float = 0.28) -> None:
@@ -215,22 +191,7 @@ class Surface(Artist):
             graphics.restore()
 
     def raster(self, point: float, magnification: float = 1.0) -> tuple[np.ndarray, float, float]:
-        """The picture as it is seen now.
-
-        Parameters
-        ----------
-        point : float
-            Pixels a point.
-        magnification : float
-            Pixels of the image a pixel of the figure.
-
-        Returns
-        -------
-        image : (rows, columns, 4) uint8 array
-            The lowest row first.
-        x, y : float
-            Its lower left corner in pixels of the figure.
-        """
+        """The picture as it is seen now."""
         finer = _FINER * magnification
         corners, lines = self._project(self.corners), [self._project(line.ends) for line in self.lines]
         seen = np.concatenate([part.reshape(-1, 3) for part in (corners, *lines)])
@@ -316,70 +277,36 @@ def sharp_edges(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Coloring:
-    """Values to colour by.
+    """Values to colour by."""
 
-    Attributes
-    ----------
-    values : (n_nodes,) or (n_elements,) array
-        In the unit of the label.
-    label : str
-        Of the colour bar.
-    norm : matplotlib Normalize
-    """
-
-    values: np.ndarray
-    label: str
+    values: np.ndarray  # (n_nodes,) or (n_elements,): in the unit of the label
+    label: str  # of the colour bar
     norm: Normalize
 
 
 @dataclass(frozen=True)
 class DrawnBody:
-    """One body, or the part of it within a window.
-
-    Attributes
-    ----------
-    name, color : str
-    elements : (n,) int array
-        Its elements shown.
-    facets : (m, dim) int array
-        Nodes of their boundary, outward.
-    behind : (m,) int array
-        The element behind each facet.
-    """
+    """One body, or the part of it within a window."""
 
     name: str
     color: str
-    elements: np.ndarray
-    facets: np.ndarray
-    behind: np.ndarray
+    elements: np.ndarray  # (n,) int: its elements shown
+    facets: np.ndarray  # (m, dim) int: nodes of their boundary, outward
+    behind: np.ndarray  # (m,) int: the element behind each facet
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Bodies in plot units.
-
-    Attributes
-    ----------
-    result : Result
-    before, after : (n_nodes, dim) arrays
-        Positions, the displacement amplified, in ``unit``.
-    unit : str
-    shapes : tuple of DrawnBody
-        Large bodies first.
-    lower, upper : (dim,) arrays
-        Corners of what is to be seen.
-    coloring : Coloring or None
-        None for a colour a body.
-    """
+    """Bodies in plot units."""
 
     result: Result
-    before: np.ndarray
-    after: np.ndarray
+    before: np.ndarray  # (n_nodes, dim)s: positions, the displacement amplified, in unit
+    after: np.ndarray  # (n_nodes, dim)s: positions, the displacement amplified, in unit
     unit: str
-    shapes: tuple[DrawnBody, ...]
-    lower: np.ndarray
-    upper: np.ndarray
-    coloring: Coloring | None = None
+    shapes: tuple[DrawnBody, ...]  # large bodies first
+    lower: np.ndarray  # (dim,)s: corners of what is to be seen
+    upper: np.ndarray  # (dim,)s: corners of what is to be seen
+    coloring: Coloring | None = None  # none for a colour a body
 
     @property
     def n_elements(self) -> int:
@@ -407,20 +334,7 @@ def automatic_factor(result: Result) -> float:
 
 def make_scene(result: Result, factor: float, bodies: Sequence[str] | None,
                window: tuple[float, float, float, float] | None, coloring: Coloring | None) -> Scene:
-    """Choose bodies and elements, and place them.
-
-    Parameters
-    ----------
-    result : Result
-        With a mesh.
-    factor : float
-        Of the displacements.
-    bodies : sequence of str or None
-        Names of the bodies shown; None for all.
-    window : (xmin, xmax, ymin, ymax) or None
-        What is to be seen, m.
-    coloring : Coloring or None
-    """
+    """Choose bodies and elements, and place them."""
     mesh = result.mesh
     chosen = _bodies(mesh, bodies)
     moved = mesh.points + factor * result.displacement
@@ -476,20 +390,7 @@ def _shape(mesh: MeshArrays, body: int, elements: np.ndarray) -> DrawnBody:
 
 
 def draw(ax: Axes3D, scene: Scene, lines: bool | None, states: bool, view: tuple[float, float] | None) -> list[int]:
-    """Draw a scene; returns the contact states drawn.
-
-    Parameters
-    ----------
-    ax : matplotlib Axes3D
-    scene : Scene
-        Three-dimensional.
-    lines : bool or None
-        Whether to draw the edges of the triangles; None: where they would not blacken the picture.
-    states : bool
-        Whether facets of contact surfaces have the colour of the state of most of their nodes.
-    view : (elevation, azimuth) or None
-        Degrees.
-    """
+    """Draw a scene; returns the contact states drawn."""
     facets = np.concatenate([shape.facets for shape in scene.shapes])
     colors = np.concatenate([_colors(scene, shape) for shape in scene.shapes])
     present: list[int] = []

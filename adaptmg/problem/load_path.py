@@ -117,13 +117,7 @@ def name_in_path(item: Load | Support) -> str:
 
 
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
-    """Names of all loads and of the supports that prescribe a displacement other than zero, each once.
-
-    Raises
-    ------
-    ValueError
-        If a body has the name of a boundary that carries a load.
-    """
+    """Names of all loads and of the supports that prescribe a displacement other than zero, each once."""
     moved = [s for s in problem.supports if any(s.components(problem.dim))]
     bodies = {name_in_path(load) for load in problem.loads if isinstance(load, BodyForce | InitialStrain)}
     rest = [name_in_path(item) for item in (*problem.loads, *moved) if not isinstance(item, BodyForce | InitialStrain)]

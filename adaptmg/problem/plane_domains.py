@@ -178,24 +178,12 @@ _CHORD = math.radians(3.0)
 
 @dataclass(frozen=True)
 class Arc:
-    """A circular arc of less than 180 degrees.
+    """A circular arc of less than 180 degrees."""
 
-    Parameters
-    ----------
-    center : pair of float
-        m.
-    radius : float
-        m.
-    start : float
-        Direction of the first point as seen from the centre, radians.
-    angle : float
-        Signed angle to the last point, radians; positive is counter-clockwise, as on a convex boundary.
-    """
-
-    center: tuple[float, float]
-    radius: float
-    start: float
-    angle: float
+    center: tuple[float, float]  # m
+    radius: float  # m
+    start: float  # direction of the first point as seen from the centre, radians
+    angle: float  # signed angle to the last point, radians; positive is counter-clockwise, as on a convex boundary
 
     @property
     def length(self) -> float:

@@ -300,18 +300,10 @@ class Moved(SolidDomain):
 
 @dataclass(frozen=True)
 class Combination(SolidDomain):
-    """Two solids combined: the base class of :class:`Cut`, :class:`Fuse` and :class:`Common`.
+    """Two solids combined: the base class of :class:`Cut`, :class:`Fuse` and :class:`Common`."""
 
-    Parameters
-    ----------
-    a, b : Box, Cylinder, Cut, ...
-        The solids. The result must be one piece.
-    rename : mapping of str to str
-        New names of boundaries: of one solid by the keys "a.NAME" or "b.NAME", of both by "NAME".
-    """
-
-    a: SolidDomain | Box
-    b: SolidDomain | Box
+    a: SolidDomain | Box  # the solids. The result must be one piece
+    b: SolidDomain | Box  # the solids. The result must be one piece
     rename: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:

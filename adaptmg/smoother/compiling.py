@@ -32,13 +32,7 @@ _announced = False
 
 
 def notice(*kernels: Callable[..., Any]) -> None:
-    """Log an INFO message, once a process, if the next call of one of ``kernels`` has to be compiled.
-
-    Parameters
-    ----------
-    kernels : numba dispatchers
-        Functions made by ``numba.njit``; plain functions (the JIT is off) need no notice.
-    """
+    """Log an INFO message, once a process, if the next call of one of ``kernels`` has to be compiled."""
     global _announced
     for kernel in kernels:
         if _announced or id(kernel) in _checked:

@@ -78,26 +78,7 @@ def read_reference(reference, k, like):
 @kernel(fastmath=False)
 def solve_2d(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap: float, reference: float,
              limit: float, friction: float) -> tuple[float, float]:
-    """Solve the problem of one node in 2D.
-
-    Parameters
-    ----------
-    m_nn, m_nt, m_tt : float
-        The block M, N/m.
-    c_n, c_t : float
-        The force c, N.
-    gap : float
-        Largest normal displacement, m; may be +inf.
-    reference : float
-        Tangential displacement of zero slip, m.
-    limit, friction : float
-        Tresca limit s, N, and Coulomb coefficient mu, both >= 0.
-
-    Returns
-    -------
-    w_n, w_t : float
-        m. ``w_n == gap`` and ``w_t == reference`` hold exactly where the node touches and sticks.
-    """
+    """Solve the problem of one node in 2D."""
     c_n -= m_nt * reference
     c_t -= m_tt * reference
     ratio = m_nt / m_nn
@@ -134,26 +115,7 @@ def _shrink(value: float, bound: float) -> float:
 def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_22: float,
              c_n: float, c_1: float, c_2: float, gap: float, reference_1: float, reference_2: float,
              limit: float, friction: float) -> tuple[float, float, float]:
-    """Solve the problem of one node in 3D; see :func:`solve_2d`.
-
-    Parameters
-    ----------
-    m_nn, m_n1, m_n2, m_11, m_12, m_22 : float
-        The block M, N/m; m_11 < 0 where the first tangent is held, which must be decoupled.
-    c_n, c_1, c_2 : float
-        The force c, N.
-    gap : float
-        Largest normal displacement, m; may be +inf.
-    reference_1, reference_2 : float
-        Tangential displacement of zero slip, m.
-    limit, friction : float
-        Tresca limit s, N, and Coulomb coefficient mu, both >= 0.
-
-    Returns
-    -------
-    w_n, w_1, w_2 : float
-        m.
-    """
+    """Solve the problem of one node in 3D; see :func:`solve_2d`."""
     if m_11 < 0.0:
         if reference_1 == 0.0:
             w_n, w_2 = solve_2d(m_nn, m_n2, m_22, c_n, c_2, gap, reference_2, limit, friction)
@@ -223,26 +185,7 @@ def _slip_beside(b: float, c: float, a: float, p_stick: float, held: float, limi
 @kernel(fastmath=False)
 def slip_3d(b_11: float, b_12: float, b_22: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
             limit: float, friction: float) -> tuple[float, float]:
-    r"""The slip of a node in 3D with :math:`p = \max(0, p_0 - a\cdot\tau)`.
-
-    Parameters
-    ----------
-    b_11, b_12, b_22 : float
-        Tangential block B, N/m.
-    c_1, c_2 : float
-        Tangential force at zero slip, N.
-    a_1, a_2 : float
-        Coupling of the normal force to the slip, N/m.
-    p_stick : float
-        Normal force p_0 at zero slip, N.
-    limit, friction : float
-        Tresca limit, N, and Coulomb coefficient.
-
-    Returns
-    -------
-    slip_1, slip_2 : float
-        m; exactly zero if the node sticks.
-    """
+    r"""The slip of a node in 3D with :math:`p = \max(0, p_0 - a\cdot\tau)`."""
     if math.hypot(c_1, c_2) <= limit + friction * max(p_stick, 0.0):
         return 0.0, 0.0
     # Jacobi rotation to the eigenbasis of B; none where b_12 = 0, so that a fixed, decoupled tangent stays at zero

@@ -143,16 +143,7 @@ def states(contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, 
 
 
 def natural_at_nodes(contact: NodalContact, blocks: np.ndarray, values: np.ndarray, defect: np.ndarray) -> np.ndarray:
-    """The natural residual at contact nodes alone (n_contact, dim).
-
-    Parameters
-    ----------
-    contact : NodalContact
-    blocks : (n_contact, dim, dim) array
-        Diagonal blocks in local components, fixed ones decoupled.
-    values, defect : (n_contact, dim) arrays
-        w and b - A w, local components.
-    """
+    """The natural residual at contact nodes alone (n_contact, dim)."""
     result, dim = np.array(defect).reshape(-1), values.shape[1]
     notice(kernels.natural_residual)
     nodes = np.arange(len(values), dtype=np.int32)

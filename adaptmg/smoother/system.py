@@ -50,19 +50,7 @@ __all__ = [
 ]
 
 def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
-    """Orthonormal frames at contact nodes.
-
-    Parameters
-    ----------
-    contact : ContactNodes
-    fixed : (n_nodes, dim) bool array
-        In 3D the tangents are laid along fixed Cartesian components, where there are such.
-
-    Returns
-    -------
-    (n_contact, dim, dim) array
-        Row 0 the normal, then the tangents (2D: the normal turned by +90 degrees; 3D: right-handed n, t1, t2).
-    """
+    """Orthonormal frames at contact nodes."""
     n = contact.normals
     frames = np.empty((len(n), contact.dim, contact.dim))
     frames[:, 0] = n

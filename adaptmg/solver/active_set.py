@@ -138,11 +138,6 @@ class _NewtonTest(IterateTest):
     """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none.
 
     As long as the contact status changes, nodes may follow one another: many such steps may be left.
-
-    Attributes
-    ----------
-    settled : bool
-        Whether the status is that of the step before.
     """
 
     stalled, settled = False, False
@@ -162,17 +157,7 @@ class _NewtonTest(IterateTest):
 
 
 class _NewtonSteps:
-    """The Newton steps on one level; see :class:`~adaptmg.solver.iterate.Iteration`.
-
-    Parameters
-    ----------
-    options : ActiveSet
-    local : LocalProblem
-    run : Run
-    level : int
-    start : (n_dofs,) array or None
-        Local components.
-    """
+    """The Newton steps on one level; see :class:`~adaptmg.solver.iterate.Iteration`."""
 
     #: springs, relative to the diagonal: the first ones, the stiffest, those that count as none; the factors by which
     #: they become weaker and stiffer; to what a problem with them reduces the residual, and in how many steps
@@ -305,34 +290,16 @@ class _NewtonSteps:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """The equations of one Newton step at the contact nodes; see the module.
+    """The equations of one Newton step at the contact nodes; see the module."""
 
-    Attributes
-    ----------
-    active, slip : (n,) bool arrays
-        Touching; slipping (open nodes of a law without Tresca limit slip too, against no force).
-    direction : (n, dim - 1) array
-        z, zero where the node sticks.
-    coupling : (n,) array
-        mu where the node is active and slips, else 0.
-    curvature : (n, dim - 1, dim - 1) array
-        kappa Pi, N/m.
-    force : (n, dim) array
-        Right-hand sides of the equations that are not prescriptions, N.
-    prescribed : (n, dim) bool array
-        Components whose change is given.
-    change : (n, dim) array
-        These changes, zero elsewhere, m.
-    """
-
-    active: np.ndarray
-    slip: np.ndarray
-    direction: np.ndarray
-    coupling: np.ndarray
-    curvature: np.ndarray
-    force: np.ndarray
-    prescribed: np.ndarray
-    change: np.ndarray
+    active: np.ndarray  # (n,) bools
+    slip: np.ndarray  # (n,) bools
+    direction: np.ndarray  # (n, dim - 1): z, zero where the node sticks
+    coupling: np.ndarray  # (n,): mu where the node is active and slips, else 0
+    curvature: np.ndarray  # (n, dim - 1, dim - 1): kappa Pi, N/m
+    force: np.ndarray  # (n, dim): right-hand sides of the equations that are not prescriptions, N
+    prescribed: np.ndarray  # (n, dim) bool: components whose change is given
+    change: np.ndarray  # (n, dim): these changes, zero elsewhere, m
 
     @property
     def symmetric(self) -> bool:
@@ -353,18 +320,7 @@ class Linearised:
 
 def linearise(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, stiffness: np.ndarray,
               factor: float) -> Linearised:
-    """Decide the status of every contact node and set up its equations.
-
-    Parameters
-    ----------
-    contact : NodalContact
-    unknowns, residual : (n, dim) arrays
-        w and q = b - A w at the contact nodes, m and N.
-    stiffness : (n, dim) array
-        Diagonal of the matrix at the contact nodes, N/m.
-    factor : float
-        c_n and c_t over ``stiffness`` (its largest tangential entry).
-    """
+    """Decide the status of every contact node and set up its equations."""
     tangential = factor * stiffness[:, 1:].max(axis=1)
     with np.errstate(invalid="ignore"):
         augmented = residual[:, 0] + factor * stiffness[:, 0] * (unknowns[:, 0] - contact.gap)
@@ -465,12 +421,6 @@ def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None
     """Rigid-body modes (n_dofs, k) in local components, zero at fixed dofs.
 
     Translations where the problem has no ``near_nullspace``.
-
-    Parameters
-    ----------
-    local : LocalProblem
-    released : (n_dofs,) bool array, optional
-        Further dofs at which they are to vanish.
     """
     problem: DiscreteProblem = local.discrete
     modes = problem.near_nullspace
@@ -483,13 +433,7 @@ def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None
 
 @dataclass(eq=False)
 class CondensedSteps:
-    """Steps on the dense Schur complement; one sparse factorisation serves them all.
-
-    Parameters
-    ----------
-    local : LocalProblem
-    run : Run
-    """
+    """Steps on the dense Schur complement; one sparse factorisation serves them all."""
 
     local: LocalProblem
     run: Run
@@ -547,14 +491,7 @@ class CondensedSteps:
 
 @dataclass(eq=False)
 class SparseSteps:
-    """Steps on the sparse matrix, of which only rows (and eliminated columns) of contact nodes change.
-
-    Parameters
-    ----------
-    local : LocalProblem
-    linear : LinearSolver
-    run : Run
-    """
+    """Steps on the sparse matrix, of which only rows (and eliminated columns) of contact nodes change."""
 
     local: LocalProblem
     linear: LinearSolver
@@ -644,21 +581,7 @@ class SparseSteps:
 
 
 def glued_system(discrete: DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray]:
-    """The linear system with all contact dofs fixed.
-
-    Parameters
-    ----------
-    discrete : DiscreteProblem
-
-    Returns
-    -------
-    matrix : bsr_array (n_free, n_free)
-        Rows and columns of the nodes that are not contact nodes; fixed dofs among them decoupled.
-    load : (n_free,) array
-        Prescribed values lifted, N.
-    near_nullspace : (n_free, k) array
-        Rigid-body modes, zero at fixed dofs.
-    """
+    """The linear system with all contact dofs fixed."""
     system, load, modes, _ = _glued(discrete)
     return system, load, modes
 

@@ -146,23 +146,7 @@ def _pattern(indptr, indices, label, order, starts, coarse_indptr, coarse_indice
 
 
 class Aggregates:
-    """The aggregates of a problem: they depend on mesh, bodies and supports, not on the contact status.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-
-    Attributes
-    ----------
-    label : (n_nodes,) int array
-        Aggregate of each node, -1 where all components are fixed.
-    offset : (n_nodes, dim) array
-        Position from the centre of the aggregate, over its extent; zero without coordinates.
-    order, starts : int arrays
-        Nodes by aggregate.
-    indptr, indices : int arrays
-        Aggregates that share entries of the upper triangle of the matrix.
-    """
+    """The aggregates of a problem: they depend on mesh, bodies and supports, not on the contact status."""
 
     def __init__(self, problem: DiscreteProblem) -> None:
         matrix, dim, n = problem.matrix, problem.dim, problem.n_nodes
@@ -279,19 +263,7 @@ def _prolong(zero, values, held, kept, offset, label, result):
 
 
 class CoarseMatrix:
-    """B'(A + S)B of a contact status, factorised.
-
-    Parameters
-    ----------
-    aggregates : Aggregates
-    matrix : bsr_array
-    diagonal : (n_nodes, dim, dim) array
-        Diagonal blocks of A + S.
-    held : (n_nodes,) int array
-        Numbers of projections, -1 where a node moves freely.
-    kept : (m, dim, dim) array
-        Projections.
-    """
+    """B'(A + S)B of a contact status, factorised."""
 
     def __init__(self, aggregates: Aggregates, matrix: sparse.bsr_array, diagonal: np.ndarray, held: np.ndarray,
                  kept: np.ndarray) -> None:

@@ -110,23 +110,7 @@ class Certificate:
 @one_blas_thread()
 def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
             images: np.ndarray | None = None, aggregates: Aggregates | None = None) -> Certificate:
-    """Check a displacement and the contact forces and states that go with it.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-    displacement : (n_nodes, dim) array
-        Of the bodies (not relative), m.
-    contact : ContactResult
-        Its forces and states are what is claimed; gaps and slips are computed anew.
-    bound : bool
-        The energy error by a sparse factorisation, exact for this contact status; else estimated in a few passes over
-        the matrix.
-    images : (n_dofs,) array, optional
-        The stored matrix times the displacement (relative), N, where the caller has made that product already.
-    aggregates : Aggregates, optional
-        Of the problem, where the caller keeps them.
-    """
+    """Check a displacement and the contact forces and states that go with it."""
     if aggregates is None and not bound:
         aggregates = Aggregates(problem)
     # what has run away overflows: its lines read inf or nan, and contradict
@@ -162,27 +146,14 @@ class ContactClaims(Protocol):
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition: by how much it is violated.
-
-    Attributes
-    ----------
-    name : str
-    largest, total : float
-        At one node, and over all: the Euclidean norm, of energies the sum.
-    unit : str
-        Of both; empty for a number.
-    relative : float
-        Over the actual forces (Euclidean norm of loads or reactions), the largest displacement, or the energy.
-    rounding : float
-        As much of ``relative`` as rounding of the terms summed explains.
-    """
+    """One condition: by how much it is violated."""
 
     name: str
-    largest: float
-    total: float
-    unit: str
+    largest: float  # at one node, and over all: the Euclidean norm, of energies the sum
+    total: float  # at one node, and over all: the Euclidean norm, of energies the sum
+    unit: str  # of both; empty for a number
     relative: float
-    rounding: float = 0.0
+    rounding: float = 0.0  # as much of relative as rounding of the terms summed explains
 
 
 class Evidence:

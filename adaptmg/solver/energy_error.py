@@ -42,27 +42,13 @@ _FACTORISED = {2: 100_000, 3: 30_000}
 
 @dataclass(frozen=True, eq=False)
 class FrozenStatus:
-    """The displacements that keep a contact status.
+    """The displacements that keep a contact status."""
 
-    Attributes
-    ----------
-    held : (m,) int array
-        Nodes that may not move freely: in supports, and in contact.
-    kept : (m, dim, dim) array
-        Projections onto what may move there: of the free components; at contact nodes of these I, I - n n' (closed,
-        slipping), 0 (closed, sticking).
-    nodes : (n_contact,) int array
-    stiffening : (n_contact, dim, dim) array
-        Of friction that turns with the slip (3D), N/m.
-    dragged : (n_contact, dim, dim) array
-        Friction for a normal force, of slipping nodes under Coulomb's law; the factorisation alone knows it.
-    """
-
-    held: np.ndarray
-    kept: np.ndarray
-    nodes: np.ndarray
-    stiffening: np.ndarray
-    dragged: np.ndarray
+    held: np.ndarray  # (m,) int: nodes that may not move freely: in supports, and in contact
+    kept: np.ndarray  # (m, dim, dim)
+    nodes: np.ndarray  # (n_contact,) int
+    stiffening: np.ndarray  # (n_contact, dim, dim): of friction that turns with the slip (3D), N/m
+    dragged: np.ndarray  # (n_contact, dim, dim)
 
     def project(self, vector: np.ndarray) -> None:
         """Leave of a vector (n_nodes, dim) the part that may move, in place."""
@@ -193,17 +179,7 @@ class _Preconditioner:
 
 def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray,
                     aggregates: Aggregates | None) -> float:
-    """Energy of the displacement that a residual brings about in the space of a status, N m.
-
-    Parameters
-    ----------
-    matrix : bsr_array
-    status : FrozenStatus
-    residual : (n_nodes, dim) array
-        e, N; it is overwritten.
-    aggregates : Aggregates or None
-        For the estimate; None: by a sparse factorisation.
-    """
+    """Energy of the displacement that a residual brings about in the space of a status, N m."""
     status.project(residual)
     size = _dot(residual, residual)
     if not np.isfinite(size):
@@ -320,33 +296,7 @@ def _tally(unexplained, fixed, physical, unknowns, values, diagonal, squares, la
 
 
 class Tally:
-    """Over the nodes of a problem; what has run away makes its numbers infinite or NaN.
-
-    Parameters
-    ----------
-    unexplained : (n_nodes, dim) array
-        Forces that neither loads nor claimed contact forces explain, N.
-    fixed : (n_nodes, dim) bool array
-    physical, unknowns, values : (n_nodes, dim) arrays
-        Displacement of the bodies, the same relative, prescribed values, m.
-    diagonal : (n_nodes, dim) array
-        Of the matrix, N/m.
-
-    Attributes
-    ----------
-    free, largest : float
-        Norm and largest component of what is unexplained at free dofs, N.
-    supports : float
-        Norm of the forces at fixed dofs, N.
-    moved, furthest : float
-        Norm and largest component of the distance from prescribed values, m.
-    displacement : float
-        The largest component, m.
-    stiff, stiff_energy : float
-        Norms of D u (N) and of D^1/2 u (sqrt(N m)), D the diagonal.
-    sums : (dim,) array
-        Of what is unexplained at free dofs, N.
-    """
+    """Over the nodes of a problem; what has run away makes its numbers infinite or NaN."""
 
     def __init__(self, unexplained: np.ndarray, fixed: np.ndarray, physical: np.ndarray, unknowns: np.ndarray,
                  values: np.ndarray, diagonal: np.ndarray) -> None:

@@ -45,39 +45,17 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """What was found.
+    """What was found."""
 
-    Attributes
-    ----------
-    displacement, reaction : (n_nodes, dim) arrays
-        Of the bodies, m and N.
-    contact : ContactResult
-    residual : float
-        Natural, relative to the forces that act.
-    checked : Certificate
-    """
-
-    displacement: np.ndarray
-    reaction: np.ndarray
+    displacement: np.ndarray  # (n_nodes, dim)s: of the bodies, m and N
+    reaction: np.ndarray  # (n_nodes, dim)s: of the bodies, m and N
     contact: ContactResult
-    residual: float
+    residual: float  # natural, relative to the forces that act
     checked: Certificate
 
 
 class Examiner:
-    """Examines displacements of one problem.
-
-    Parameters
-    ----------
-    discrete : DiscreteProblem
-
-    Attributes
-    ----------
-    contact : NodalContact
-    frames : (n_contact, dim, dim) array
-    blocks : (n_contact, dim, dim) array
-        Diagonal blocks at the contact nodes, local components.
-    """
+    """Examines displacements of one problem."""
 
     def __init__(self, discrete: DiscreteProblem) -> None:
         self.discrete = discrete
@@ -159,19 +137,6 @@ def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.nd
 
     Where a support holds a tangential component, the equations do not tell friction from the reaction of the support:
     there it is what the law says for the slip, and nothing if nothing slips.
-
-    Parameters
-    ----------
-    discrete : DiscreteProblem
-    nodal : NodalContact
-        Its contact data in local components.
-    frames : (n_contact, dim, dim) array
-    held : (n_contact, dim - 1) bool array
-        Tangents that a support holds.
-    solved : (n_nodes, dim) array
-        Cartesian, m; between bodies in relative coordinates.
-    values, force : (n_contact, dim) arrays
-        Local unknowns (counted from prescribed values) and forces on the body at the contact nodes, m and N.
     """
     contact, small = discrete.contact, 1e-12 * max(solved.max(initial=0.0), -solved.min(initial=0.0))
     u = np.einsum("nij,nj->ni", frames, discrete.at_contact(solved))
@@ -217,12 +182,6 @@ def _on_followed(discrete: DiscreteProblem, boundary: np.ndarray, rows: sparse.c
     """What contact forces (n_contact, dim) exert on the nodes that slave nodes follow, -W' times them, by boundary.
 
     ``rows`` (n_contact, n_nodes) are the weights W. Where both bodies are held, held nodes of the other one take all.
-
-    Returns
-    -------
-    boundary, node : (m,) int arrays
-    force : (m, dim) array
-        N.
     """
     dim, n = discrete.dim, discrete.n_nodes
     if rows is None:
@@ -268,21 +227,7 @@ def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> flo
 
 
 class Sizes:
-    """Of the iterates of one problem.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-    frames : (n_contact, dim, dim) array, optional
-        Contact frames, if the unknowns are in local components.
-
-    Attributes
-    ----------
-    load : float
-        |b|, N.
-    prescribed : bool
-        Whether a displacement other than zero is prescribed.
-    """
+    """Of the iterates of one problem."""
 
     #: forces below so many times the rounding of a residual are none
     IDLE = 1e3
@@ -304,15 +249,6 @@ class Sizes:
 
         Nothing is relative to such forces. Unknowns that have run away have such forces too, but move further than the
         supports do.
-
-        Parameters
-        ----------
-        forces : float
-            The largest of their norms, N.
-        rounding : float
-            Of the residual, N.
-        unknowns : (n_dofs,) array
-            m.
         """
         if not self.prescribed or forces > self.IDLE * rounding:
             return False

@@ -41,32 +41,17 @@ def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class OrderedFactors:
-    """Factors by SuperLU.
+    """Factors by SuperLU."""
 
-    Attributes
-    ----------
-    lu : SuperLU
-        Of the permuted matrix.
-    order : (n_dofs,) int array
-        Elimination order.
-    diagonal : (n_dofs,) array
-        Of the permuted matrix.
-    """
-
-    lu: SuperLU
-    order: np.ndarray
-    diagonal: np.ndarray
+    lu: SuperLU  # of the permuted matrix
+    order: np.ndarray  # (n_dofs,) int: elimination order
+    diagonal: np.ndarray  # (n_dofs,): of the permuted matrix
 
     @classmethod
     def of(cls, matrix: sparse.csr_array, order: np.ndarray, threshold: float = 0.0) -> OrderedFactors:
         """Factorise; pivots off the diagonal, which destroy the order, only where the diagonal is below a threshold.
 
         None at all are safe where the matrix is symmetric and positive definite.
-
-        Raises
-        ------
-        RuntimeError
-            If a pivot vanishes.
         """
         permuted = matrix[order][:, order].tocsc()
         lu = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=threshold, options={"SymmetricMode": True})
@@ -95,22 +80,7 @@ def node_graph(matrix: sparse.bsr_array) -> sparse.csr_array:
 
 def nested_dissection(graph: sparse.csr_array, coordinates: np.ndarray | None = None,
                       last: np.ndarray | None = None) -> np.ndarray:
-    """Order of elimination.
-
-    Parameters
-    ----------
-    graph : csr_array (n, n)
-        Structurally symmetric; values are not read.
-    coordinates : (n, k) array, optional
-        Positions of the nodes; without them distances in the graph from a few far nodes serve.
-    last : array of int, optional
-        Nodes that must go last.
-
-    Returns
-    -------
-    (n,) int array
-        The nodes in the order in which they are to be eliminated.
-    """
+    """Order of elimination."""
     if coordinates is None:
         coordinates = graph_coordinates(graph)
     path = np.zeros(graph.shape[0], dtype=np.int64)
@@ -185,19 +155,10 @@ _PIVOT = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """The Schur complement on the contact dofs and the way back.
-
-    Attributes
-    ----------
-    problem : LocalProblem
-        One node a contact node, all blocks stored; its ``load`` is condensed, ``contact`` and ``frames`` are those of
-        ``full``. ``discrete`` is the problem it comes from: ``to_local`` and ``to_cartesian`` belong to ``full``.
-    full : LocalProblem
-        What was condensed.
-    """
+    """The Schur complement on the contact dofs and the way back."""
 
     problem: LocalProblem
-    full: LocalProblem
+    full: LocalProblem  # what was condensed
     _interior: Interior
 
     @property
@@ -210,37 +171,13 @@ class Condensed:
         return unknowns[self._interior.contact]
 
     def recover(self, unknowns: np.ndarray) -> np.ndarray:
-        """All unknowns from those at the contact nodes, local components.
-
-        Parameters
-        ----------
-        unknowns : (n_contact * dim,) array
-            m.
-
-        Returns
-        -------
-        (n_dofs,) array
-            In equilibrium at every dof away from contact: refined once, to the rounding of a residual.
-        """
+        """All unknowns from those at the contact nodes, local components."""
         result = self.complete(self.reduce(self.full.load)[0], unknowns)
         defect = self.full.load - self.full.system.matrix @ result
         return result + self.complete(self.reduce(defect)[0], np.zeros_like(unknowns))
 
     def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        r"""Eliminate the interior from a residual; one solve.
-
-        Parameters
-        ----------
-        residual : (n_dofs,) array
-            r, dual, N.
-
-        Returns
-        -------
-        particular : (n_dofs,) array
-            A change in equilibrium with :math:`r_i` away from contact, for :meth:`complete`, m.
-        condensed : (n_contact * dim,) array
-            :math:`r_c - A_{ci} A_{ii}^{-1} r_i`, N.
-        """
+        r"""Eliminate the interior from a residual; one solve."""
         interior = self._interior
         rhs = residual.copy()
         rhs[interior.contact] = 0.0
@@ -248,15 +185,7 @@ class Condensed:
         return particular, residual[interior.contact] + interior.stiffness(particular[interior.contact])
 
     def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
-        r"""The solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve.
-
-        Parameters
-        ----------
-        particular : (n_dofs,) array
-            From :meth:`reduce`, whose argument is r, m.
-        unknowns : (n_contact * dim,) array
-            :math:`w_c`, m.
-        """
+        r"""The solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve."""
         interior = self._interior
         rhs = np.zeros_like(particular)
         rhs[interior.contact] = interior.stiffness(unknowns - particular[interior.contact])
@@ -267,24 +196,12 @@ class Condensed:
 
 @dataclass(frozen=True, eq=False)
 class Interior:
-    """The factorised interior; see the module for the formulas.
+    """The factorised interior; see the module for the formulas."""
 
-    Attributes
-    ----------
-    factors : OrderedFactors
-        Of M.
-    contact : (n_contact * dim,) int array
-        Contact dofs.
-    schur : (n, n) array
-        S.
-    shift : (n,) array
-        Diagonal of Sigma at the contact dofs.
-    """
-
-    factors: OrderedFactors
-    contact: np.ndarray
-    schur: np.ndarray
-    shift: np.ndarray
+    factors: OrderedFactors  # of M
+    contact: np.ndarray  # (n_contact * dim,) int: contact dofs
+    schur: np.ndarray  # (n, n): S
+    shift: np.ndarray  # (n,): diagonal of Sigma at the contact dofs
 
     def stiffness(self, unknowns: np.ndarray) -> np.ndarray:
         """(S + Sigma) w_c: the right-hand side of M that makes w_c."""
@@ -292,26 +209,7 @@ class Interior:
 
 
 def condense(local: LocalProblem) -> Condensed:
-    """Condense a problem onto its contact nodes.
-
-    Parameters
-    ----------
-    local : LocalProblem
-
-    Returns
-    -------
-    Condensed
-
-    Raises
-    ------
-    ValueError
-        If the problem is singular even with all contact dofs fixed: a body, or part of one, that neither supports nor
-        contact nodes can hold.
-
-    Notes
-    -----
-    One factorisation and (n_contact * dim)^2 numbers of memory, e.g. 257 x 257 nodes with 257 at contact: 1.5 s, 2 MB.
-    """
+    """Condense a problem onto its contact nodes."""
     system = local.system
     dim = system.dim
     contact = dofs_of(system.nodes, dim)

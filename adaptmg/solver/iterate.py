@@ -27,15 +27,9 @@ from adaptmg.solver.status import Status
 __all__ = ["ChangeTest", "IterateTest", "Iteration", "StopTest", "iterate", "true_error"]
 
 class Iteration(Protocol):
-    """What a method offers to the loop; it holds its unknowns.
+    """What a method offers to the loop; it holds its unknowns."""
 
-    Attributes
-    ----------
-    cycles : int
-        Cycles, sweeps or steps done.
-    """
-
-    cycles: int
+    cycles: int  # cycles, sweeps or steps done
 
     def start(self) -> None:
         """What comes before the first measurement: a smoothing, the first sweeps; perhaps nothing."""
@@ -51,15 +45,7 @@ class Iteration(Protocol):
 
 
 def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status:
-    """Measure, judge and step until the test or the method ends it.
-
-    Parameters
-    ----------
-    method : Iteration
-    stop : StopTest
-    run : Run, optional
-        Where rows of the history go.
-    """
+    """Measure, judge and step until the test or the method ends it."""
     method.start()
     while True:
         method.measure(stop)
@@ -74,32 +60,7 @@ def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status
 
 
 class StopTest:
-    """Judges an iteration by its estimated error and residual.
-
-    Parameters
-    ----------
-    rtol : float
-        For the estimated relative A-norm error; the relative natural residual must be below ``RESIDUAL_FACTOR * rtol``.
-    limit : float
-        Cycles, sweeps or steps at most.
-    sizes : Sizes
-        What errors and residuals refer to.
-    certificate : callable, optional
-        By how many times the present iterate falls short of a tolerance, 0 if it does not; asked before a test that is
-        met is believed, and where the iterates no longer improve. Where it contradicts, the estimate is larger by that
-        factor from then on; it is asked again once that meets the tolerance, or after half as many cycles again.
-
-    Attributes
-    ----------
-    changes : list of float
-        What the steps changed, as far as it is known, A-norms.
-    size : float
-        A-norm of the displacement, as last measured.
-    residual, error_estimate : float
-        Relative, as last measured.
-    met : bool
-        Whether the last iterate is good enough.
-    """
+    """Judges an iteration by its estimated error and residual."""
 
     #: the natural residual must fall below this multiple of rtol
     RESIDUAL_FACTOR = 10.0
@@ -241,22 +202,7 @@ def true_error(error: np.ndarray, matrix: sparse.sparray | np.ndarray, problem: 
 
 
 class IterateTest(StopTest):
-    """Watches iterates at which the residual is known.
-
-    Parameters
-    ----------
-    local : LocalProblem
-    rtol, limit
-        See :class:`StopTest`.
-    run : Run, optional
-        With a reference, for the true error in :meth:`measures`.
-    reference : (n_dofs,) array, optional
-        The exact discrete solution in local components. Default: that of ``run``.
-    sizes : Sizes, optional
-        Where ``local`` is condensed; by default that of ``local``.
-    displacement : callable, optional
-        Makes the displacement of unknowns, for the certificate; without it that is not asked.
-    """
+    """Watches iterates at which the residual is known."""
 
     def __init__(self, local: LocalProblem, rtol: float, limit: float, run: Run | None = None,
                  reference: np.ndarray | None = None, sizes: Sizes | None = None,
@@ -302,12 +248,6 @@ class ChangeTest(IterateTest):
     """The paper's test: the Euclidean change in a cycle or sweep, relative to the iterate, and nothing else.
 
     What it takes for converged is held against the residual at the end (:meth:`confirmed`).
-
-    Attributes
-    ----------
-    relative_change : float
-    finite : bool
-        Whether the last iterate is.
     """
 
     relative_change, finite = np.inf, True

@@ -31,26 +31,13 @@ __all__ = ["AMG", "Direct", "LinearSolution", "LinearSolver", "Prepared"]
 
 @dataclass(frozen=True, eq=False)
 class LinearSolution:
-    """What a linear solve gives.
+    """What a linear solve gives."""
 
-    Attributes
-    ----------
-    unknowns : (n,) array
-    iterations : int
-        Krylov iterations; 0 of a direct solver.
-    passes : float
-        Passes over the matrix that count as work; 0 of a direct solver.
-    residual : float
-        |b - K x| / |b|, Euclidean.
-    converged : bool
-        Whether the residual is below the tolerance asked for.
-    """
-
-    unknowns: np.ndarray
-    iterations: int
-    passes: float
-    residual: float
-    converged: bool
+    unknowns: np.ndarray  # (n,)
+    iterations: int  # krylov iterations; 0 of a direct solver
+    passes: float  # passes over the matrix that count as work; 0 of a direct solver
+    residual: float  # |b - K x| / |b|, Euclidean
+    converged: bool  # whether the residual is below the tolerance asked for
 
 
 def solution_of(linear: object, prepared: object, rhs: np.ndarray, rtol: float) -> LinearSolution:
@@ -78,26 +65,7 @@ class LinearSolver(Protocol):
 
     def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
               preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Prepared:
-        """Prepare to solve with a matrix.
-
-        Parameters
-        ----------
-        matrix : bsr_array (n, n)
-            With a symmetric pattern.
-        near_nullspace : (n, k) array, optional
-            In the components of the matrix, zero at eliminated dofs.
-        symmetric : bool
-            Whether the matrix is symmetric positive definite.
-        preconditioner : bsr_array (n, n), optional
-            A symmetric positive definite matrix close to ``matrix``, to build a preconditioner from.
-        previous : Prepared, optional
-            What was made for a similar matrix, to be reused in part.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the matrix is found singular.
-        """
+        """Prepare to solve with a matrix."""
 
 
 @dataclass(frozen=True, kw_only=True)

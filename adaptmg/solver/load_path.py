@@ -159,18 +159,7 @@ def _counts(result: Result) -> dict[str, int]:
 
 
 class StepNotConverged(NotConverged):
-    """Raised by :func:`solve_path` when a step did not reach its tolerance.
-
-    Attributes
-    ----------
-    result : Result
-        The last iterate of that step.
-    step : int
-    described : str
-        The factors of that step.
-    partial : PathResult
-        The steps before it, and it.
-    """
+    """Raised by :func:`solve_path` when a step did not reach its tolerance."""
 
     def __init__(self, result: Result, step: int, described: str, partial: PathResult) -> None:
         super().__init__(result)
@@ -296,23 +285,7 @@ class _Known:
 
 
 class PathWalk:
-    """The way along a path.
-
-    Parameters
-    ----------
-    grids : Hierarchy
-    path : LoadPath
-    solver : Solver
-    start : (n_nodes, dim) array or None
-        Displacement before the first step, m; between bodies relative.
-
-    Attributes
-    ----------
-    factors : dict of str to (n_steps,) array
-        Of everything that the path scales.
-    examiner : Examiner
-        Of the finest level at the present step.
-    """
+    """The way along a path."""
 
     def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None) -> None:
         self.grids, self.path, self.solver, self.start = grids, path, solver, start

@@ -36,22 +36,11 @@ __all__ = ["KeptMultigrid", "Past", "StepSolver", "TruncatedSteps", "better_star
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """What is known before a step.
+    """What is known before a step."""
 
-    Attributes
-    ----------
-    levels : list of (n_dofs,) arrays
-        Displacement of the step before, coarsest level first, Cartesian, m; between bodies relative. On the finest
-        level alone where the coarse ones are no contact problems.
-    extrapolated : (n_dofs,) array
-        On the finest level; the displacement of the step before where nothing is known.
-    given : bool
-        Whether there is a step before, or a start.
-    """
-
-    levels: list[np.ndarray]
-    extrapolated: np.ndarray
-    given: bool
+    levels: list[np.ndarray]  # list of (n_dofs,)s
+    extrapolated: np.ndarray  # (n_dofs,)
+    given: bool  # whether there is a step before, or a start
 
 
 class StepSolver(Protocol):
@@ -81,20 +70,7 @@ def past_of(hierarchy: Hierarchy, displacement: np.ndarray, given: bool) -> Past
 
 
 def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list[np.ndarray]:
-    """A displacement of the finest level on all levels: each next coarser one that interpolates it best.
-
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-        Discretised on all levels.
-    displacement : (n_dofs,) array
-        m; between bodies relative.
-
-    Returns
-    -------
-    list of (n_dofs,) arrays
-        Coarsest first, least squares in the nodal values.
-    """
+    """A displacement of the finest level on all levels: each next coarser one that interpolates it best."""
     result = [displacement]
     for level in reversed(hierarchy.levels[1:]):
         columns = result[0].reshape(level.n_nodes, -1).T
@@ -104,21 +80,7 @@ def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list
 
 
 class KeptMultigrid(TruncatedMultigrid):
-    """The truncated multigrid for a sequence of steps.
-
-    Parameters
-    ----------
-    options : MultigridOptions
-        With :class:`~adaptmg.Truncated` as correction.
-    hierarchy : Hierarchy
-        Of the first step.
-    run : Run
-
-    Attributes
-    ----------
-    spent : bool
-        Another method had to take over: what is kept may be spoilt, it is set up anew.
-    """
+    """The truncated multigrid for a sequence of steps."""
 
     def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
         super().__init__(options, hierarchy, run)
@@ -135,20 +97,7 @@ class KeptMultigrid(TruncatedMultigrid):
                 finest.truncation.restore()
 
     def increment(self, start: NestedStart, past: list[np.ndarray]) -> list[np.ndarray]:
-        """The nested start of a step.
-
-        Parameters
-        ----------
-        start : NestedStart
-        past : list of (n_dofs,) arrays
-            Displacement of the step before on each level, coarsest first, Cartesian, prescribed values included, m;
-            between bodies relative.
-
-        Returns
-        -------
-        list of (n_dofs,) arrays
-            The same at this step: solutions of the coarse levels, and the start on the finest.
-        """
+        """The nested start of a step."""
         result: list[np.ndarray] = []
         for number, problem in enumerate(self.problems):
             if number == 0:

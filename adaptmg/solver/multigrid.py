@@ -235,17 +235,9 @@ class Truncated:
 
 @dataclass(frozen=True, kw_only=True)
 class WarmMultigrid(Multigrid):
-    """Truncated multigrid from a given start whose contact status is believed; it may stop after one cycle.
+    """Truncated multigrid from a given start whose contact status is believed; it may stop after one cycle."""
 
-    Parameters
-    ----------
-    first_rate : float
-        What is taken for the rate of the first cycle, > 0 and < 1.
-
-    See :class:`adaptmg.Multigrid` for the others; the correction is :class:`adaptmg.Truncated`.
-    """
-
-    first_rate: float = 0.5
+    first_rate: float = 0.5  # what is taken for the rate of the first cycle, > 0 and < 1
 
     def __post_init__(self) -> None:
         super().__post_init__()

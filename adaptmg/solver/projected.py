@@ -35,12 +35,6 @@ class ProjectedMultigrid:
     """One run of a multigrid method whose correction transports gap, slip and limit.
 
     See :class:`~adaptmg.solver.projected.Method`.
-
-    Parameters
-    ----------
-    options : MultigridOptions
-    hierarchy : Hierarchy
-    run : Run
     """
 
     #: of the diagonal, added to a coarsest matrix that is singular
@@ -89,13 +83,7 @@ class ProjectedMultigrid:
             return condense(replace(local, system=LocalSystem.from_matrix(blocks, coarsest.fixed, coarsest.nodes)))
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
-        """Solve level by level from the coarsest (steps a and b of the paper).
-
-        Returns
-        -------
-        (n_dofs,) array
-            The start on the finest level, local components.
-        """
+        """Solve level by level from the coarsest (steps a and b of the paper)."""
         unknowns = np.empty(0)
         for level in range(len(self.hierarchy) - 1):
             runner, local = self.runner(level), self.problems[level]
@@ -219,13 +207,7 @@ class _WholeCycles:
 
 
 class MultigridOptions(Protocol):
-    """What a method is asked for; :class:`adaptmg.Multigrid` says what each means.
-
-    Attributes
-    ----------
-    start : NestedStart or None
-        None where there is no nested start.
-    """
+    """What a method is asked for; :class:`adaptmg.Multigrid` says what each means."""
 
     @property
     def cycle(self) -> Cycle: ...

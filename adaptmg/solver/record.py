@@ -22,51 +22,20 @@ __all__ = ["Outcome", "Run", "Solver"]
 
 @dataclass
 class Run:
-    """What a solver writes while it runs.
+    """What a solver writes while it runs."""
 
-    Parameters
-    ----------
-    unit : int
-        Stored nonzeros of the finest matrix: one work unit.
-    callback : callable, optional
-        Called with each new row of the history (a dict), for progress bars.
-    reference : (n_nodes, dim) array, optional
-        The exact discrete solution, m: solvers record the true relative A-norm error against it. Neither its work nor
-        its time is counted.
-
-    Attributes
-    ----------
-    work_units : float
-        Passes over matrices, weighted by nonzeros over ``unit``.
-    history : list of dict
-        One row a check: at least ``cycle``, ``work_units``, ``seconds``; further numbers as the solver has them
-        (``change``, ``residual``, ``error_estimate``, ``true_error`` where there is a reference).
-    timings : dict
-        Seconds by phase.
-    path : list of (level, action, times)
-        What was done on which level, in order: 'smooth', 'restrict', 'prolong', 'solve', 'start'.
-    start_work_units : float
-        The part of ``work_units`` of the nested start.
-    first_cycle : int
-        Cycles done by another method before the one that records now.
-    examiner : Examiner, optional
-        Of the problem on the finest level: a method may ask it before it stops (:meth:`shortfall`).
-    fallback : str
-        The method that took over from the one asked for, and after how many cycles; empty if none did.
-    """
-
-    unit: int
+    unit: int  # stored nonzeros of the finest matrix: one work unit
     callback: Callable[[dict[str, float]], None] | None = None
-    reference: np.ndarray | None = None
-    work_units: float = 0.0
+    reference: np.ndarray | None = None  # (n_nodes, dim)
+    work_units: float = 0.0  # passes over matrices, weighted by nonzeros over unit
     history: list[dict[str, float]] = field(default_factory=list)
-    timings: dict[str, float] = field(default_factory=dict)
-    path: list[tuple[int, str, int]] = field(default_factory=list)
+    timings: dict[str, float] = field(default_factory=dict)  # seconds by phase
+    path: list[tuple[int, str, int]] = field(default_factory=list)  # list of (level, action, times)
     started: float = field(default_factory=time.perf_counter)
-    start_work_units: float = 0.0
+    start_work_units: float = 0.0  # the part of work_units of the nested start
     untimed_seconds: float = 0.0
-    first_cycle: int = 0
-    fallback: str = ""
+    first_cycle: int = 0  # cycles done by another method before the one that records now
+    fallback: str = ""  # the method that took over from the one asked for, and after how many cycles; empty if none did
     examiner: Examiner | None = None
     _nested_seconds: float = 0.0
 
@@ -135,29 +104,14 @@ class Run:
 
 @dataclass
 class Outcome:
-    """What a solver returns.
+    """What a solver returns."""
 
-    Attributes
-    ----------
-    displacement : (n_nodes, dim) array
-        On the finest level, m.
-    status : Status
-    cycles : int
-        Cycles, sweeps or Newton steps on the finest level.
-    error_estimate : float
-        Estimated relative A-norm error; NaN if the solver has none.
-    rate : float
-        Asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown.
-    rtol : float
-        The tolerance asked for.
-    """
-
-    displacement: np.ndarray
+    displacement: np.ndarray  # (n_nodes, dim): on the finest level, m
     status: Status
-    cycles: int
-    rtol: float
-    error_estimate: float = float("nan")
-    rate: float = float("nan")
+    cycles: int  # cycles, sweeps or Newton steps on the finest level
+    rtol: float  # the tolerance asked for
+    error_estimate: float = float("nan")  # estimated relative A-norm error; NaN if the solver has none
+    rate: float = float("nan")  # asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown
 
 
 class Solver(Protocol):

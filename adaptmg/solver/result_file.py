@@ -67,20 +67,7 @@ class Saved(Protocol):
 
 
 def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[str, Any] | None = None) -> None:
-    """Write a result, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-    result : adaptmg.Result
-    part_of : mapping, optional
-        Plain values: to which load path the file belongs, and its step.
-
-    Raises
-    ------
-    TypeError
-        For a field that is no number, text or array of numbers, named.
-    """
+    """Write a result, whole or not at all."""
     target = checks.file_path("path", path)
     arrays = {"displacement": result.displacement, "reaction": result.reaction}
     arrays |= {f"contact.{name}": getattr(result.contact, name) for name in _CONTACT}
@@ -98,22 +85,7 @@ def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[s
 
 
 def read_result(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read what :func:`write_result` wrote.
-
-    Returns
-    -------
-    fields : dict
-        Of a Result; "contact" is a dict of the fields of a ContactResult.
-    part_of : dict
-        Empty for a result that stands alone.
-
-    Raises
-    ------
-    ValueError
-        If it is no such file, or a damaged one; the message begins with the path.
-    OSError
-        If it cannot be opened.
-    """
+    """Read what :func:`write_result` wrote."""
     file = checks.file_path("path", path)
     arrays = read_arrays(file)
     where = printable(os.fspath(file))
@@ -322,15 +294,7 @@ class _Header:
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of an ``.npz`` file by name; numbers only, nothing is unpickled.
-
-    Raises
-    ------
-    ValueError
-        If it is no such file, or a damaged or hostile one; the message begins with the path.
-    OSError
-        If it cannot be opened.
-    """
+    """All arrays of an ``.npz`` file by name; numbers only, nothing is unpickled."""
     where = printable(os.fspath(path))
     if path.is_dir():
         raise ValueError(f"{where} is a folder, a file is wanted")

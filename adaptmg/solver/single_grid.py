@@ -148,17 +148,7 @@ class _TrescaTest(IterateTest):
 
 
 class _Sweeps:
-    """Batches of sweeps, in place, each followed by a residual; see :class:`~adaptmg.solver.iterate.Iteration`.
-
-    Parameters
-    ----------
-    problem : LocalProblem
-    smoother : ProjectedGaussSeidel
-    run : Run
-    unknowns : (n_dofs,) array
-    before : int
-        Sweeps done before.
-    """
+    """Batches of sweeps, in place, each followed by a residual; see :class:`~adaptmg.solver.iterate.Iteration`."""
 
     #: sweeps between the first checks; later checks come every CHECK_SHARE of the sweeps done
     FIRST_CHECK, CHECK_SHARE = 10, 0.1

@@ -129,13 +129,7 @@ def solver_argument(value: Solver | None, grids: Hierarchy) -> Solver:
 
 
 def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) -> Outcome:
-    """What a solver, a user's own perhaps, returns; where its numbers are not finite the status says so.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If it is no Outcome, or has a displacement, status, count or tolerance of another type or shape.
-    """
+    """What a solver, a user's own perhaps, returns; where its numbers are not finite the status says so."""
     name = f"solver: the run of {checks.shown(solver)} must return an Outcome"
     if not isinstance(outcome, Outcome):
         raise TypeError(f"{name}, got {checks.described(outcome)}")
@@ -163,22 +157,7 @@ _LOG = logging.getLogger(__name__)
 
 def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, solver: Solver,
               stress_data: StressData | None) -> Result:
-    """The Result on the finest level; what is examined must confirm the status.
-
-    Parameters
-    ----------
-    grids : Hierarchy
-    examiner : Examiner
-        Of the finest level.
-    run : Run
-        Of the solver.
-    outcome : Outcome
-        What it returned; between bodies relative.
-    solver : Solver
-        For its name.
-    stress_data : StressData or None
-        For the stresses.
-    """
+    """The Result on the finest level; what is examined must confirm the status."""
     with run.phase("certificate"):
         found = examiner(outcome.displacement)
     keys = dict.fromkeys(key for row in run.history for key in row)

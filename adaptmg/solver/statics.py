@@ -53,28 +53,7 @@ _LIMIT = 1e6  # Tresca limits beyond this multiple of the load count as this: ke
 
 @remembered
 def check_statics(problem: DiscreteProblem) -> None:
-    """Raise ValueError if a rigid motion is left free by the supports and contact cannot hold it.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-        Rigid motions are taken from ``near_nullspace``, body by body (connected parts of the matrix); those that strain
-        the matrix, such as a body on springs, are left out. Without ``near_nullspace`` nothing is known about rigid
-        motions and nothing is checked.
-
-    Raises
-    ------
-    ValueError
-        If contact forces cannot balance the load on a free motion; if a free motion neither opens nor closes contact,
-        meets no friction and no work of the load, so that the solution is not unique; or if no load acts on the free
-        motions at all and contact can open. The message names the motion.
-
-    Notes
-    -----
-    Contact forces may act at every contact node, also across a gap. Prescribed values other than zero change nothing:
-    their lift A u_fixed does no work on a rigid motion m, m' A u_fixed = (A m)' u_fixed = 0. An unbalanced part below
-    1e-6 of the load is not seen.
-    """
+    """Raise ValueError if a rigid motion is left free by the supports and contact cannot hold it."""
     if problem.near_nullspace is None:
         return
     graph = sparse.csr_array((np.ones(len(problem.matrix.indices), dtype=np.int8), problem.matrix.indices,
@@ -198,20 +177,11 @@ def _check_body(body: _Body) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
-    """Admissible contact forces, by their work on the k free motions; forces in units of the load.
+    """Admissible contact forces, by their work on the k free motions; forces in units of the load."""
 
-    Attributes
-    ----------
-    edges : (k, n_edges) array
-        Of the Coulomb cones (without friction: unit pressures), times factors >= 0.
-    segments : (k, n_segments) array
-        Of the Tresca part, times factors within +-limits.
-    limits : (n_segments,) array
-    """
-
-    edges: np.ndarray
-    segments: np.ndarray
-    limits: np.ndarray
+    edges: np.ndarray  # (k, n_edges): of the Coulomb cones (without friction: unit pressures), times factors >= 0
+    segments: np.ndarray  # (k, n_segments): of the Tresca part, times factors within +-limits
+    limits: np.ndarray  # (n_segments,)
 
     def least_unbalanced(self, work: np.ndarray) -> tuple[float, np.ndarray]:
         """Smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it is done."""
@@ -356,18 +326,7 @@ _SMALL, _SMALL_CONTACT = 1500, 200
 
 @remembered
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
-    """The critical coefficient of each contact node if it touches alone.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-        One factorisation, and a dense inverse of the size of its contact dofs.
-
-    Returns
-    -------
-    (n_contact,) array
-        min K_tt / |K_nt| over tangents; infinite where the two do not interact, NaN where only contact holds the body.
-    """
+    """The critical coefficient of each contact node if it touches alone."""
     local = local_system(problem)
     dim, n = problem.dim, len(problem.contact)
     schur = condense(local).matrix

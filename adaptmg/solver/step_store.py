@@ -96,13 +96,7 @@ def write(folder: Path, results: Sequence[Result], factors: Mapping[str, np.ndar
 
 
 def read(folder: Path) -> tuple[PathHead, tuple[Result, ...]]:
-    """Read the head and the steps that are there, from the first on.
-
-    Raises
-    ------
-    ValueError
-        See :meth:`adaptmg.PathResult.load`.
-    """
+    """Read the head and the steps that are there, from the first on."""
     head = _read_head(folder)
     found = sorted(int(match[1]) for name in os.listdir(folder) if (match := re.fullmatch(r"step_(\d+)\.npz", name)))
     results: list[Result] = []
@@ -162,28 +156,7 @@ _TOLERANCE = 1e-8
 
 
 class PathStore:
-    """A folder with the finished steps.
-
-    Parameters
-    ----------
-    folder : path
-        Made where missing.
-    factors : mapping of str to (n_steps,) array
-    steps : int
-        Of the whole path.
-    mark : mapping
-        The fingerprint.
-
-    Attributes
-    ----------
-    results : list of Result
-        Steps that were there already.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds steps of something else; the message says what differs.
-    """
+    """A folder with the finished steps."""
 
     def __init__(self, folder: str | os.PathLike[str], factors: Mapping[str, np.ndarray], steps: int,
                  mark: Mapping[str, Any]) -> None:
@@ -216,24 +189,7 @@ class PathStore:
 def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Mapping[str, np.ndarray], steps: int,
                 parts: Mapping[str, Any], start: np.ndarray | None = None, depends: Mapping[str, Any] | None = None
                 ) -> dict[str, Any]:
-    """What the steps of a path depend on, as plain values by what a message calls it.
-
-    Parameters
-    ----------
-    grids : Hierarchy
-    loads, factors, steps
-        Of each level; of the path.
-    parts : mapping
-        By name: solver, indicator, ...; compared by value.
-    start : array, optional
-    depends : mapping, optional
-        See :func:`adaptmg.solve_path`.
-
-    Raises
-    ------
-    TypeError
-        If a part cannot be compared by value, and ``depends`` does not name it.
-    """
+    """What the steps of a path depend on, as plain values by what a message calls it."""
     given = checks.instance("depends", {} if depends is None else depends, Mapping, "a mapping of names to values")
     finest, contact = grids.finest.discrete, grids.finest.discrete.contact
     coordinates = [] if finest.coordinates is None else [_sums(finest.coordinates)]

@@ -50,20 +50,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class TruncatedMultigrid:
-    """One run of the truncated multigrid.
-
-    Parameters
-    ----------
-    options : MultigridOptions
-        With :class:`~adaptmg.Truncated` as correction.
-    hierarchy : Hierarchy
-    run : Run
-
-    Attributes
-    ----------
-    nbytes : int
-        Memory of the arrays of the solver on all levels, with the contact data of the level last worked on.
-    """
+    """One run of the truncated multigrid."""
 
     #: complete nested starts stop after so many cycles on a level
     COMPLETE_LIMIT = 60
@@ -120,17 +107,7 @@ class TruncatedMultigrid:
         return unknowns
 
     def finish(self, unknowns: np.ndarray, cold: bool, rate: float | None = None) -> Outcome:
-        """Cycles on the finest level.
-
-        Parameters
-        ----------
-        unknowns : (n_dofs,) array
-            Start, Cartesian, from the prescribed values.
-        cold : bool
-            Whether the contact status of the start means nothing.
-        rate : float, optional
-            Of the first cycle, where it is known.
-        """
+        """Cycles on the finest level."""
         o, problem = self.options, self.problems[-1]
         start = unknowns.copy() if o.rtol == "discretisation" else None
         runner = self._runner(len(self.hierarchy) - 1, unknowns)
@@ -263,17 +240,7 @@ def lifted_load(problem: DiscreteProblem) -> np.ndarray:
 
 
 class Fallback:
-    """Takes over a run of the truncated multigrid.
-
-    Parameters
-    ----------
-    options : MultigridOptions
-    hierarchy : Hierarchy
-    run : Run
-        Its ``fallback`` names what took over, its ``first_cycle`` says after how many cycles.
-    rtol : float
-        As for :class:`~adaptmg.solver.multigrid.Multigrid`.
-    """
+    """Takes over a run of the truncated multigrid."""
 
     #: dofs up to which sparse factorisations are sensible, by dimension
     FACTORISED: ClassVar[dict[int, int]] = {2: 200_000, 3: 60_000}
@@ -285,20 +252,7 @@ class Fallback:
         self.problem: DiscreteProblem = hierarchy.finest.discrete
 
     def finish(self, outcome: Outcome, better: bool) -> Outcome:
-        """Solve with what is left of the cycles.
-
-        Parameters
-        ----------
-        outcome : Outcome
-            How the truncated multigrid ended; not converged.
-        better : bool
-            Whether its iterate is better than none: one that ran away is given up.
-
-        Returns
-        -------
-        Outcome
-            That of the first method that converges; else of the last one tried, or ``outcome``.
-        """
+        """Solve with what is left of the cycles."""
         start = outcome.displacement if better else None
         if self.problem.n_dofs <= self.FACTORISED[self.problem.dim]:
             for first in (start, None) if better else (None,):

@@ -27,24 +27,7 @@ from adaptmg.solver.status import Status
 __all__ = ["EnergyTest", "StartIteration", "StartTest", "TruncatedIteration", "WarmIteration", "WarmTest"]
 
 class TruncatedIteration:
-    """Cycles, measured after the smoothing; see :class:`~adaptmg.solver.iterate.Iteration`.
-
-    Parameters
-    ----------
-    runner : TruncatedStep
-    safe_cycles : int
-        At most, the first time.
-    cold : bool
-        Whether the contact status of the start means nothing.
-    run : Run, optional
-        With a reference, for the true error.
-    problem : DiscreteProblem, optional
-        Needed for that.
-    start : (n_dofs,) array, optional
-        The nested start, where it sets the tolerance.
-    hands_over : bool
-        Whether another method can go on where cycles are slow.
-    """
+    """Cycles, measured after the smoothing; see :class:`~adaptmg.solver.iterate.Iteration`."""
 
     #: times that safe cycles are tried when the residual stops falling
     TROUBLES = 1
@@ -131,18 +114,7 @@ class StartIteration(TruncatedIteration):
 
 
 class EnergyTest(StopTest):
-    """Follows the residuals and coarse corrections of one level.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-    rtol : float or "discretisation"
-        As of :class:`~adaptmg.solver.iterate.StopTest`. "discretisation": see :meth:`take_discretisation_error`.
-    limit : float
-        Cycles at most.
-    certificate : callable, optional
-        As of :class:`~adaptmg.solver.iterate.StopTest`.
-    """
+    """Follows the residuals and coarse corrections of one level."""
 
     #: the energy of the coarse correction misses what the smoothing removes, and all the corrections that follow: the
     #: error is up to the larger of SAFETY and TAIL / (1 - rate) times larger
@@ -233,14 +205,7 @@ class EnergyTest(StopTest):
 
 
 class StartTest(EnergyTest):
-    """So many cycles of a nested start, and more as long as the residual is large; :meth:`enough` ends them.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-    wanted, most : int
-        Cycles at least and, where the residual stays large, at most.
-    """
+    """So many cycles of a nested start, and more as long as the residual is large; :meth:`enough` ends them."""
 
     #: natural residual, relative, above which a nested start is not left to Newton cycles nor to the next level
     TRUSTED = 0.1
@@ -259,15 +224,7 @@ class StartTest(EnergyTest):
 
 
 class WarmTest(EnergyTest):
-    """For a start that is nearly solved: a rate is taken for known before one is measured, so that a cycle may do.
-
-    Parameters
-    ----------
-    problem, rtol, limit, certificate
-        See :class:`EnergyTest`.
-    rate : float
-        Of the first cycle.
-    """
+    """For a start that is nearly solved: a rate is taken for known before one is measured, so that a cycle may do."""
 
     def __init__(self, problem: DiscreteProblem, rtol: float, limit: float, certificate: Callable[[float], float],
                  rate: float) -> None:

@@ -78,17 +78,7 @@ CONNECT_S = 10.0
 
 @contextmanager
 def opened(workers: int | None, scheduler: Any, runs: int) -> Iterator[Execute]:
-    """An executor on a cluster of its own, or on that of the user.
-
-    Parameters
-    ----------
-    workers : int or None
-        Local processes to start; no more than there are runs.
-    scheduler : str, distributed.Client, a cluster of dask, or None
-        The user's.
-    runs : int
-        How many runs there are.
-    """
+    """An executor on a cluster of its own, or on that of the user."""
     if scheduler is None:
         with local_cluster(min(checks.integer("workers", workers, minimum=1), max(runs, 1))) as client:
             yield on_cluster(client)
@@ -111,13 +101,7 @@ def opened(workers: int | None, scheduler: Any, runs: int) -> Iterator[Execute]:
 
 
 class OnCluster:
-    """An executor that computes on the workers of a client.
-
-    Attributes
-    ----------
-    running : int
-        Runs that are out.
-    """
+    """An executor that computes on the workers of a client."""
 
     def __init__(self, client: Client) -> None:
         self._client, self._runs = client, None
@@ -323,15 +307,6 @@ _TRIES = 3
 
 def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
     """Tell of workers that could not compute the runs, or would compute others; ``parts`` are those of the fingerprint.
-
-    Raises
-    ------
-    OSError
-        If there are no workers.
-    ValueError
-        If they are started wrongly.
-    RuntimeError
-        If one has another adaptmg or other packages, or lacks a module.
     """
     address = client.scheduler.address
     _wait_for_one(client, address)

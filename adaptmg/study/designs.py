@@ -45,15 +45,9 @@ Point = dict[str, Value]
 
 
 class Design:
-    """Points of a study.
+    """Points of a study."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the parameters.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the parameters
 
     def __len__(self) -> int:
         raise NotImplementedError
@@ -394,13 +388,7 @@ class Repeated(Design):
 
 
 def stored_design(store: Store, study: str, fixed: Mapping[str, Any]) -> Points:
-    """The points of a study with these fixed parameters, computed or not; without the fixed ones.
-
-    Raises
-    ------
-    ValueError
-        If there are none.
-    """
+    """The points of a study with these fixed parameters, computed or not; without the fixed ones."""
     keys = dict.fromkeys([*store.get(study), *store.points(study)])
     points = [{name: restored(value) for name, value in json.loads(key).items()} for key in keys]
     texts = {name: canonical({name: value}) for name, value in fixed.items()}

@@ -36,49 +36,24 @@ RunFunction = Callable[..., Any]
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be done at each point.
+    """What is to be done at each point."""
 
-    Parameters
-    ----------
-    function : function
-        The run function.
-    fingerprint : Fingerprint
-        What it depends on.
-    depends : tuple of str
-        Names that were left out of that, see :class:`adaptmg.study.study.Study`.
-    limit_s : float, optional
-        Seconds after which a run is stopped.
-    memory_limit : int, optional
-        Bytes that the process of a run may hold.
-    """
-
-    function: RunFunction
-    fingerprint: Fingerprint
-    depends: tuple[str, ...] = ()
-    limit_s: float | None = None
-    memory_limit: int | None = None
+    function: RunFunction  # the run function
+    fingerprint: Fingerprint  # what it depends on
+    depends: tuple[str, ...] = ()  # names that were left out of that, see Study
+    limit_s: float | None = None  # seconds after which a run is stopped
+    memory_limit: int | None = None  # bytes that the process of a run may hold
 
 
 @dataclass(frozen=True)
 class Finished:
-    """What came of one run.
+    """What came of one run."""
 
-    Attributes
-    ----------
-    results : dict
-        Empty if it failed.
-    error : str
-        Type and text of the exception, empty if it did not fail.
-    exception : BaseException or None
-        The exception itself, where it can be had.
-    others : as in :class:`adaptmg.study.record.Record`
-    """
-
-    results: dict[str, Scalar] = field(default_factory=dict)
+    results: dict[str, Scalar] = field(default_factory=dict)  # empty if it failed
     packed: dict[str, Packed] = field(default_factory=dict)
-    error: str = ""
+    error: str = ""  # type and text of the exception, empty if it did not fail
     traceback: str = ""
-    exception: BaseException | None = None
+    exception: BaseException | None = None  # the exception itself, where it can be had
     seconds: float = 0.0
     peak_memory: int = 0
     started: str = ""

@@ -42,28 +42,13 @@ class UnfitWorker(RuntimeError):
 
 @dataclass(frozen=True)
 class Order:
-    """What a worker is told with each run.
+    """What a worker is told with each run."""
 
-    Parameters
-    ----------
-    function : bytes
-        The run function, see :mod:`adaptmg.study.in_worker`.
-    identity : dict
-        Of the process of the study.
-    code : str
-        Of the fingerprint.
-    depends : tuple of str
-        Names that it does not look at.
-    warm : bool
-        Whether kernels are to be compiled before the first clock starts.
-    limit_s, memory_limit : as in :class:`adaptmg.study.execute.Task`
-    """
-
-    function: bytes
-    identity: dict[str, str]
-    code: str
-    depends: tuple[str, ...]
-    warm: bool
+    function: bytes  # the run function, see in_worker
+    identity: dict[str, str]  # of the process of the study
+    code: str  # of the fingerprint
+    depends: tuple[str, ...]  # names that it does not look at
+    warm: bool  # whether kernels are to be compiled before the first clock starts
     limit_s: float | None = None
     memory_limit: int | None = None
 
@@ -81,16 +66,6 @@ def readied(order: Order, parts: dict[str, str] | None = None) -> Callable[..., 
 
     Modules that are loaded here may have been edited since, and values that the user's script set in a module are not
     here: the function would compute something else, under the fingerprint of the study.
-
-    Parameters
-    ----------
-    order : Order
-    parts : dict, optional
-        Of the fingerprint, to say what differs.
-
-    Raises
-    ------
-    UnfitWorker
     """
     told = differences(order.identity, identity())
     if told:
@@ -128,16 +103,7 @@ def _warm() -> None:
 
 
 def perform(order: Order, point: Point, tries: int, report: Report) -> Finished:
-    """One run.
-
-    Parameters
-    ----------
-    order, point
-    tries : int
-        How often it was started, with this time.
-    report : callable
-        Given a text before the process ends itself, as the run is over a limit; an empty one when the clock starts.
-    """
+    """One run."""
     function = readied(order)
     if order.warm:
         _warm()
@@ -234,13 +200,7 @@ def _cached_again(function: Callable[..., Any], parameters: dict[str, Any]) -> A
 
 
 def sent(function: Callable[..., Any]) -> bytes:
-    """A function as bytes.
-
-    Raises
-    ------
-    TypeError
-        If it cannot be sent, or carries too much with it.
-    """
+    """A function as bytes."""
     buffer = io.BytesIO()
     try:
         _Pickler(buffer).dump(function)

@@ -35,16 +35,9 @@ _MESH = ("points", "elements", "facets", "facet_labels", "element_body")
 
 @dataclass(frozen=True)
 class Packed:
-    """A result as the content of a file.
+    """A result as the content of a file."""
 
-    Parameters
-    ----------
-    ending : str
-        Of the file: what kind it is, and how it is read.
-    content : bytes
-    """
-
-    ending: str
+    ending: str  # of the file: what kind it is, and how it is read
     content: bytes
 
 
@@ -141,13 +134,7 @@ def _write_all(base: Path, contents: Mapping[str, bytes]) -> None:
 
 
 class Folder:
-    """The files of the runs in a store.
-
-    Parameters
-    ----------
-    store : Path or None
-        The store, beside which they lie. None: they are in a folder that goes with this object.
-    """
+    """The files of the runs in a store."""
 
     def __init__(self, store: Path | None) -> None:
         self._temporary: tempfile.TemporaryDirectory[str] | None = None

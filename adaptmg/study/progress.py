@@ -17,19 +17,7 @@ _log = logging.getLogger("adaptmg.study")
 
 
 class Watch:
-    """Counts of a study that runs.
-
-    Parameters
-    ----------
-    name : str
-        Of the study.
-    total, before : int
-        Runs of the study, and how many of them need not be computed.
-    running : callable
-        How many runs are being computed now.
-    show : callable, optional
-        Called after each run with this object.
-    """
+    """Counts of a study that runs."""
 
     def __init__(self, name: str, total: int, before: int, running: Callable[[], int],
                  show: Callable[[Watch], None] | None = None) -> None:

@@ -215,18 +215,7 @@ class StudyStatus:
 
 def reasons(stale: Iterable[Record], now: Fingerprint, versions: Mapping[str, str],
             origins: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
-    """Why records are stale, with the number of records.
-
-    Parameters
-    ----------
-    stale : iterable of Record
-    now : Fingerprint
-        What a run depends on now.
-    versions : mapping
-        Of packages, now.
-    origins : mapping
-        Parts of fingerprints by their code, from the store.
-    """
+    """Why records are stale, with the number of records."""
     kinds: Counter[tuple[str, tuple[tuple[str, str], ...]]] = Counter(
         (record.code, tuple(record.versions.items())) for record in stale)
     found: Counter[str] = Counter()

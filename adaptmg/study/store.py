@@ -83,22 +83,7 @@ def varying(connection: sqlite3.Connection, study: str, first: Mapping[str, Valu
 
 
 def save(store: Path, connection: sqlite3.Connection | None, rows: Sequence[tuple[Any, ...]]) -> str:
-    """Write a new store with the runs of this process, and those of the old file that can still be read.
-
-    Parameters
-    ----------
-    store : Path
-        The store that failed.
-    connection : sqlite3.Connection or None
-        To it, if its content is to be saved too: after it was removed that is still there.
-    rows : sequence of tuples
-        All runs that this process has written or tried to, columns as in :data:`adaptmg.study.store.COLUMNS`.
-
-    Returns
-    -------
-    str
-        What to tell the user: where the runs are, and how they come back.
-    """
+    """Write a new store with the runs of this process, and those of the old file that can still be read."""
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
     failed = []
     for folder in (store.parent, Path(tempfile.gettempdir()), Path.home()):
@@ -159,13 +144,7 @@ def record_row(study: str, record: Record) -> tuple[Any, ...]:
 
 
 def row_records(rows: Sequence[Sequence[Any]]) -> list[Record]:
-    """Records of rows without their study, checked column by column, as there may be 100 000.
-
-    Raises
-    ------
-    ValueError, TypeError, RecursionError
-        If adaptmg cannot have written one of them; which one, rows given one by one tell.
-    """
+    """Records of rows without their study, checked column by column, as there may be 100 000."""
     if not rows:
         return []
     columns = dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True))
@@ -256,24 +235,7 @@ _OTHERS = ("CREATE TABLE IF NOT EXISTS origins (code TEXT PRIMARY KEY, parts TEX
 
 
 def prepare(connection: sqlite3.Connection, called: str) -> int:
-    """Make the tables of an empty database, and those that an older store lacks.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-    called : str
-        The file in messages.
-
-    Returns
-    -------
-    int
-        Version of what is there now: an older store that cannot be written stays as it is.
-
-    Raises
-    ------
-    ValueError
-        If it is another program's database, or of a later version.
-    """
+    """Make the tables of an empty database, and those that an older store lacks."""
     version = _checked_version(connection, called)
     if version < FORMAT:
         try:
@@ -348,21 +310,7 @@ _PUT = f"INSERT OR REPLACE INTO runs ({', '.join(COLUMNS)}) VALUES ({', '.join('
 
 
 class Store:
-    """Runs by study and parameters.
-
-    Parameters
-    ----------
-    path : path or None
-        The file; it and its directories are made where missing. None keeps the runs in memory only.
-
-    Raises
-    ------
-    ValueError
-        If the file is something else, of another version of adaptmg, or damaged; later too, when a row is read.
-    OSError
-        If it cannot be opened, read or written: a folder, write-protected, locked by another process, a full disk;
-        if the file is no longer the one that was opened. Every message begins with the path.
-    """
+    """Runs by study and parameters."""
 
     def __init__(self, path: str | os.PathLike[str] | None) -> None:
         # with links followed: SQLite keeps its journal beside the file itself
@@ -432,13 +380,7 @@ class Store:
         self.put_all(study, [record])
 
     def put_all(self, study: str, records: Iterable[Record], parts: dict[str, str] | None = None) -> None:
-        """Write runs in one transaction; ``parts`` say what they depend on.
-
-        Raises
-        ------
-        OSError, ValueError
-            See the class. Nothing is lost: the message names the file that holds what this process has written.
-        """
+        """Write runs in one transaction; ``parts`` say what they depend on."""
         self._waiting |= {row[:2]: row for row in (record_row(study, record) for record in records)}
         self._written |= self._waiting
         try:
@@ -472,13 +414,7 @@ class Store:
             connection.executemany("INSERT OR IGNORE INTO points VALUES (?, ?)", [(study, key) for key in keys])
 
     def take_in(self, path: str | os.PathLike[str]) -> int:
-        """Take in the runs of another store, such as one that was rescued; of two for a point the later stays.
-
-        Returns
-        -------
-        int
-            How many runs were taken.
-        """
+        """Take in the runs of another store, such as one that was rescued; of two for a point the later stays."""
         other = Store(checks.file_path("store", Path(path).resolve(strict=True)))
         with other._explained():
             rows = other._connection.execute(f"SELECT study, {selected(other._version)} FROM runs").fetchall()

@@ -367,17 +367,7 @@ def check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Any]
 
 
 def in_order(points: list[Point], cost: Cost | None, stored: Mapping[str, Record]) -> list[Point]:
-    """The most expensive runs first, so that none of them is started when the others are done.
-
-    Parameters
-    ----------
-    points : list of dict
-    cost : callable, str or None
-        A function of the point; the name of a parameter; or that of a result or ``"seconds"``, taken from what is
-        stored. None: as they come.
-    stored : mapping
-        Records by :func:`canonical` parameters.
-    """
+    """The most expensive runs first, so that none of them is started when the others are done."""
     if cost is None or not points:
         return points
     if not (callable(cost) or isinstance(cost, str)):

@@ -155,16 +155,7 @@ def from_columns(made: Mapping[str, Sequence[Any]]) -> pd.DataFrame:
 
 def columns(names: Sequence[str], rows: Sequence[tuple[dict[str, Value], Record | None, str]],
             details: bool = False) -> dict[str, list[Any]]:
-    """The columns of a table of runs.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of the parameters.
-    rows : sequence of (parameters, record or None, status)
-    details : bool
-        Also the columns of :data:`adaptmg.study.record.DETAILS`.
-    """
+    """The columns of a table of runs."""
     results = dict.fromkeys(name for _, record, _ in rows if record is not None for name in record.results)
     made: dict[str, list[Any]] = {name: [point[name] for point, _, _ in rows] for name in names}
     found = [{} if record is None else record.results for _, record, _ in rows]

@@ -141,38 +141,15 @@ def with_contact_rows(P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.
 
 @dataclass(frozen=True, eq=False)
 class LevelTransfer:
-    """Nodal prolongations from a level to the next finer.
+    """Nodal prolongations from a level to the next finer."""
 
-    Attributes
-    ----------
-    prolongation : (n_nodes, n_nodes coarse) csr_array
-        Of relative values where there is a coupling.
-    surface : csr_array or None
-        With a coupling the form whose slave rows interpolate along the slave surface.
-    """
-
-    prolongation: sparse.csr_array
+    prolongation: sparse.csr_array  # (n_nodes, n_nodes coarse) csr_array: of relative values where there is a coupling
     surface: sparse.csr_array | None = None
 
 
 def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coarse_problem: DiscreteProblem,
                    fine_problem: DiscreteProblem, contact_rows: bool = True) -> LevelTransfer:
-    """Prolongations between the discretisations of one problem on two meshes.
-
-    Parameters
-    ----------
-    transfer : Transfer
-    coarse, fine : MeshArrays
-    coarse_problem, fine_problem : DiscreteProblem
-        Of them.
-    contact_rows : bool
-        Interpolate the nodes of contact surfaces (of pairs: both) along the coarse surface.
-
-    Raises
-    ------
-    ValueError
-        If the transfer returns a matrix of another shape, entries that are not finite, or rows that mix bodies.
-    """
+    """Prolongations between the discretisations of one problem on two meshes."""
     nodal = _built(transfer, coarse, fine)
     contact, coupling = fine_problem.contact, fine_problem.coupling
     if coupling is not None:

@@ -163,17 +163,6 @@ def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_
 
     The diagonal that :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next one) is no
     stiffness: in the next product it would hold the coarser functions at zero there.
-
-    Parameters
-    ----------
-    nodal : csr_array (n, n coarse)
-    finer : csr_array (n finer, n), optional
-        To the next finer level.
-
-    Returns
-    -------
-    csr_array (n, n coarse)
-        With the pattern of ``nodal``.
     """
     if finer is None:
         return nodal
@@ -247,22 +236,7 @@ def _prolongation(name: str, value: Any) -> sparse.csr_array:
 
 def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[Any]
                   ) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
-    """Check prolongations against a matrix and form the Galerkin matrices.
-
-    Parameters
-    ----------
-    matrix : bsr_array (n_dofs, n_dofs)
-    fixed : (n_dofs,) bool array
-    prolongations : sequence of sparse matrices
-        Coarse to fine, all of nodes or all of dofs.
-
-    Returns
-    -------
-    prolongations : list of csr_array
-    matrices : list of bsr_array
-        Coarsest first, without the finest; blocks of size 1 where the prolongations are of dofs. A coarse dof that
-        nothing free reaches has a diagonal entry only.
-    """
+    """Check prolongations against a matrix and form the Galerkin matrices."""
     listed = checks.listed("prolongations", prolongations, "scipy sparse matrices, coarse to fine")
     given = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(listed)]
     if not given:

@@ -110,20 +110,7 @@ def nodes_of_bodies(mesh: MeshArrays, name: str = "fine") -> np.ndarray:
 
 def body_locators(coarse: MeshArrays, fine: MeshArrays, names: tuple[str, str] = ("coarse", "fine")
                   ) -> list[tuple[int | None, PointLocator]]:
-    """Pairs of a body of ``fine`` (None: all of it) and the locator in the coarse mesh of the same body.
-
-    Parameters
-    ----------
-    coarse, fine : MeshArrays
-        The mesh to search and the mesh of the points.
-    names : tuple of str
-        What messages call them.
-
-    Raises
-    ------
-    TypeError, ValueError
-        No meshes; different dimensions; a body that only the fine mesh has.
-    """
+    """Pairs of a body of ``fine`` (None: all of it) and the locator in the coarse mesh of the same body."""
     for name, mesh in zip(names, (coarse, fine), strict=True):
         if not isinstance(mesh, MeshArrays):
             raise TypeError(f"{name} must be MeshArrays, got {type(mesh).__name__}")
@@ -143,22 +130,7 @@ def body_locators(coarse: MeshArrays, fine: MeshArrays, names: tuple[str, str] =
 
 def locate_nodes(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float,
                  names: tuple[str, str] = ("coarse", "fine")) -> Location:
-    """Locate every fine node in the coarse elements of its body.
-
-    Parameters
-    ----------
-    coarse, fine : MeshArrays
-        The mesh to search and the mesh of the points.
-    outside_tolerance : float
-        Largest distance from the coarse mesh allowed, over the size (longest edge) of the nearest coarse element.
-    names : tuple of str
-        What messages call the meshes.
-
-    Raises
-    ------
-    ValueError
-        A node lies further outside; names the node, its position and distance.
-    """
+    """Locate every fine node in the coarse elements of its body."""
     locators = body_locators(coarse, fine, names)
     element = np.empty(fine.n_nodes, dtype=np.int32)
     weights, distance = np.empty((fine.n_nodes, fine.dim + 1)), np.empty(fine.n_nodes)
@@ -245,21 +217,7 @@ def _fill_rows(columns, weights, clip, indptr, indices, data):
 
 
 def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -> sparse.csr_array:
-    """Sparse rows from a fixed number of weights each.
-
-    Parameters
-    ----------
-    columns : (n, k) array of int
-        Distinct within a row.
-    weights : (n, k) array
-        >= 0; those below ``CLIP`` are left out and the rest of the row normalised.
-    n_columns : int
-
-    Returns
-    -------
-    (n, n_columns) csr_array
-        Sorted, row sums 1.
-    """
+    """Sparse rows from a fixed number of weights each."""
     n, k = columns.shape
     indptr = np.empty(n + 1, dtype=np.int32)
     indices, data = np.empty(n * k, dtype=np.int32), np.empty(n * k)
@@ -331,22 +289,7 @@ def _add_corrections(indptr, indices, data, points, centres, multiplier, scale):
 
 def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, moments: np.ndarray
                   ) -> tuple[sparse.csr_array, np.ndarray]:
-    """Change the entries of every row as little as possible so that it has the given moments.
-
-    Parameters
-    ----------
-    matrix : (n_fine, n_coarse) csr_array
-    coarse, fine : MeshArrays
-    moments : (n_fine, dim + 1) array
-        Wanted: sum of the row, then its first moments about the fine node, m.
-
-    Returns
-    -------
-    csr_array
-        The same pattern. Moments that the pattern cannot change (all columns on one line) are left unchanged.
-    reached : (n_fine,) bool array
-        Rows that have all their moments.
-    """
+    """Change the entries of every row as little as possible so that it has the given moments."""
     n, dim = fine.points.shape
     gram, defect, scale = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1)), np.empty(n)
     scale[fine.elements] = fine.element_sizes[:, None]      # that of one of its elements will do
@@ -364,25 +307,7 @@ def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays
 
 def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, *, tolerance: float = CLIP,
                  moments: np.ndarray | None = None) -> tuple[sparse.csr_array, np.ndarray]:
-    """Drop small entries, and restore row sums 1 and first moments.
-
-    Parameters
-    ----------
-    matrix : (n_fine, n_coarse) csr_array
-    coarse, fine : MeshArrays
-    tolerance : float
-        Entries of smaller magnitude are dropped; at least ``CLIP``.
-    moments : (n_fine, dim + 1) array, optional
-        Wanted row sums and first moments about the fine nodes, m. Default: sums 1, and the moments the rows have, over
-        their sums.
-
-    Returns
-    -------
-    csr_array
-        No entry is smaller than ``CLIP`` in magnitude.
-    reached : (n_fine,) bool array
-        Rows that have their moments: near a coarse node what is left may be that node alone.
-    """
+    """Drop small entries, and restore row sums 1 and first moments."""
     if moments is None:
         centre = coarse.points.mean(axis=0)             # far from the origin the differences would lose digits
         moments = matrix @ np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])

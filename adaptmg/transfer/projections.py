@@ -261,18 +261,11 @@ COVERED = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """The elements around every node.
+    """The elements around every node."""
 
-    Attributes
-    ----------
-    indptr : (n_nodes + 1,) array
-    elements, corners : (n_elements * (dim + 1),) arrays
-        Element and the node's number in it, node by node.
-    """
-
-    indptr: np.ndarray
-    elements: np.ndarray
-    corners: np.ndarray
+    indptr: np.ndarray  # (n_nodes + 1,)
+    elements: np.ndarray  # (n_elements * (dim + 1),)s: element and the node's number in it, node by node
+    corners: np.ndarray  # (n_elements * (dim + 1),)s: element and the node's number in it, node by node
 
     @classmethod
     def of(cls, mesh: MeshArrays) -> Patches:
@@ -290,40 +283,17 @@ class Patches:
 
 @dataclass(frozen=True, eq=False)
 class MixedMass:
-    """The integrals B^e, element by element.
-
-    Attributes
-    ----------
-    coarse, fine : MeshArrays
-    indptr : (n_fine_elements + 1,) array
-    columns : (n_entries,) array
-        Coarse nodes; one may occur more than once in an element.
-    values : (n_entries, dim + 1) array
-        Integrals with the shape functions of the corners, m^2 or m^3.
-    patches : Patches
-        Of the fine mesh.
-    """
+    """The integrals B^e, element by element."""
 
     coarse: MeshArrays
     fine: MeshArrays
-    indptr: np.ndarray
-    columns: np.ndarray
-    values: np.ndarray
-    patches: Patches
+    indptr: np.ndarray  # (n_fine_elements + 1,)
+    columns: np.ndarray  # (n_entries,): coarse nodes; one may occur more than once in an element
+    values: np.ndarray  # (n_entries, dim + 1): integrals with the shape functions of the corners, m^2 or m^3
+    patches: Patches  # of the fine mesh
 
     def assemble(self, coefficients: np.ndarray) -> sparse.csr_array:
-        """Sum over patches.
-
-        Parameters
-        ----------
-        coefficients : (n_incidences, dim + 1) array
-            a_iek at the entries of ``patches``.
-
-        Returns
-        -------
-        (n_fine, n_coarse) csr_array
-            Sorted.
-        """
+        """Sum over patches."""
         patches, shape = self.patches, (self.fine.n_nodes, self.coarse.n_nodes)
         indptr = np.zeros(shape[0] + 1, dtype=np.int64)
         marker = np.full(shape[1], -1, dtype=np.int64)
@@ -351,13 +321,7 @@ class MixedMass:
 
 
 def mixed_mass(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float) -> MixedMass:
-    """Compute the integrals, body by body.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As :func:`adaptmg.transfer.interpolation.locate_nodes`; a fine node without an element.
-    """
+    """Compute the integrals, body by body."""
     locate_nodes(coarse, fine, outside_tolerance)
     nodes_of_bodies(fine)
     parts = []
@@ -415,11 +379,6 @@ def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_point
     Entries are written from position ``count`` on: fine element, coarse node and the integrals with the shape
     functions of the corners. ``covered`` gets the share of each element that the coarse mesh covers; ``marker``
     (n_coarse,) is -1 throughout on entry and exit.
-
-    Returns
-    -------
-    done, count
-        Less than all elements are done when the arrays are full: enlarge them and call again.
     """
     k = elements.shape[1]
     mu, moments = np.empty((k, k)), np.empty((k, k))

@@ -118,47 +118,18 @@ def _require(good: np.ndarray, nodes: np.ndarray, message: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """Two surfaces that are to be coupled, checked.
+    """Two surfaces that are to be coupled, checked."""
 
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
-    slave, master : (n, dim) array of int
-        Facets, oriented outwards as in :class:`~adaptmg.mesh.arrays.MeshArrays`; the surfaces share no node.
-    normals : (n_nodes, dim) array
-        Unit normals at the nodes of the slave surface; other rows are not read.
-    excluded : iterable of int
-        Nodes of the slave surface without a multiplier; other nodes are ignored.
-    axisymmetric : bool
-        x is a radius; 2D only.
-
-    Attributes
-    ----------
-    slave_nodes, master_nodes : (n,) array
-        Ascending.
-    carries : (n_nodes,) bool array
-        Nodes of the slave surface that are not excluded.
-    size : float
-        Diagonal of the bounding box of both surfaces, m.
-
-    Raises
-    ------
-    TypeError, ValueError
-        On wrong types or shapes, common nodes, normals that do not have length 1 or point into the slave body, nodes
-        at negative radii, or if all nodes are excluded.
-    """
-
-    points: np.ndarray
-    slave: np.ndarray
-    master: np.ndarray
-    normals: np.ndarray
-    excluded: Iterable[int] = ()
-    axisymmetric: bool = False
-    slave_nodes: np.ndarray = field(init=False, repr=False)
-    master_nodes: np.ndarray = field(init=False, repr=False)
-    carries: np.ndarray = field(init=False, repr=False)
-    size: float = field(init=False, repr=False)
+    points: np.ndarray  # (n_nodes, dim): m
+    slave: np.ndarray  # (n, dim) int: facets, oriented outwards as in MeshArrays; the surfaces share no node
+    master: np.ndarray  # (n, dim) int: facets, oriented outwards as in MeshArrays; the surfaces share no node
+    normals: np.ndarray  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
+    excluded: Iterable[int] = ()  # nodes of the slave surface without a multiplier; other nodes are ignored
+    axisymmetric: bool = False  # x is a radius; 2D only
+    slave_nodes: np.ndarray = field(init=False, repr=False)  # (n,): ascending
+    master_nodes: np.ndarray = field(init=False, repr=False)  # (n,): ascending
+    carries: np.ndarray = field(init=False, repr=False)  # (n_nodes,) bool
+    size: float = field(init=False, repr=False)  # diagonal of the bounding box of both surfaces, m
 
     def __post_init__(self) -> None:
         points, normals = (np.ascontiguousarray(value, dtype=np.float64) for value in (self.points, self.normals))
@@ -243,29 +214,7 @@ _SYMMETRY_TILT = np.cos(np.pi / 6)
 
 
 def surface_normals(points: np.ndarray, facets: np.ndarray, *, fixed: np.ndarray | None = None) -> np.ndarray:
-    """Unit normals at the nodes of a surface.
-
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m.
-    facets : (n, dim) array of int
-        Oriented outwards as in :class:`~adaptmg.mesh.arrays.MeshArrays`.
-    fixed : (n_nodes, dim) bool array, optional
-        Components that are held. Where a curved surface ends on a plane of symmetry, the normal averaged from one
-        side is off by about half the angle of a facet; components along held directions are therefore taken out of
-        normals that are within 30 degrees of tangential to them.
-
-    Returns
-    -------
-    (n_nodes, dim) array
-        Zero at nodes that are not of the surface.
-
-    Raises
-    ------
-    ValueError
-        If the facets at a node cancel, or ``fixed`` has another shape than ``points``.
-    """
+    """Unit normals at the nodes of a surface."""
     points, facets = np.asarray(points, dtype=np.float64), np.asarray(facets)
     vectors = area_vectors(points, facets)
     measures = np.linalg.norm(vectors, axis=1)

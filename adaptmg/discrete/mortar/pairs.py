@@ -42,29 +42,7 @@ _LEAST_COVERED = 0.25  # of the part of a slave node
 
 def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, excluded: np.ndarray,
                    axisymmetric: bool) -> MortarInterface:
-    """The interface of a pair.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-    pair : ContactPair
-    fixed : (n_nodes, dim) bool array
-        Prescribed components.
-    excluded : (n,) array of int
-        Nodes of the slave surface that belong to another contact boundary.
-    axisymmetric : bool
-
-    Returns
-    -------
-    MortarInterface
-        Gaps >= 0 unless the pair allows interference.
-
-    Raises
-    ------
-    ValueError
-        If the surfaces never face each other, overlap without ``allow_interference``, or what the couplings refuse;
-        the message names the pair.
-    """
+    """The interface of a pair."""
     slave, master = named_facets(mesh, pair.slave), named_facets(mesh, pair.master)
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
@@ -135,37 +113,7 @@ def _facet_heights(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
 
 def node_to_node(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
                  excluded: Iterable[int] = (), axisymmetric: bool = False, tolerance: float = 1e-2) -> MortarInterface:
-    """Couple each node of a slave surface to the nearest node of a master surface.
-
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m; in axisymmetry (radius, axial position).
-    slave_facets, master_facets : (n, dim) array of int
-        Oriented outwards as in :class:`~adaptmg.mesh.arrays.MeshArrays`. No common nodes.
-    normals : (n_nodes, dim) array
-        Unit normals out of the slave body; rows of slave nodes are read.
-    excluded : iterable of int
-        Nodes that carry no multiplier (of another pair, or held); those not on the slave surface are ignored.
-    axisymmetric : bool
-        2D only: weights are areas over the full circumference.
-    tolerance : float
-        How far beside the normal of a slave node its partner may lie, as a fraction of the shortest edge of the
-        facets at the slave node.
-
-    Returns
-    -------
-    MortarInterface
-        All slave nodes that are not excluded. The distance along the normal, positive (gap) or negative (overlap),
-        is not limited.
-
-    Raises
-    ------
-    ValueError
-        If a slave node has no partner within the tolerance (the first one is named), two have the same, or partners
-        face the same way; and on arrays that do not fit together (see
-        :class:`~adaptmg.discrete.mortar.interface.Surfaces`).
-    """
+    """Couple each node of a slave surface to the nearest node of a master surface."""
     surfaces = Surfaces(points, slave_facets, master_facets, normals, excluded, axisymmetric)
     tolerance = positive("tolerance", tolerance)
     points, normals = surfaces.points, surfaces.normals

@@ -54,46 +54,7 @@ _GAUSS = np.polynomial.legendre.leggauss(4)
 def mortar_2d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
               excluded: Iterable[int] = (), axisymmetric: bool = False, reach: float | None = None,
               min_coverage: float = 1e-3) -> MortarInterface:
-    r"""Couple the nodes of a slave surface to a master surface.
-
-    Parameters
-    ----------
-    points : (n_nodes, 2) array
-        m; in axisymmetry (radius, axial position).
-    slave_facets, master_facets : (n, 2) array of int
-        Edges, oriented so that the outward normal is their direction turned by -90 degrees. No common nodes.
-    normals : (n_nodes, 2) array
-        Unit normals out of the slave body; rows of slave nodes are read, see
-        :func:`~adaptmg.discrete.mortar.interface.surface_normals`.
-    excluded : iterable of int
-        Nodes that carry no multiplier (of another pair, or held); those not on the slave surface are ignored.
-    axisymmetric : bool
-        Weight all integrals with 2 pi r.
-    reach : float, optional
-        Largest distance along the normal, forwards (gap) and backwards (overlap), at which the master is looked for,
-        m. Default: forwards the diagonal of the bounding box of both surfaces, backwards a quarter of it.
-    min_coverage : float
-        Slave edges of which a smaller fraction has the master opposite are left out.
-
-    Returns
-    -------
-    MortarInterface
-        Slave nodes with the master opposite to a part, at least, of one of their edges. Weights are > 0, as shape
-        functions are >= 0. The coupling may have negative entries, as dual functions change sign; they are large, of
-        the order of one over the fraction, where only a small part of an edge is covered.
-
-    Raises
-    ------
-    ValueError
-        If no part of the slave surface has the master surface opposite within reach, and on arrays that do not fit
-        together (see :class:`~adaptmg.discrete.mortar.interface.Surfaces`).
-
-    Notes
-    -----
-    Of several master edges on a ray the nearest counts, among those that face the slave (normals at more than 90
-    degrees) and lie before the centre of curvature of the slave's normal field. Integrals are exact (to rounding) for
-    parallel normals, else by 4 Gauss points a segment. O(n log n).
-    """
+    r"""Couple the nodes of a slave surface to a master surface."""
     if np.shape(points)[1:] != (2,):
         raise ValueError(f"points must have shape (n_nodes, 2), got {np.shape(points)}")
     surfaces = Surfaces(points, slave_facets, master_facets, normals, excluded, axisymmetric)
@@ -339,14 +300,7 @@ def distance_along_normal(points, normals, a, b, y1, y2, s):
 @kernel
 def nearest_pieces(points, normals, slave, master, starts, facets, lows, highs, breaks, backward, forward, active,
                    piece_edge, piece_facet, piece_ends):
-    """Cut each slave edge where a master edge begins or ends; give each part the nearest master edge in front of it.
-
-    Pairs of slave edge e and master edge are ``starts[e]`` to ``starts[e + 1]``, sorted by ``lows``: master edge
-    ``facets[p]`` lies in front of the part ``lows[p]`` < s < ``highs[p]``. ``breaks`` are the lows and highs of all
-    pairs of an edge, sorted, from 2 ``starts[e]`` on. ``active`` is scratch, as long as the most pairs of an edge.
-    Nearest is the smallest distance in size, from -``backward`` to ``forward``. Writes slave edge, master edge and both
-    ends of each part to the last three arguments; returns the number of parts, fewer than twice the pairs.
-    """
+    """Cut each slave edge where a master edge begins or ends; give each part the nearest master edge in front of it."""
     n_pieces = 0
     for e in range(len(slave)):
         a, b = slave[e, 0], slave[e, 1]

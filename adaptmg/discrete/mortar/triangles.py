@@ -59,46 +59,7 @@ _STRIP = 1e-3  # S of a smaller ratio det(S) / trace(S)^2 is taken in its princi
 
 def mortar_3d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
               excluded: Iterable[int] = (), reach: float | None = None, min_coverage: float = 1e-6) -> MortarInterface:
-    r"""Couple the nodes of a slave surface to a master surface.
-
-    Parameters
-    ----------
-    points : (n_nodes, 3) array
-        m.
-    slave_facets, master_facets : (n, 3) array of int
-        Triangles, counter-clockwise seen from outside of their body. No common nodes.
-    normals : (n_nodes, 3) array
-        Unit normals out of the slave body; rows of slave nodes are read, see
-        :func:`~adaptmg.discrete.mortar.interface.surface_normals`.
-    excluded : iterable of int
-        Nodes that carry no multiplier (of another pair, or held); those not on the slave surface are ignored.
-    reach : float, optional
-        Largest distance along the normal, forwards (gap) and backwards (overlap), at which the master is looked for,
-        m; a common part of two triangles counts as a whole, by the distance at its centroid. Default: forwards the
-        diagonal of the bounding box of both surfaces, backwards a quarter of it.
-    min_coverage : float
-        Slave triangles of which a smaller fraction has the master opposite are left out.
-
-    Returns
-    -------
-    MortarInterface
-        Slave nodes with the master opposite to a part, at least, of one of their triangles. The coupling may have
-        negative entries, as dual functions change sign; they are large, of the order of one over its width, where
-        only a small part in the middle of a triangle is covered. At nodes of triangles with excluded nodes the gap is
-        that of :math:`u_a` and the excluded :math:`u_b` together: :math:`\int\psi_a g / D_{aa}` exceeds the mean of g
-        by the factor :math:`1 + \sum_b D_{ab}/D_{aa}`.
-
-    Raises
-    ------
-    ValueError
-        If no part of the slave surface has the master surface opposite within reach, and on arrays that do not fit
-        together (see :class:`~adaptmg.discrete.mortar.interface.Surfaces`).
-
-    Notes
-    -----
-    Of several master triangles on a line of sight the nearest counts, among those that face the slave (normals at
-    more than 90.6 degrees). O(n log n).
-    """
+    r"""Couple the nodes of a slave surface to a master surface."""
     if np.shape(points)[1:] != (3,):
         raise ValueError(f"points must have shape (n_nodes, 3), got {np.shape(points)}")
     surfaces = Surfaces(points, slave_facets, master_facets, normals, excluded)
@@ -115,25 +76,13 @@ def mortar_3d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.nd
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Common parts of slave and master facets.
+    """Common parts of slave and master facets."""
 
-    Attributes
-    ----------
-    slave, master : (n,) array of int
-        Facets.
-    moments : (n, MOMENTS) array
-        Area, centroid and covariance in the frame of the slave facet.
-    frames : (n_slave, 3, 3) array
-        Rows e1, e2, n.
-    corners : (n_slave, 3, 3) array
-        Slave corners in their frame, whose origin is the centroid.
-    """
-
-    slave: np.ndarray
-    master: np.ndarray
-    moments: np.ndarray
-    frames: np.ndarray
-    corners: np.ndarray
+    slave: np.ndarray  # (n,) int: facets
+    master: np.ndarray  # (n,) int: facets
+    moments: np.ndarray  # (n, MOMENTS): area, centroid and covariance in the frame of the slave facet
+    frames: np.ndarray  # (n_slave, 3, 3): rows e1, e2, n
+    corners: np.ndarray  # (n_slave, 3, 3): slave corners in their frame, whose origin is the centroid
 
     def only(self, kept: np.ndarray) -> _Parts:
         """Some of the parts."""
@@ -335,28 +284,7 @@ THIN = 1e-10
 
 @kernel
 def find_opposite(frames, origins, low, high, boxes, order, corners, vectors, start, fill, found):
-    """Master facets that face a slave facet and meet the box of its local extents.
-
-    Parameters
-    ----------
-    frames : (n_slave, 3, 3) array
-        Rows e1, e2, n.
-    origins, low, high : (n_slave, 3) arrays
-        The last two local, m; may be infinite.
-    boxes : (2 n_leaves - 1, 6) array
-        Of a :class:`~adaptmg.geometry.search.BoxTree` of the master facets.
-    order : (n_master,) array
-        Numbers of master facets at the positions of the tree.
-    corners : (n_master, 3, 3) array
-    vectors : (n_master, 3) array
-        Their area vectors.
-    start : (n_slave + 1,) array
-        If not ``fill``, the number found for the facet s is written at [s + 1]; else where those of s begin.
-    fill : bool
-        Whether to write to ``found``.
-    found : (start[-1],) array
-        Result.
-    """
+    """Master facets that face a slave facet and meet the box of its local extents."""
     n_leaves = (len(boxes) + 1) // 2
     stack = np.empty(STACK, dtype=np.int64)
     for s in range(len(frames)):
@@ -429,17 +357,6 @@ def common_moments(slave, frames, origins, corners, start, found, below, above, 
 
     A part is dropped if its gap, at its centroid, is outside [-below, above]. Where parts overlap, the one with the
     gap of smaller magnitude, at the centroid of the overlap, hides the other.
-
-    Parameters
-    ----------
-    slave : (n_slave, 3, 3) array
-        Local coordinates of the corners, counter-clockwise in the plane.
-    frames, origins, corners, start, found
-        As in :func:`find_opposite`; those found for a facet in the order of their lowest local x.
-    below, above : float
-        m.
-    moments : (len(found), MOMENTS) array
-        Result, local; area 0 where there is no common part.
     """
     room = 1
     for s in range(len(slave)):

@@ -134,26 +134,13 @@ class Refinement:
 
     The corners of such a mesh's elements are in the order of bisection: the edge between the first two is halved next.
     An element that was bisected is a row of the tree.
-
-    Parameters
-    ----------
-    parents : (n_nodes, 2) int32 array
-        The ends of the edge that each node halves; of a node of the initial mesh both are itself.
-    marks : (n_elements,) int8 array
-        Marked edges of tetrahedra, see :mod:`adaptmg.mesh.bisection.children`; 0 of triangles.
-    generation : (n_elements,) int16 array
-        How many bisections lead to the element.
-    forebear : (n_elements,) int32 array
-        Row of the tree that was bisected into it, -1 of an element of the initial mesh.
-    tree : (n_bisected, dim + 4) int32 array
-        Corners, marks, forebear and new node of each bisected element.
     """
 
-    parents: np.ndarray
-    marks: np.ndarray
-    generation: np.ndarray
-    forebear: np.ndarray
-    tree: np.ndarray
+    parents: np.ndarray  # (n_nodes, 2) int32
+    marks: np.ndarray  # (n_elements,) int8: marked edges of tetrahedra, see children; 0 of triangles
+    generation: np.ndarray  # (n_elements,) int16: how many bisections lead to the element
+    forebear: np.ndarray  # (n_elements,) int32
+    tree: np.ndarray  # (n_bisected, dim + 4) int32: corners, marks, forebear and new node of each bisected element
 
     def __post_init__(self) -> None:
         for one in fields(self):
@@ -274,17 +261,7 @@ def _mark(points, x, y, z):
 
 @kernel
 def first_labels(points, cells, n_cells, corners, even, codes):
-    """Turn the corners of each element so that its longest edge comes first, and mark the faces of tetrahedra.
-
-    Parameters
-    ----------
-    points : (n, dim) array
-    cells : (n, width) int32 array
-        Changed: corners, the facets opposite them, marks; see :mod:`adaptmg.mesh.bisection.children`.
-    n_cells, corners : int
-    even, codes : arrays
-        ``EVEN`` and ``CODES``.
-    """
+    """Turn the corners of each element so that its longest edge comes first, and mark the faces of tetrahedra."""
     old = np.empty(2 * corners, dtype=np.int32)
     for e in range(n_cells):
         for k in range(2 * corners):
@@ -320,20 +297,7 @@ def _key(nodes, skip, corners):
 
 @kernel
 def facets_into_cells(facets, cells, n_cells, corners, n_nodes):
-    """Write into the cells which boundary facet lies opposite each corner, -1 where there is none.
-
-    Parameters
-    ----------
-    facets : (n_facets, dim) int32 array
-    cells : (n, width) int32 array
-        Changed: the columns after the corners.
-    n_cells, corners, n_nodes : int
-
-    Returns
-    -------
-    int
-        How many were found.
-    """
+    """Write into the cells which boundary facet lies opposite each corner, -1 where there is none."""
     # lists of facets by their highest node
     head = np.full(n_nodes, -1, dtype=np.int32)
     following = np.empty(len(facets), dtype=np.int32)
@@ -366,23 +330,7 @@ def facets_into_cells(facets, cells, n_cells, corners, n_nodes):
 
 @kernel
 def facets_of_cells(cells, n_cells, corners, n_facets, opposite):
-    """The boundary facets of the cells, in the order of the facets they come from.
-
-    Parameters
-    ----------
-    cells : (n, width) int32 array
-    n_cells, corners : int
-    n_facets : int
-        How many facets the cells were given.
-    opposite : (corners, corners - 1) int array
-        Corners of the face opposite each, outwards.
-
-    Returns
-    -------
-    facets : (n, dim) int32 array
-    origin : (n,) int32 array
-        The facet each comes from.
-    """
+    """The boundary facets of the cells, in the order of the facets they come from."""
     start = np.zeros(n_facets + 1, dtype=np.int64)
     for e in range(n_cells):
         for k in range(corners):
@@ -417,25 +365,7 @@ def history_arrays(mesh: MeshArrays) -> dict[str, np.ndarray]:
 
 
 def with_history(mesh: MeshArrays, arrays: Mapping[str, np.ndarray]) -> MeshArrays:
-    """A mesh of the same arrays with the history that :func:`history_arrays` took from it.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        Nodes and elements as they were, in the same order.
-    arrays : mapping of str to array
-        Empty: the mesh has no history.
-
-    Returns
-    -------
-    MeshArrays
-        Bisection goes on from it exactly as from the mesh that the arrays are from.
-
-    Raises
-    ------
-    ValueError
-        If an array is missing, or they do not fit the mesh or each other.
-    """
+    """A mesh of the same arrays with the history that :func:`history_arrays` took from it."""
     if not arrays:
         return with_refinement(mesh, None)
     missing = [name for name in _TYPES if name not in arrays]

@@ -104,21 +104,7 @@ def keep_nodes(elements, forebear, tree, marked, goes):
 
 @kernel
 def take_back(cells, n_cells, tree, goes):
-    """Put the forebears of the elements at nodes that go in the place of these; facets go over to them.
-
-    Parameters
-    ----------
-    cells : (n, width) int32 array
-        Changed; see :mod:`adaptmg.mesh.bisection.children`.
-    n_cells : int
-    tree : (n_bisected, dim + 4) int32 array
-    goes : (n_nodes,) array of bool
-
-    Returns
-    -------
-    int
-        How many elements are left.
-    """
+    """Put the forebears of the elements at nodes that go in the place of these; facets go over to them."""
     corners = tree.shape[1] - 3
     marks = 2 * corners
     # where the forebear has come to, once its first child is met

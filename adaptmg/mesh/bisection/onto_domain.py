@@ -145,17 +145,7 @@ _PLANE = 1e-9
 
 
 def curved_boundaries(domain: Domain | None) -> dict[str, tuple[Domain, str]]:
-    """The boundaries that :func:`on_surface` may know a curve of: their part of the domain, and its own name.
-
-    Parameters
-    ----------
-    domain : Domain or None
-
-    Returns
-    -------
-    dict of str to (Domain, str)
-        By the name in the mesh, "body.edge" in an assembly.
-    """
+    """The boundaries that :func:`on_surface` may know a curve of: their part of the domain, and its own name."""
     if isinstance(domain, Assembly):
         return {f"{body}.{name}": found for body, part in domain.parts.items()
                 for name, found in curved_boundaries(part).items()}
@@ -179,24 +169,7 @@ def _curved(domain: Domain) -> tuple[str, ...]:
 
 
 def on_surface(domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Places on a boundary for the midpoints of some of its edges.
-
-    Parameters
-    ----------
-    domain : Domain
-        One body.
-    name : str
-        A boundary, of those that :func:`curved_boundaries` names.
-    a, b : (n, dim) array
-        Ends of the edges, m, on the boundary.
-    normals : (n, dim) array
-        Out of the body, of any length.
-
-    Returns
-    -------
-    (n, dim) array
-        m; the midpoint itself where the boundary is plane, or the ends do not lie on it.
-    """
+    """Places on a boundary for the midpoints of some of its edges."""
     middle = 0.5 * (a + b)
     if isinstance(domain, Outline):
         return _on_outline(domain, name, a, b, normals)

@@ -20,21 +20,7 @@ from adaptmg.mesh.bisection.tables import Refined, cells_of, mesh_of, nodes_of, 
 __all__ = ["bisected", "by_origin", "midpoints", "refined"]
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
-    """Bisect the marked elements.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        Sound.
-    marked : (n_elements,) array of bool
-        At least one.
-    passes : int, optional
-        How often each of them is bisected, at least; by default until all their edges are halved.
-
-    Returns
-    -------
-    Refined
-    """
+    """Bisect the marked elements."""
     if passes is None:
         return _once(mesh, marked, True)
     result = _once(mesh, marked, False)
@@ -138,24 +124,7 @@ def _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before, st
 
 @kernel
 def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
-    """Bisect the marked elements and what conformity asks for.
-
-    Parameters
-    ----------
-    cells, tree, nodes : (n, width) int32 arrays
-        See :mod:`adaptmg.mesh.bisection.children`; with or without room for more.
-    n_cells, n_tree, n_nodes : int
-        How many of their rows are used.
-    marked : (n_cells,) array of bool
-        At least one.
-    every_edge : bool
-        Whether all edges of the marked elements are cut, or only the one that is next.
-
-    Returns
-    -------
-    cells, n_cells, tree, n_tree, nodes, n_nodes
-        The tables, changed or grown.
-    """
+    """Bisect the marked elements and what conformity asks for."""
     # the round in which an edge that ends in a node was last cut, -1: never
     stamps = np.full(len(nodes), -1, dtype=np.int32)
     # of a type: numba would compile what it calls for a literal 0 as well
@@ -184,17 +153,7 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
 
 @kernel
 def by_origin(cells, n_cells, n_origins):
-    """The cells in the order of the elements they come from, which is their last column: neighbours stay near.
-
-    Parameters
-    ----------
-    cells : (n, width) int32 array
-    n_cells, n_origins : int
-
-    Returns
-    -------
-    (n_cells, width) int32 array
-    """
+    """The cells in the order of the elements they come from, which is their last column: neighbours stay near."""
     last = cells.shape[1] - 1
     start = np.zeros(n_origins + 1, dtype=np.int64)
     for e in range(n_cells):

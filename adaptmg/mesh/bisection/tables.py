@@ -28,22 +28,11 @@ __all__ = ["Refined", "cells_of", "mesh_of", "nodes_of", "parents_of", "tree_of"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """A mesh made from another one by bisection or its taking back.
+    """A mesh made from another one by bisection or its taking back."""
 
-    Parameters
-    ----------
-    mesh : MeshArrays
-        Trusted, with its history and a source on demand.
-    origin : (n_elements,) int array
-        Of a refined mesh: the element of the mesh before that holds each element. Of a coarsened one: one of those
-        that each element holds, itself where it is as before.
-    nodes : (n_nodes_before,) int array
-        Number of each node of the mesh before; -1 where it is gone.
-    """
-
-    mesh: MeshArrays
-    origin: np.ndarray
-    nodes: np.ndarray
+    mesh: MeshArrays  # trusted, with its history and a source on demand
+    origin: np.ndarray  # (n_elements,) int: of a refined mesh: the element of the mesh before that holds each element
+    nodes: np.ndarray  # (n_nodes_before,) int: number of each node of the mesh before; -1 where it is gone
 
 
 def parents_of(mesh: MeshArrays) -> np.ndarray:
@@ -89,22 +78,7 @@ def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
 
 def mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray, tree: np.ndarray
             ) -> MeshArrays:
-    """The mesh that tables hold, with the boundaries and bodies of the mesh they come from.
-
-    Parameters
-    ----------
-    before : MeshArrays
-    points : (n_nodes, dim) array
-    parents : (n_nodes, 2) int32 array
-    cells : (n_elements, width) int32 array
-        Facets and origins are those of ``before``.
-    tree : (n_bisected, dim + 4) int32 array
-
-    Returns
-    -------
-    MeshArrays
-        Sound by construction, with its history.
-    """
+    """The mesh that tables hold, with the boundaries and bodies of the mesh they come from."""
     corners = before.dim + 1
     marks = 2 * corners
     opposite = element_facets(np.arange(corners)[None])[0]
