@@ -1,32 +1,26 @@
-r"""Coupling: relative coordinates, in which contact between elastic bodies looks like contact of one body.
+r"""The systems in which the unknowns of a problem are written, and the changes between them.
 
-A slave node j faces the combination :math:`\sum_k W_{jk} u_k` of the nodes of the other surface (mortar weights, rows
-with sum 1). In place of its displacement the unknown is the displacement relative to that,
+====================  ============================================  =====================  =====================
+system                values                                        there                  back
+====================  ============================================  =====================  =====================
+physical              displacement u of the bodies                  ``relative``           ``physical``
+relative              w = T^-1 u: matrix and load                   ``from_prescribed``    ``with_prescribed``
+from the prescribed   w minus the prescribed values, 0 where fixed  ``rotate``             ``rotate_back``
+local                 the same in contact frames                    (the node solves)
+====================  ============================================  =====================  =====================
+
+Forces are dual: ``relative_forces``, ``physical_forces``; frames are orthonormal and rotate both alike.
+
+Relative coordinates make contact between elastic bodies look like contact of one body. A slave node j faces the
+combination :math:`\sum_k W_{jk} u_k` of nodes of the other surface (mortar weights, rows with sum 1), and
 
 .. math:: w = (I - \Pi W)\,u,\qquad u = T w,\qquad T = (I - \Pi W)^{-1} = I + \Pi W + (\Pi W)^2 + \dots
 
 where :math:`\Pi` drops the fixed components of slave nodes. The series ends, as no node follows itself: two powers
 where no slave node is a master node, one more for each body that is both (B. Wohlmuth, Acta Numerica 20, 2011,
-doi:10.1017/S0962492911000079, for the two-body case). With :math:`\hat A = T^T A T,\ \hat b = T^T b` the conditions of
-contact are on the slave nodes alone, and :math:`\hat A w - \hat b = T^T (A u - b)` is there the contact force on the
+doi:10.1017/S0962492911000079, for the two-body case). With :math:`\hat A = T^T A T,\ \hat b = T^T b` the contact
+conditions are on the slave nodes alone, and :math:`\hat A w - \hat b = T^T (A u - b)` is there the contact force on the
 slave; the master carries :math:`-W^T` of it, so that the forces balance.
-
-Exchange of slave and master at single nodes, where a support holds a tangential component of the slave.
-
-There the slave cannot slip, but what it faces can. In the coordinates of :mod:`adaptmg.discrete.coordinates` the
-unknown of such a
-node j would be its own displacement, which is given, and friction would act on none. So one node k of those that it
-faces takes its place: with the slip :math:`v = u_j - \sum_l W_{jl} u_l` the new unknown is :math:`v/\sigma`,
-:math:`\sigma = -W_{jk}`, and
-
-.. math:: u_k = \frac{v}{\sigma} + \frac{1}{W_{jk}}\Big(u_j - \sum_{l \ne k} W_{jl}\,u_l\Big),
-
-again a relative displacement with weights of sum 1. Node k then has the contact conditions of j with the normal turned
-round, gaps and slips divided and forces multiplied by :math:`|\sigma|`; the node j keeps its displacement as unknown
-and its support. Results are turned back: they speak of the slave node.
-
-A node k serves if it is free, follows no other, and no other such j faces it. Without one (edges of 3D bodies whose
-nodes lie closer than those of the master, say) j must do without a multiplier, and its neighbours take its part.
 """
 
 from __future__ import annotations
@@ -36,22 +30,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg._check_arrays import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
-from adaptmg.problem.laws import Law
 
-__all__ = [
-    "NEGLIGIBLE",
-    "Coupling",
-    "Exchange",
-    "ScaledLaw",
-    "exchanged",
-    "facing_part",
-    "find_carriers",
-    "rows_of_carriers",
-]
+__all__ = ["NEGLIGIBLE", "Coupling", "Unknowns", "facing_part", "frames_of", "from_frames", "rotate", "rotate_back",
+           "to_frames"]
 
+#: the largest weight that counts as none
+NEGLIGIBLE = 1e-6
 _ROUNDING = 1e-13
 _MOST_LINKS = 16  # bodies in a row of which each is the slave of the next
 
@@ -67,24 +53,11 @@ class Coupling:
     _series: sparse.csr_array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        weights = sparse.csr_array(check_arrays.sparse_matrix("weights", self.weights), dtype=np.float64)
-        fixed = np.asarray(self.fixed)
-        n = weights.shape[0]
-        if weights.shape != (n, n) or fixed.dtype != bool or fixed.ndim != 1 or n == 0 or len(fixed) not in (2 * n,
-                                                                                                            3 * n):
-            raise ValueError(f"weights must be square with a row a node and fixed a boolean mask over their dofs, got "
-                             f"{weights.shape} and {fixed.dtype} {fixed.shape}")
-        followers = np.flatnonzero(np.diff(weights.indptr))
-        sums = np.asarray(weights.sum(axis=1)).ravel()[followers]
-        if not np.abs(sums - 1).max(initial=0.0) <= 1e-8:
-            i = int(np.argmax(np.abs(sums - 1)))
-            raise ValueError(f"weights must have rows with sum 1, got {sums[i]:.6g} at node {followers[i]}")
-        dim = len(fixed) // n
-        by_dof = sparse.csr_array(sparse.diags_array((~fixed).astype(float))
+        weights, n = self.weights, self.weights.shape[0]
+        dim = len(self.fixed) // n
+        by_dof = sparse.csr_array(sparse.diags_array((~self.fixed).astype(float))
                                   @ sparse.kron(weights, sparse.eye_array(dim), format="csr"))
         by_dof.eliminate_zeros()
-        object.__setattr__(self, "weights", weights)
-        object.__setattr__(self, "fixed", fixed)
         upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights))
         object.__setattr__(self, "upward", narrowed(upward))
         object.__setattr__(self, "_by_dof", narrowed(by_dof))
@@ -145,38 +118,6 @@ def _series(step: sparse.csr_array) -> sparse.csr_array:
                      "master in one of the contact pairs")
 
 
-#: the largest weight that counts as none
-NEGLIGIBLE = 1e-6
-#: the least weight of a node that takes the place of another
-_WEIGHT = 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class Exchange:
-    """How contact was posed, before nodes were exchanged."""
-
-    contact: ContactNodes  # with the slave nodes 
-    weights: sparse.csr_array  # (n_contact, n_nodes) csr_array: what they face
-    sigma: np.ndarray  # (n_contact,)
-
-
-@dataclass(frozen=True, eq=False)
-class ScaledLaw:
-    """A nodal law whose limits are multiplied by ``factors`` (n_contact,)."""
-
-    law: Law
-    factors: np.ndarray
-
-    def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> ScaledLaw:
-        """Itself: it is nodal."""
-        return self
-
-    def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Limits times the factors; friction."""
-        limit, friction = self.law.bounds(n_contact)
-        return limit * self.factors, friction
-
-
 def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
     """The positive entries of weights: those of the other body, not of slave nodes that carry no multiplier."""
     result = sparse.csr_array(rows, copy=True)
@@ -184,71 +125,124 @@ def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
     return result
 
 
-def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray, law: Law
-                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The contact nodes to be exchanged, and for whom."""
-    dim = len(fixed) // weights.shape[0]
-    fixed = fixed.reshape(-1, dim)
-    limit, friction = law.bounds(len(nodes))
-    rows = sparse.csr_array(weights[nodes])
-    acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (np.diff(rows.indptr) > 0)
-    held = np.flatnonzero(acts & fixed[nodes].any(axis=1))
-    # where the other body is held likewise the supports say what slips
-    alike = facing_part(rows[held]) @ fixed.astype(float)
-    slips = fixed[nodes[held]] & (alike <= NEGLIGIBLE)
-    places = held[slips.any(axis=1)]
-    mine = rows[places]
-    wanted = np.bincount(mine.indices[np.abs(mine.data) > 0], minlength=rows.shape[1])
-    able = (wanted == 1) & ~fixed.any(axis=1) & (np.diff(sparse.csr_array(weights).indptr) == 0)
-    carriers = np.full(len(places), -1)
-    for i in range(len(places)):
-        columns, values = (part[mine.indptr[i]:mine.indptr[i + 1]] for part in (mine.indices, mine.data))
-        good = able[columns] & (values > _WEIGHT)
-        if good.any():
-            carriers[i] = columns[np.argmax(np.where(good, values, 0.0))]
-    found = carriers >= 0
-    return places[found], carriers[found], places[~found]
+class Unknowns:
+    """The unknowns of a :class:`~adaptmg.discrete.problem.DiscreteProblem` in each system, there and back."""
+
+    matrix: sparse.bsr_array
+    load: np.ndarray
+    contact: ContactNodes
+    coupling: Coupling | None
+    fixed: np.ndarray
+    fixed_values: np.ndarray
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return self.contact.dim
+
+    def physical(self, unknowns: np.ndarray) -> np.ndarray:
+        """Displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: the same without a coupling."""
+        flat = np.asarray(unknowns, dtype=np.float64).reshape(-1)
+        return (flat if self.coupling is None else self.coupling.physical(flat)).reshape(-1, self.dim)
+
+    def relative(self, displacement: np.ndarray) -> np.ndarray:
+        """Unknowns (n_nodes, dim) of a displacement, m: the inverse of :meth:`physical`."""
+        flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
+        return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(-1, self.dim)
+
+    def physical_forces(self, forces: np.ndarray) -> np.ndarray:
+        """Nodal forces (n_dofs,) on the bodies from those that belong to the unknowns, N; dual."""
+        return forces if self.coupling is None else self.coupling.physical_forces(forces)
+
+    def relative_forces(self, forces: np.ndarray) -> np.ndarray:
+        """The inverse of :meth:`physical_forces`."""
+        return forces if self.coupling is None else self.coupling.relative_forces(forces)
+
+    def from_prescribed(self, unknowns: np.ndarray) -> np.ndarray:
+        """Unknowns (n_dofs,) or (n_nodes, dim) minus the prescribed values, zero at fixed dofs (n_dofs,), m."""
+        result = unknowns.reshape(-1) - self.fixed_values
+        result[self.fixed] = 0.0
+        return result
+
+    def with_prescribed(self, change: np.ndarray) -> np.ndarray:
+        """The inverse of :meth:`from_prescribed` (n_dofs,)."""
+        return change + self.fixed_values
+
+    def load_from_prescribed(self) -> np.ndarray:
+        """The load b - A u_fixed of what :meth:`from_prescribed` returns, zero at fixed dofs (n_dofs,), N."""
+        load = self.load - self.matrix @ self.fixed_values if self.fixed_values.any() else self.load.copy()
+        load[self.fixed] = 0.0
+        return load
+
+    def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
+        """Displacement (n_contact, dim) of the contact nodes relative to what they face, m.
+
+        Of the unknowns; between bodies that both are held, relative to what holds the other one.
+        """
+        nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
+        nodes = self.contact.nodes
+        result, own = nodal[nodes], self.fixed.reshape(-1, self.dim)[nodes]
+        if self.coupling is not None and own.any():
+            # such components are no relative coordinates
+            moved = self.physical(nodal)
+            result = np.where(own, moved[nodes] - self.coupling.weights[nodes] @ moved, result)
+            for at, weights, c in self.held_together():
+                result[at, c] = moved[nodes[at], c] - weights @ moved[:, c]
+        return result
+
+    def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
+        """For each component the contact nodes at which it is fixed and faces fixed ones, and the weights of these.
+
+        Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component.
+        """
+        if self.coupling is None:
+            return []
+        rows, fixed, result = self.coupling.weights[self.contact.nodes], self.fixed.reshape(-1, self.dim), []
+        for c in range(self.dim):
+            held = np.flatnonzero(fixed[self.contact.nodes, c])
+            weights = sparse.csr_array(facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float)))
+            total = np.asarray(weights.sum(axis=1)).ravel()
+            kept = total > NEGLIGIBLE
+            scale = sparse.diags_array(1 / total[kept], format="csr")
+            result.append((held[kept], sparse.csr_array(scale @ weights[kept]), c))
+        return result
 
 
-def rows_of_carriers(weights: sparse.csr_array, slaves: np.ndarray, carriers: np.ndarray) -> sparse.csr_array:
-    """The weights (n_nodes, n_nodes) with ``carriers`` in place of ``slaves`` as the nodes that follow others."""
-    n = weights.shape[0]
-    old = sparse.csr_array(weights[slaves])
-    at = np.repeat(np.arange(len(slaves)), np.diff(old.indptr))
-    own = old.indices == carriers[at]
-    factor = np.zeros(len(slaves))
-    factor[at[own]] = 1 / old.data[own]
-    kept = np.ones(n)
-    kept[slaves] = 0.0
-    rows = np.concatenate([carriers[at[~own]], carriers])
-    columns = np.concatenate([old.indices[~own], slaves])
-    values = np.concatenate([-(old.data * factor[at])[~own], factor])
-    new = sparse.csr_array((values, (rows, columns)), shape=(n, n))
-    return sparse.csr_array(sparse.diags_array(kept, format="csr") @ weights + new)
+def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
+    """Orthonormal frames at contact nodes."""
+    n = contact.normals
+    frames = np.empty((len(n), contact.dim, contact.dim))
+    frames[:, 0] = n
+    if contact.dim == 2:
+        frames[:, 1, 0], frames[:, 1, 1] = -n[:, 1], n[:, 0]
+        return frames
+    # the Cartesian axis nearest the tangent plane, projected into it; a fixed axis lies in the plane and goes first
+    key = np.abs(n) - 2.0 * fixed[contact.nodes]
+    axis = np.eye(3)[np.argmin(key, axis=1)]
+    t1 = axis - np.sum(axis * n, axis=1)[:, None] * n
+    t1 /= np.linalg.norm(t1, axis=1)[:, None]
+    frames[:, 1], frames[:, 2] = t1, np.cross(n, t1)
+    return frames
 
 
-def exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
-               ) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
-    """Contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
-    weights = sparse.csr_array(weights, dtype=np.float64)
-    places, carriers, unmatched = find_carriers(contact.nodes, weights, fixed, law)
-    if len(unmatched):
-        raise ValueError(f"contact: slave node {contact.nodes[unmatched[0]]} has a supported tangential component, and "
-                         "no node that it faces can take its place (each belongs to another one, too): exchange slave "
-                         "and master, or leave the node out and let its neighbours take its part")
-    if not len(places):
-        return contact, weights, law, None
-    slaves = contact.nodes[places]
-    sigma = np.ones(len(contact))
-    sigma[places] = -weights[slaves, carriers]
-    posed = Exchange(contact, sparse.csr_array(weights[contact.nodes]), sigma)
-    nodes, boundary, pairs = contact.nodes.copy(), contact.boundary.copy(), len(contact.names)
-    nodes[places] = carriers
-    boundary[places] += pairs
-    masters = tuple(master or name for name, master in zip(contact.names, contact.masters, strict=True))
-    size = np.abs(sigma)
-    turned = ContactNodes(nodes=nodes, normals=contact.normals * np.sign(sigma)[:, None], gaps=contact.gaps / size,
-                          weights=contact.weights * size, slip_reference=contact.slip_reference / sigma[:, None],
-                          allow_interference=contact.allow_interference, boundary=boundary,
-                          names=(*contact.names, *masters), masters=(*contact.masters, *contact.names))
-    return turned, rows_of_carriers(weights, slaves, carriers), ScaledLaw(law, size), posed
+def to_frames(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Local components (n, dim) of Cartesian vectors (n, dim) at contact nodes, with the frames (n, dim, dim) there."""
+    return np.einsum("nij,nj->ni", frames, vectors)
+
+
+def from_frames(frames: np.ndarray, local: np.ndarray) -> np.ndarray:
+    """The inverse of :func:`to_frames`; with some rows of the frames, ``frames[:, 1:]`` say, of those components."""
+    return np.einsum("nk,nkd->nd", local, frames)
+
+
+def rotate(vector: np.ndarray, frames: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """A copy of a dof vector with ``frames`` (n_contact, dim, dim) applied at ``nodes``."""
+    dim = frames.shape[1]
+    result = np.array(vector, dtype=np.float64).reshape(-1, dim)
+    result[nodes] = to_frames(frames, result[nodes])
+    return result.reshape(-1)
+
+
+def rotate_back(vector: np.ndarray, frames: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """The inverse of :func:`rotate`."""
+    return rotate(vector, np.swapaxes(frames, 1, 2), nodes)

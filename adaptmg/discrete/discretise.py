@@ -13,8 +13,8 @@ from scipy import sparse
 
 from adaptmg._runtime import OnDemand, one_blas_thread
 from adaptmg.discrete.contact import contact_data
-from adaptmg.discrete.coordinates import find_carriers
 from adaptmg.discrete.elasticity import stiffness
+from adaptmg.discrete.exchange import find_carriers
 from adaptmg.discrete.facets import fixed_dofs
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem

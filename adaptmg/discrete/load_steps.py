@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptmg.discrete.coordinates import Coupling
 from adaptmg.discrete.facets import fixed_dofs
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.problem import DiscreteProblem
@@ -65,13 +64,13 @@ class LoadSteps:
         return result
 
 
-def load_steps(problem: ContactProblem, mesh: MeshArrays, coupling: Coupling | None = None) -> LoadSteps:
+def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> LoadSteps:
     """The loads and supports of a problem one by one."""
     loads, strains = {}, {}
     for name in dict.fromkeys(map(name_in_path, problem.loads)):
         named = [load for load in problem.loads if name_in_path(load) == name]
         forces = load_vector(mesh, named, problem.material)
-        loads[name] = forces if coupling is None else coupling.relative_forces(forces)
+        loads[name] = discrete.relative_forces(forces)
         if any(isinstance(load, InitialStrain) for load in named):
             strains[name] = StressData.of(mesh, problem.material, named).initial_strain
     prescribed = {}

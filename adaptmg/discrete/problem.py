@@ -36,7 +36,8 @@ from adaptmg.discrete.contact_nodes import (
     checked_matrix,
     with_positive_diagonal,
 )
-from adaptmg.discrete.coordinates import NEGLIGIBLE, Coupling, Exchange, exchanged, facing_part
+from adaptmg.discrete.coordinates import Coupling, Unknowns
+from adaptmg.discrete.exchange import Exchange, exchanged
 from adaptmg.discrete.rigid_modes import rigid_body_modes
 from adaptmg.problem.contact_problem import check_law
 from adaptmg.problem.laws import Law
@@ -45,7 +46,7 @@ __all__ = ["ContactNodes", "DiscreteProblem", "rigid_body_modes"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class DiscreteProblem:
+class DiscreteProblem(Unknowns):
     """A contact problem as arrays; every solver takes it.
 
     Parameters
@@ -75,7 +76,7 @@ class DiscreteProblem:
         Nodes of each body by name, for messages.
     exchange : Exchange, optional
         Contact as it was posed where slave and master were exchanged at single nodes
-        (:mod:`adaptmg.discrete.coordinates`).
+        (:mod:`adaptmg.discrete.exchange`).
     """
 
     matrix: sparse.bsr_array
@@ -135,6 +136,8 @@ class DiscreteProblem:
         if blocks.shape[0] != n:
             raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
         weights = check_arrays.sparse_matrix("weights", weights, (n // dim, n // dim))
+        weights = sparse.csr_array(weights, dtype=np.float64)
+        _check_row_sums(weights)
         contact.check_nodes(n // dim)
         check_bounds(law, len(contact))
         contact, weights, law, exchange = exchanged(contact, weights, fixed, law)
@@ -151,49 +154,6 @@ class DiscreteProblem:
                     load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
                     coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
                     near_nullspace=near_nullspace)
-
-    def physical(self, unknowns: np.ndarray) -> np.ndarray:
-        """Displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: the same without a coupling."""
-        flat = np.asarray(unknowns, dtype=np.float64).reshape(-1)
-        return (flat if self.coupling is None else self.coupling.physical(flat)).reshape(-1, self.dim)
-
-    def relative(self, displacement: np.ndarray) -> np.ndarray:
-        """Unknowns (n_nodes, dim) of a displacement, m: the inverse of :meth:`physical`."""
-        flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
-        return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(-1, self.dim)
-
-    def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
-        """Displacement (n_contact, dim) of the contact nodes relative to what they face, m.
-
-        Of the unknowns; between bodies that both are held, relative to what holds the other one.
-        """
-        nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
-        nodes = self.contact.nodes
-        result, own = nodal[nodes], self.fixed.reshape(-1, self.dim)[nodes]
-        if self.coupling is not None and own.any():
-            # such components are no relative coordinates
-            moved = self.physical(nodal)
-            result = np.where(own, moved[nodes] - self.coupling.weights[nodes] @ moved, result)
-            for at, weights, c in self.held_together():
-                result[at, c] = moved[nodes[at], c] - weights @ moved[:, c]
-        return result
-
-    def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
-        """For each component the contact nodes at which it is fixed and faces fixed ones, and the weights of these.
-
-        Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component.
-        """
-        if self.coupling is None:
-            return []
-        rows, fixed, result = self.coupling.weights[self.contact.nodes], self.fixed.reshape(-1, self.dim), []
-        for c in range(self.dim):
-            held = np.flatnonzero(fixed[self.contact.nodes, c])
-            weights = sparse.csr_array(facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float)))
-            total = np.asarray(weights.sum(axis=1)).ravel()
-            kept = total > NEGLIGIBLE
-            scale = sparse.diags_array(1 / total[kept], format="csr")
-            result.append((held[kept], sparse.csr_array(scale @ weights[kept]), c))
-        return result
 
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.
@@ -267,11 +227,6 @@ class DiscreteProblem:
                              "take the node out of the contact boundary or free the component")
 
     @property
-    def dim(self) -> int:
-        """Space dimension."""
-        return self.contact.dim
-
-    @property
     def n_dofs(self) -> int:
         """Number of degrees of freedom, fixed ones included."""
         return self.matrix.shape[0]
@@ -280,6 +235,14 @@ class DiscreteProblem:
     def n_nodes(self) -> int:
         """Number of nodes."""
         return self.n_dofs // self.dim
+
+
+def _check_row_sums(weights: sparse.csr_array) -> None:
+    followers = np.flatnonzero(np.diff(weights.indptr))
+    sums = np.asarray(weights.sum(axis=1)).ravel()[followers]
+    if not np.abs(sums - 1).max(initial=0.0) <= 1e-8:
+        i = int(np.argmax(np.abs(sums - 1)))
+        raise ValueError(f"weights must have rows with sum 1, got {sums[i]:.6g} at node {followers[i]}")
 
 
 def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:

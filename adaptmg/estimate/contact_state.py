@@ -16,9 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptmg.discrete.coordinates import rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.system import ContactState as State
-from adaptmg.smoother.system import held_tangents, local_contact, rotate
+from adaptmg.smoother.system import held_tangents, local_contact
 from adaptmg.solver.result import Result
 
 __all__ = ["LinearisedContact", "linearised_contact"]
@@ -60,7 +61,7 @@ class LinearisedContact:
 
     def cartesian(self, vector: np.ndarray) -> np.ndarray:
         """The inverse of :meth:`local`."""
-        return rotate(vector, np.swapaxes(self.frames, 1, 2), self.nodes)
+        return rotate_back(vector, self.frames, self.nodes)
 
 
 def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedContact:
@@ -70,10 +71,10 @@ def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedC
     unknowns = discrete.relative(result.displacement).reshape(-1)
     residual = discrete.matrix @ unknowns - discrete.load
     held = held_tangents(discrete, frames)
-    moved = np.einsum("nij,nj->ni", frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference)
+    moved = to_frames(frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference)
     slip, gap = moved[:, 1:], nodal.gap - np.einsum(
-        "nj,nj->n", frames[:, 0], (unknowns - discrete.fixed_values).reshape(-1, dim)[nodes])
-    force = np.einsum("nij,nj->ni", frames, residual.reshape(-1, dim)[nodes])
+        "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes])
+    force = to_frames(frames, residual.reshape(-1, dim)[nodes])
     force[:, 1:][held] = 0.0
     state = np.asarray(result.contact.state).astype(int)
     length = np.linalg.norm(slip, axis=1)

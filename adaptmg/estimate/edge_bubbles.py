@@ -50,6 +50,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.elasticity import body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.facets import area_vectors, named_facets
 from adaptmg.discrete.loads import mean_initial_strain
@@ -293,7 +294,7 @@ def bubble_spaces(problem: ContactProblem, bubbles: EdgeBubbles, contact: Linear
     frames = _frames(contact, a, b)
     stick = (state[a] == State.STICK) & (state[b] == State.STICK)
     normal, tangents = frames[:, 0], np.where(stick[:, None, None], 0.0, frames[:, 1:])
-    along = np.einsum("nk,nkd->nd", contact.direction, contact.frames[:, 1:])
+    along = from_frames(contact.frames[:, 1:], contact.direction)
     weight = (state == State.SLIP).astype(float)
     mean = (weight[a, None] * along[a] + weight[b, None] * along[b]) / np.maximum(weight[a] + weight[b], 1.0)[:, None]
     share = np.einsum("nd,nkd->nk", mean, tangents)

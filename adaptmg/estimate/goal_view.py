@@ -79,8 +79,7 @@ class GoalView:
 
     def load_of(self, nodal: np.ndarray) -> np.ndarray:
         """A functional of the displacement (n_nodes, dim) as one (n_dofs,) of the unknowns."""
-        flat, coupling = np.asarray(nodal, dtype=np.float64).reshape(-1), self.posed.discrete.coupling
-        return flat if coupling is None else coupling.relative_forces(flat)
+        return self.posed.discrete.relative_forces(np.asarray(nodal, dtype=np.float64).reshape(-1))
 
 
 @dataclass(frozen=True, eq=False)

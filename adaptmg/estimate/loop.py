@@ -372,7 +372,7 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     """The hierarchy with the problem of load step ``k`` on the finest level, slips counted from the step before."""
     problem, finest = hierarchy.problem, hierarchy.finest
     factors = {name: float(values[k]) for name, values in path.resolved(problem).items()}
-    loads, discrete = load_steps(problem, finest.mesh, finest.discrete.coupling), finest.discrete
+    loads, discrete = load_steps(problem, finest.mesh, finest.discrete), finest.discrete
     reference = discrete.contact.slip_reference
     if k > 0:
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))

@@ -229,7 +229,7 @@ def _plain(value: Any) -> Any:
 def loop_fingerprint(start: Hierarchy, options: Mapping[str, Any], load_path: Any = None,
                      depends: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Of a loop that begins with a hierarchy, and its options by name: indicator, mark, engine, solver, ..."""
-    loads = [load_steps(start.problem, level.mesh, level.discrete.coupling) for level in start.levels]
+    loads = [load_steps(start.problem, level.mesh, level.discrete) for level in start.levels]
     factors = {} if load_path is None else load_path.resolved(start.problem)
     # references only document the problem
     posed = {part.name: getattr(start.problem, part.name) for part in fields(start.problem) if part.name != "reference"}

@@ -32,6 +32,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.estimate.goal_view import Functional, GoalView
 from adaptmg.geometry.location import Location
@@ -218,7 +219,7 @@ class ContactForce:
             # forces on the node that was posed are those of the equations over sigma
             local = local / self._factors(discrete.exchange.sigma)[:, None]
         vector = np.zeros((discrete.n_nodes, dim))
-        vector[contact.nodes] = np.einsum("nij,ni->nj", contact.frames, local)
+        vector[contact.nodes] = from_frames(contact.frames, local)
         flat = vector.reshape(-1)
         # where a support holds, the force of contact cannot be told from its own
         flat[discrete.fixed] = 0.0
@@ -437,7 +438,7 @@ def friction_work(view: GoalView) -> np.ndarray:
         return result
     share = np.divide(contact.fixed_limit, contact.limit, out=np.zeros_like(contact.limit), where=contact.limit > 0)
     traction = np.zeros((mesh.n_nodes, mesh.dim))
-    traction[given.node] = share[:, None] * np.einsum("nk,nkd->nd", given.traction, given.frames[:, 1:])
+    traction[given.node] = share[:, None] * from_frames(given.frames[:, 1:], given.traction)
     for name in given.names:
         facets = named_facets(mesh, name)
         result += view.bubbles.boundary_work(facets, traction[facets])
@@ -451,7 +452,7 @@ def master_work(view: GoalView, reaction: np.ndarray) -> np.ndarray:
     if discrete.coupling is None:
         return result
     # what is not of contact: reactions of supports
-    forces = np.where(discrete.fixed, 0.0, discrete.coupling.physical_forces(reaction)).reshape(-1, mesh.dim)
+    forces = np.where(discrete.fixed, 0.0, discrete.physical_forces(reaction)).reshape(-1, mesh.dim)
     masters = view.posed.problem.masters
     for name in dict.fromkeys(filter(None, masters)):
         facets = named_facets(mesh, name)

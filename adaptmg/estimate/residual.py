@@ -67,6 +67,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg._runtime import kernel
+from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, named_facets
 from adaptmg.discrete.loads import body_elements, load_density
 from adaptmg.estimate.estimate import Estimate
@@ -182,7 +183,7 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     opens = contact.state == State.OPEN
     pressures, gaps = np.where(opens, 0.0, contact.pressure), np.where(opens, np.maximum(contact.gap, 0.0), 0.0)
     limits, tractions = _friction(this, opens)
-    slips = np.einsum("nk,nkd->nd", contact.slip, contact.frames[:, 1:])
+    slips = from_frames(contact.frames[:, 1:], contact.slip)
     for k, name in enumerate(contact.names):
         facets = named_facets(mesh, name)
         mine = np.flatnonzero(contact.boundary == k)
@@ -215,7 +216,7 @@ def _friction(this: Posed, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = np.linalg.norm(along, axis=1)
     factor = np.divide(limit, size, out=np.zeros_like(size), where=size > 0)
     factor = np.where(moves, factor, np.minimum(factor, 1.0)) / contact.weights
-    return limit / contact.weights, np.einsum("nk,nkd->nd", factor[:, None] * along, contact.frames[:, 1:])
+    return limit / contact.weights, from_frames(contact.frames[:, 1:], factor[:, None] * along)
 
 
 def _padded(values: np.ndarray) -> np.ndarray:

@@ -276,17 +276,16 @@ class Posed:
 
         The result says under which: b = A u - (reactions and contact forces).
         """
-        coupling, (unknowns, forces) = self.discrete.coupling, self._moved
+        unknowns, forces = self._moved
         exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
         if exerted.shape != forces.shape:
             raise ValueError(f"result.reaction must have {forces.size} components, got {exerted.shape}")
-        load = forces - (exerted if coupling is None else coupling.relative_forces(exerted))
+        load = forces - self.discrete.relative_forces(exerted)
         rounding = _ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
         allowed = max(_LOADS_AGREE * max(euclidean_norm(forces), euclidean_norm(load)), rounding)
         if euclidean_norm(load - self.discrete.load) <= allowed:
             return
-        posed = load_vector(self.mesh, self.problem.loads, self.problem.material)
-        posed = posed if coupling is None else coupling.relative_forces(posed)
+        posed = self.discrete.relative_forces(load_vector(self.mesh, self.problem.loads, self.problem.material))
         if not euclidean_norm(load - posed) <= allowed:
             raise ValueError("result was found under other loads than those of hierarchy.problem: for step k of a load "
                              "path give dataclasses.replace(hierarchy, problem=step_problem(problem, factors)) with "

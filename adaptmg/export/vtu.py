@@ -35,6 +35,7 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._files import waiting_folder, write_bytes
 from adaptmg._text import printable
+from adaptmg.discrete.coordinates import from_frames
 from adaptmg.solver.result import Result
 
 __all__ = ["document", "vtk", "vtk_series"]
@@ -137,7 +138,7 @@ def _contact_data(result: Result) -> dict[str, np.ndarray]:
         return full
 
     def tangential(values: np.ndarray) -> np.ndarray:
-        return spread(_three(np.einsum("nk,nkd->nd", values, contact.frames[:, 1:])))
+        return spread(_three(from_frames(contact.frames[:, 1:], values)))
 
     return {"contact_pressure": spread(contact.pressure), "contact_traction": tangential(contact.traction),
             "contact_gap": spread(contact.gap), "contact_slip": tangential(contact.slip),

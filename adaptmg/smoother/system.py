@@ -20,7 +20,8 @@ from enum import IntEnum
 import numpy as np
 from scipy import sparse
 
-from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
+from adaptmg.discrete.coordinates import frames_of, rotate, rotate_back, to_frames
+from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.transfer.galerkin import without_fixed
 
 __all__ = [
@@ -41,29 +42,11 @@ __all__ = [
     "contact_codes",
     "contact_lift",
     "contact_states",
-    "frames_of",
     "held_tangents",
     "inverse_blocks",
     "local_contact",
     "local_system",
-    "rotate",
 ]
-
-def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
-    """Orthonormal frames at contact nodes."""
-    n = contact.normals
-    frames = np.empty((len(n), contact.dim, contact.dim))
-    frames[:, 0] = n
-    if contact.dim == 2:
-        frames[:, 1, 0], frames[:, 1, 1] = -n[:, 1], n[:, 0]
-        return frames
-    # the Cartesian axis nearest the tangent plane, projected into it; a fixed axis lies in the plane and goes first
-    key = np.abs(n) - 2.0 * fixed[contact.nodes]
-    axis = np.eye(3)[np.argmin(key, axis=1)]
-    t1 = axis - np.sum(axis * n, axis=1)[:, None] * n
-    t1 /= np.linalg.norm(t1, axis=1)[:, None]
-    frames[:, 1], frames[:, 2] = t1, np.cross(n, t1)
-    return frames
 
 
 @dataclass
@@ -209,23 +192,14 @@ class LocalProblem:
 
     def to_local(self, displacement: np.ndarray) -> np.ndarray:
         """Cartesian displacement (n_nodes, dim) or (n_dofs,) -> local unknowns (n_dofs,)."""
-        u = np.array(displacement, dtype=np.float64).reshape(-1) - self.discrete.fixed_values
-        w = rotate(u, self.frames, self.system.nodes)
+        w = rotate(self.discrete.from_prescribed(displacement), self.frames, self.system.nodes)
         w[self.system.fixed] = 0.0
         return w
 
     def to_cartesian(self, unknowns: np.ndarray) -> np.ndarray:
         """Local unknowns (n_dofs,) -> Cartesian displacement (n_nodes, dim), prescribed values included, m."""
-        u = rotate(unknowns, np.swapaxes(self.frames, 1, 2), self.system.nodes) + self.discrete.fixed_values
-        return u.reshape(-1, self.system.dim)
-
-
-def rotate(vector: np.ndarray, frames: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """A copy of a dof vector with ``frames`` (n_contact, dim, dim) applied at ``nodes``."""
-    dim = frames.shape[1]
-    result = np.array(vector, dtype=np.float64).reshape(-1, dim)
-    result[nodes] = np.einsum("nij,nj->ni", frames, result[nodes])
-    return result.reshape(-1)
+        u = rotate_back(unknowns, self.frames, self.system.nodes)
+        return self.discrete.with_prescribed(u).reshape(-1, self.system.dim)
 
 
 def local_system(problem: DiscreteProblem) -> LocalProblem:
@@ -234,7 +208,7 @@ def local_system(problem: DiscreteProblem) -> LocalProblem:
     frames = frames_of(contact, problem.fixed.reshape(-1, dim))
     fixed = _local_fixed(problem, frames)
     matrix = without_fixed(_rotated(problem.matrix, frames, contact.nodes), fixed, copy=False)
-    load = rotate(problem.load - problem.matrix @ problem.fixed_values, frames, contact.nodes)
+    load = rotate(problem.load_from_prescribed(), frames, contact.nodes)
     load[fixed] = 0.0
     system = LocalSystem.from_matrix(matrix, fixed, contact.nodes)
     nodal = _nodal_contact(problem, frames, fixed)
@@ -276,13 +250,13 @@ def contact_blocks(problem: DiscreteProblem, contact: NodalContact, frames: np.n
 def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarray) -> NodalContact:
     lifted = contact_lift(problem, frames)
     limit, friction = problem.law.bounds(len(problem.contact))
-    reference = np.einsum("nij,nj->ni", frames, problem.contact.slip_reference)[:, 1:] - lifted[:, 1:]
+    reference = to_frames(frames, problem.contact.slip_reference)[:, 1:] - lifted[:, 1:]
     held = fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]
     reference[held] = 0.0
     alone = None
     if problem.dim == 3 and (held[:, 0] & ~held[:, 1]).any():
         alone = held[:, 0] & ~held[:, 1]
-        u = np.einsum("nij,nj->ni", frames, problem.at_contact(problem.fixed_values))
+        u = to_frames(frames, problem.at_contact(problem.fixed_values))
         slip = u[:, 1] - np.einsum("nj,nj->n", frames[:, 1], problem.contact.slip_reference)
         reference[alone, 0] = -slip[alone]
     return NodalContact(gap=problem.contact.gaps - lifted[:, 0], slip_reference=np.ascontiguousarray(reference),
@@ -301,7 +275,7 @@ def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) ->
 def contact_lift(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
     """Prescribed values at contact nodes in local components (n_contact, dim)."""
     values = problem.fixed_values.reshape(-1, problem.dim)[problem.contact.nodes]
-    return np.einsum("nij,nj->ni", frames, values)
+    return to_frames(frames, values)
 
 
 def _local_fixed(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:

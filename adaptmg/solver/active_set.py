@@ -43,10 +43,11 @@ import numpy as np
 from scipy import linalg, sparse
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.coordinates import rotate
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.residuals import natural_residual, residual
-from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, local_system, rotate
+from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, local_system
 from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import IterateTest, iterate
 from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of

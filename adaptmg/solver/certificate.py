@@ -24,6 +24,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from adaptmg._runtime import one_blas_thread
+from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.solver.aggregates import Aggregates
 from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, residual_energy
@@ -174,20 +175,20 @@ class Evidence:
         self.fixed = problem.fixed.reshape(shape)
         self.diagonal = problem.matrix.diagonal().reshape(shape)
         self.normals = self.posed.normals
-        self.claimed = np.einsum("nk,nkd->nd", np.column_stack([-contact.force_n, contact.force_t]), contact.frames)
+        self.claimed = from_frames(contact.frames, np.column_stack([-contact.force_n, contact.force_t]))
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
         limit, self.coefficient = problem.law.bounds(len(self.nodes))
         self.limit = limit / np.abs(self.sigma)
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
-        self.unexplained = self._physical(images - problem.load).reshape(shape)
+        self.unexplained = problem.physical_forces(images - problem.load).reshape(shape)
         self.unexplained[self.nodes] -= self.claimed
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
         self.tally = Tally(self.unexplained, self.fixed, self.u, self.unknowns,
                            problem.fixed_values.reshape(shape), self.diagonal)
         self.energy = float(np.sqrt(max(_sum(self.unknowns, images), 0.0)))
-        self.force = max(_norm(self._physical(problem.load)), self.tally.supports, _norm(self.claimed))
+        self.force = max(_norm(problem.physical_forces(problem.load)), self.tally.supports, _norm(self.claimed))
         self.length = self.tally.displacement
         # a row sums terms of the size of its diagonal times its displacement
         self.rounding = 8 * _EPSILON * self.tally.stiff
@@ -197,10 +198,6 @@ class Evidence:
         """Whether all forces are rounding: bodies that their supports move and nothing strains."""
         moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
         return moved > 0.0 and self.force <= 1e3 * self.rounding and self.length <= 10 * moved
-
-    def _physical(self, forces: np.ndarray) -> np.ndarray:
-        coupling = self.problem.coupling
-        return forces if coupling is None else coupling.physical_forces(forces)
 
     def _kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """Gap (n,) and slip (n, dim) against the obstacle, or the other body."""
@@ -282,11 +279,10 @@ class Evidence:
     def energy_error(self, aggregates: Aggregates | None) -> tuple[float, float]:
         """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
         """
-        problem, coupling = self.problem, self.problem.coupling
+        problem = self.problem
         status, change, unlawful = self._frozen()
         # a copy: what is unexplained is told by other lines too
-        forces = self.unexplained.copy() if coupling is None else coupling.relative_forces(self.unexplained.reshape(-1))
-        forces = forces.reshape(self.u.shape)
+        forces = problem.relative_forces(self.unexplained.reshape(-1).copy()).reshape(self.u.shape)
         forces[problem.contact.nodes] += unlawful
         matrix = problem.matrix
         moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptmg.discrete.coordinates import from_frames
+
 __all__ = ["ContactResult"]
 
 
@@ -106,7 +108,7 @@ class ContactResult:
     @property
     def force(self) -> np.ndarray:
         """Contact forces on the contact nodes, Cartesian (n, dim), N (2D: N/m)."""
-        return np.einsum("nk,nkd->nd", np.column_stack([-self.force_n, self.force_t]), self.frames)
+        return from_frames(self.frames, np.column_stack([-self.force_n, self.force_t]))
 
     def __len__(self) -> int:
         return len(self.node)

@@ -25,9 +25,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.residuals import natural_at_nodes, states
-from adaptmg.smoother.system import ContactState, NodalContact, contact_blocks, held_tangents, local_contact, rotate
+from adaptmg.smoother.system import ContactState, NodalContact, contact_blocks, held_tangents, local_contact
 from adaptmg.solver.aggregates import Aggregates
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
@@ -85,16 +86,12 @@ class Examiner:
 
     def _at_contact(self, vector: np.ndarray) -> np.ndarray:
         """Local components (n_contact, dim) of a vector (n_dofs,), zero along what is held."""
-        return self._local(vector.reshape(-1, self.discrete.dim)[self.discrete.contact.nodes])
-
-    def _local(self, at: np.ndarray) -> np.ndarray:
-        local = np.einsum("nij,nj->ni", self.frames, at)
+        local = to_frames(self.frames, vector.reshape(-1, self.discrete.dim)[self.discrete.contact.nodes])
         local[:, 1:][self.held] = 0.0
         return local
 
     def _values(self, solved: np.ndarray) -> np.ndarray:
-        nodes, shape = self.discrete.contact.nodes, (-1, self.discrete.dim)
-        return self._local(solved.reshape(shape)[nodes] - self.discrete.fixed_values.reshape(shape)[nodes])
+        return self._at_contact(self.discrete.from_prescribed(solved))
 
     def _residual(self, solved: np.ndarray, defect: np.ndarray) -> float:
         discrete = self.discrete
@@ -118,7 +115,7 @@ class Examiner:
         discrete = self.discrete
         images = discrete.matrix @ solved
         defect = discrete.load - images
-        reaction = -defect if discrete.coupling is None else discrete.coupling.physical_forces(-defect)
+        reaction = discrete.physical_forces(-defect)
         nodal = solved.reshape(discrete.n_nodes, discrete.dim)
         displacement = discrete.physical(nodal)
         contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
@@ -139,8 +136,8 @@ def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.nd
     there it is what the law says for the slip, and nothing if nothing slips.
     """
     contact, small = discrete.contact, 1e-12 * max(solved.max(initial=0.0), -solved.min(initial=0.0))
-    u = np.einsum("nij,nj->ni", frames, discrete.at_contact(solved))
-    slip = u[:, 1:] - np.einsum("nij,nj->ni", frames, contact.slip_reference)[:, 1:]
+    u = to_frames(frames, discrete.at_contact(solved))
+    slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
     force_n, force_t = np.maximum(-force[:, 0], 0.0), np.where(held, 0.0, force[:, 1:])
     limit = nodal.limit + nodal.friction * force_n
     state = states(nodal, values, force_n, small)
@@ -159,7 +156,7 @@ def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.nd
     u, slip, gap = u * size[:, None], slip * size[:, None], (contact.gaps - u[:, 0]) * size
     force_n, force_t, limit = force_n / size, force_t / size[:, None], limit / size
     x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[posed.nodes]
-    carried = np.einsum("nk,nkd->nd", np.column_stack([-force_n, force_t]), frames)
+    carried = from_frames(frames, np.column_stack([-force_n, force_t]))
     boundary, node, on_masters = _on_followed(discrete, posed.boundary, weights, carried)
     return ContactResult(node=posed.nodes, x=x, frames=frames, gap=gap, u_n=u[:, 0], u_t=u[:, 1:], slip=slip,
                          force_n=force_n, force_t=force_t, weights=posed.weights, limit=limit, state=state,
@@ -265,6 +262,5 @@ class Sizes:
         if not self.prescribed:
             return max(self.load, contact)
         if self._frames is not None:
-            back = np.swapaxes(self._frames, 1, 2)
-            unknowns = rotate(unknowns, back, self._problem.contact.nodes)
+            unknowns = rotate_back(unknowns, self._frames, self._problem.contact.nodes)
         return max(self.load, contact, euclidean_norm(self._rows @ unknowns + self._offset))

@@ -44,7 +44,6 @@ from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_a
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
 from adaptmg.solver.status import Status
 from adaptmg.solver.step_store import PathStore, fingerprint
-from adaptmg.solver.truncated import lifted_load
 
 if TYPE_CHECKING:
     import pandas
@@ -318,7 +317,7 @@ class PathWalk:
         run = Run(unit=finest.matrix.nnz, callback=None if progress is None else partial(progress, k))
         with run.phase("setup"):
             grids = self._posed(k)
-            forces = lifted_load(grids.finest.discrete)
+            forces = grids.finest.discrete.load_from_prescribed()
             run.examiner = self.examiner = self.examiner.at_step(grids.finest.discrete)
             past = replace(self.past, extrapolated=self._extrapolated(forces))
         with run.phase("statics"):
@@ -347,7 +346,7 @@ class PathWalk:
                              f"{grids.finest.n_nodes}")
         moved = result.displacement.any()
         coarse = self.method.replay(grids, self.past, result.rtol) if moved else None
-        self._remember(grids, result, lifted_load(grids.finest.discrete), coarse)
+        self._remember(grids, result, grids.finest.discrete.load_from_prescribed(), coarse)
 
     def _at_rest(self, forces: np.ndarray) -> bool:
         """Whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b - A u_fixed."""
@@ -419,5 +418,5 @@ def _loads(grids: Hierarchy) -> list[LoadSteps | None]:
     """Loads and supports one by one on each level; None where a level is only a space."""
     named = _problem_with_names(grids) is not None
     return [None if level.discrete is None
-            else load_steps(grids.problem, level.mesh, level.discrete.coupling) if named else whole_load(level.discrete)
+            else load_steps(grids.problem, level.mesh, level.discrete) if named else whole_load(level.discrete)
             for level in grids.levels]

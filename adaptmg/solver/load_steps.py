@@ -20,7 +20,6 @@ from typing import Protocol
 import numpy as np
 from scipy.sparse.linalg import lsmr
 
-from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import NestedStart
 from adaptmg.multigrid.rigid_motions import RigidMotions
@@ -30,7 +29,7 @@ from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.projected import MultigridOptions, need_levels
 from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.truncated import TruncatedMultigrid, lifted_load
+from adaptmg.solver.truncated import TruncatedMultigrid
 
 __all__ = ["KeptMultigrid", "Past", "StepSolver", "TruncatedSteps", "better_start", "coarse_displacements", "past_of"]
 
@@ -105,7 +104,7 @@ class KeptMultigrid(TruncatedMultigrid):
             else:
                 change = (result[-1] - past[number - 1]).reshape(-1, problem.dim)
                 unknowns = past[number] + (self.cycle.prolongations[number - 1] @ change).reshape(-1)
-                unknowns = from_prescribed(problem, unknowns)
+                unknowns = problem.from_prescribed(unknowns)
                 self.run.visit(number, "start")
                 if number < len(self.problems) - 1:
                     runner = self._runner(number, unknowns)
@@ -113,7 +112,7 @@ class KeptMultigrid(TruncatedMultigrid):
                         self._start_cycles(runner, number, start)
                         unknowns = runner.unknowns
                         runner.truncation.restore()
-            result.append(unknowns + problem.fixed_values)
+            result.append(problem.with_prescribed(unknowns))
         self.run.start_work_units = self.run.work_units
         return result
 
@@ -130,19 +129,12 @@ class KeptMultigrid(TruncatedMultigrid):
         runner, problem = self._runners[number], self.problems[number]
         with self.run.phase("setup"):
             data, _ = local_contact(problem)
-            contact, load = runner.contact, lifted_load(problem)
+            contact, load = runner.contact, problem.load_from_prescribed()
             contact.renew(data)
             contact.start(unknowns)
             runner.load, runner.unknowns = load, unknowns
             runner.motions = RigidMotions.of(problem, contact, load)
         return runner
-
-
-def from_prescribed(problem: DiscreteProblem, displacement: np.ndarray) -> np.ndarray:
-    """A displacement (n_dofs,) counted from the prescribed values, zero at fixed dofs, m."""
-    result = displacement - problem.fixed_values
-    result[problem.fixed] = 0.0
-    return result
 
 
 class TruncatedSteps:
@@ -168,7 +160,7 @@ class TruncatedSteps:
                     start = past.extrapolated
         else:
             start = better_start(examiner, past, run) if past.given else np.zeros(examiner.discrete.n_dofs)
-        outcome = multigrid.finish(from_prescribed(examiner.discrete, start), cold)
+        outcome = multigrid.finish(examiner.discrete.from_prescribed(start), cold)
         self._hold(outcome.rtol)
         return outcome, coarse
 

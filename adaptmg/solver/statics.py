@@ -34,9 +34,10 @@ from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg._runtime import remembered
+from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.smoother.system import frames_of, local_system
+from adaptmg.smoother.system import local_system
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.factorisation import condense
 

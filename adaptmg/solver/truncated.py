@@ -44,7 +44,7 @@ from adaptmg.solver.truncated_iteration import (
     WarmTest,
 )
 
-__all__ = ["Fallback", "TruncatedMultigrid", "lifted_load"]
+__all__ = ["Fallback", "TruncatedMultigrid"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -80,9 +80,7 @@ class TruncatedMultigrid:
     def _lifted(self, start: np.ndarray | None) -> np.ndarray:
         """A displacement, or none, as unknowns of the finest level (n_dofs,)."""
         problem = self.problems[-1]
-        unknowns = np.zeros(problem.n_dofs) if start is None else start.reshape(-1) - problem.fixed_values
-        unknowns[problem.fixed] = 0.0
-        return unknowns
+        return np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start)
 
     def from_nested(self, start: NestedStart) -> Outcome:
         """See :class:`~adaptmg.solver.projected.Method`."""
@@ -115,7 +113,7 @@ class TruncatedMultigrid:
         def shortfall(rtol: float) -> float:
             if stop.at_rounding(runner.rounding()):
                 return 0.0
-            return self.run.shortfall(runner.unknowns + problem.fixed_values, rtol)
+            return self.run.shortfall(problem.with_prescribed(runner.unknowns), rtol)
 
         with self.run.phase("cycles"):
             stop = (EnergyTest(problem, o.rtol, o.max_cycles, shortfall) if rate is None
@@ -124,7 +122,7 @@ class TruncatedMultigrid:
             cycles = kind(runner, o.correction.safe_cycles, cold, self.run, problem, start,
                           hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
             status = iterate(cycles, stop, self.run)
-        displacement = (runner.unknowns + problem.fixed_values).reshape(-1, problem.dim)
+        displacement = problem.with_prescribed(runner.unknowns).reshape(-1, problem.dim)
         outcome = Outcome(displacement, status, cycles.cycles, stop.rtol, stop.error_estimate, stop.rate)
         failed = status in (Status.STALLED, Status.DIVERGED) and not stop.at_rounding(runner.rounding())
         if failed and cycles.cycles < o.max_cycles and stop.rtol > 0:
@@ -145,7 +143,7 @@ class TruncatedMultigrid:
     def _cycle_on(self, problem: DiscreteProblem, cycle: LinearCycle, number: int,
                   unknowns: np.ndarray) -> TruncatedStep:
         """Cycles for a problem on level ``number`` of a linear cycle, from ``unknowns`` (n_dofs,)."""
-        contact, load = TruncatedContact.of(problem, cycle.levels[number]), lifted_load(problem)
+        contact, load = TruncatedContact.of(problem, cycle.levels[number]), problem.load_from_prescribed()
         contact.start(unknowns)
         options, interface = self.options.correction, None
         if problem.coupling is not None and options.interface_sweeps:
@@ -197,7 +195,7 @@ class TruncatedMultigrid:
         # coarse functions vanish on it
         diagonal = sparse.diags_array(np.where(problem.fixed, 1.0, self.SHIFT) * problem.matrix.diagonal())
         whole = sparse.bsr_array(sparse.csr_array(level.matrix()) + diagonal, blocksize=(problem.dim,) * 2)
-        grids = Hierarchy.single(replace(problem, matrix=whole, load=lifted_load(problem)))
+        grids = Hierarchy.single(replace(problem, matrix=whole, load=problem.load_from_prescribed()))
         try:
             found = ActiveSet(rtol=start.rtol).run(grids, Run(unit=self.run.unit), None)
         except np.linalg.LinAlgError as error:
@@ -205,15 +203,13 @@ class TruncatedMultigrid:
             return np.zeros(problem.n_dofs), False
         self.run.count(found.cycles, level.nonzeros)
         self.run.visit(0, "solve", found.cycles)
-        return found.displacement.reshape(-1) - problem.fixed_values, found.status.ok
+        return problem.from_prescribed(found.displacement), found.status.ok
 
     def _prolonged(self, number: int, unknowns: np.ndarray) -> np.ndarray:
         """Interpolated to the next finer level, prescribed values respected."""
         coarse, fine = self.problems[number], self.problems[number + 1]
-        displacement = (unknowns + coarse.fixed_values).reshape(-1, coarse.dim)
-        result = (self.cycle.prolongations[number] @ displacement).reshape(-1) - fine.fixed_values
-        result[fine.fixed] = 0.0
-        return result
+        displacement = coarse.with_prescribed(unknowns).reshape(-1, coarse.dim)
+        return fine.from_prescribed(self.cycle.prolongations[number] @ displacement)
 
 
 @dataclass(frozen=True)
@@ -230,13 +226,6 @@ class _OnCoarsest:
         """Note smoothing and solves; what goes between the level and its copy is no transfer."""
         if action in ("smooth", "solve"):
             self.run.visit(0, action, times)
-
-
-def lifted_load(problem: DiscreteProblem) -> np.ndarray:
-    """b - A u_fixed, zero at fixed dofs (n_dofs,), Cartesian."""
-    load = problem.load - problem.matrix @ problem.fixed_values if problem.fixed_values.any() else problem.load.copy()
-    load[problem.fixed] = 0.0
-    return load
 
 
 class Fallback:

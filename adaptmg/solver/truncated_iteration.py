@@ -64,7 +64,7 @@ class TruncatedIteration:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
         values = stop.measures() | {"status_changes": float(self.changed)}
         if self.run is not None and self.run.reference is not None:
-            error = self.runner.unknowns - (self.run.reference.reshape(-1) - self.problem.fixed_values)
+            error = self.runner.unknowns - self.problem.from_prescribed(self.run.reference)
             values["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
         return values
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.discrete.coordinates import Coupling
+from adaptmg.discrete.coordinates import Coupling, frames_of, from_frames, rotate, rotate_back, to_frames
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
 
@@ -141,22 +141,6 @@ class TestRefusals:
         with pytest.raises(ValueError, match="circle"):
             Coupling(weights, np.ones(4, dtype=bool))
 
-    @pytest.mark.parametrize(("weights", "fixed", "match"), [
-        (sparse.csr_array(np.array([[0, 0.9], [0, 0]])), np.zeros(4, bool), r"sum 1, got 0.9 at node 0"),
-        (sparse.csr_array(np.array([[0, np.nan], [0, 0]])), np.zeros(4, bool), "weights must be finite"),
-        (sparse.csr_array((2, 3)), np.zeros(4, bool), "square"),
-        (sparse.csr_array((2, 2)), np.zeros(5, bool), "boolean mask"),
-        (sparse.csr_array((2, 2)), np.zeros(4), "boolean mask"),
-        (sparse.csr_array((2, 2)), np.zeros((2, 2), bool), "boolean mask"),
-    ])
-    def test_arrays_that_do_not_fit(self, weights, fixed, match):
-        with pytest.raises(ValueError, match=match):
-            Coupling(weights, fixed)
-
-    def test_a_dense_matrix(self):
-        with pytest.raises(TypeError, match="sparse"):
-            Coupling(np.zeros((2, 2)), np.zeros(4, dtype=bool))
-
 
 class TestDiscreteProblem:
     def springs(self):
@@ -204,6 +188,35 @@ class TestDiscreteProblem:
         parts["fixed"][7] = True
         with pytest.raises(ValueError, match=r"normal part is fixed at contact node 0 \(node 3.*free the component"):
             am.DiscreteProblem.coupled(**parts)
+
+    @pytest.mark.parametrize(("weights", "error", "match"), [
+        (sparse.csr_array(([0.9], ([3], [1])), shape=(6, 6)), ValueError, r"sum 1, got 0.9 at node 3"),
+        (sparse.csr_array(([np.nan], ([3], [1])), shape=(6, 6)), ValueError, "weights must be finite"),
+        (sparse.csr_array((6, 5)), ValueError, "weights must"),
+        (np.zeros((6, 6)), TypeError, "sparse"),
+    ])
+    def test_weights_that_do_not_fit_are_refused(self, weights, error, match):
+        with pytest.raises(error, match=match):
+            am.DiscreteProblem.coupled(**self.springs() | {"weights": weights})
+
+    def test_every_system_of_unknowns_there_and_back(self):
+        values = np.where(np.arange(12) < 2, 0.3, 0.0)
+        problem = am.DiscreteProblem.coupled(**self.springs(), fixed_values=values)
+        w, f = np.random.default_rng(1).normal(size=(2, 12))
+        w[:2] = 0.3
+        np.testing.assert_allclose(problem.physical_forces(problem.relative_forces(f)), f, atol=1e-14)
+        assert problem.relative_forces(f) @ w == pytest.approx(f @ problem.physical(w).ravel())
+        change = problem.from_prescribed(w)
+        assert not change[:2].any()
+        np.testing.assert_allclose(problem.with_prescribed(change), w)
+        residual = problem.load - problem.matrix @ w
+        np.testing.assert_allclose((problem.load_from_prescribed() - problem.matrix @ change)[2:], residual[2:])
+        assert not problem.load_from_prescribed()[:2].any()
+        frames = frames_of(problem.contact, problem.fixed.reshape(6, 2))
+        local = rotate(change, frames, problem.contact.nodes)
+        np.testing.assert_allclose(local.reshape(6, 2)[3], to_frames(frames, change.reshape(6, 2)[[3]])[0])
+        np.testing.assert_allclose(rotate_back(local, frames, problem.contact.nodes), change)
+        np.testing.assert_allclose(from_frames(frames, local.reshape(6, 2)[[3]])[0], change.reshape(6, 2)[3])
 
     def test_without_a_coupling_unknowns_are_displacements(self):
         parts = self.springs()

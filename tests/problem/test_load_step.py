@@ -10,7 +10,7 @@ import pytest
 from made import square
 
 import adaptmg as am
-from adaptmg.discrete import fixed_dofs
+from adaptmg.discrete import discretise, fixed_dofs
 from adaptmg.discrete.load_steps import load_steps
 from adaptmg.discrete.loads import load_vector
 from adaptmg.problem import step_problem
@@ -32,7 +32,7 @@ def loaded():
 def test_steps_are_what_the_load_path_makes_of_the_problem():
     problem, mesh = loaded(), square(3, 1.0)
     factors = {"right": 0.5, "body force": 2.0, "body": -1.0, "left": 3.0, "top": 0.25}
-    step, steps = step_problem(problem, factors), load_steps(problem, mesh)
+    step, steps = step_problem(problem, factors), load_steps(problem, mesh, discretise(problem, mesh))
     np.testing.assert_allclose(load_vector(mesh, step.loads, step.material), steps.load(factors), rtol=1e-12,
                                atol=1e-12 * np.abs(steps.load(factors)).max())
     np.testing.assert_allclose(fixed_dofs(mesh, step.supports)[1], steps.fixed_values(factors), rtol=1e-14)

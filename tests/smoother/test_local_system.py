@@ -10,10 +10,11 @@ from scipy import sparse
 
 from adaptmg import cases
 from adaptmg.discrete import discretise
+from adaptmg.discrete.coordinates import frames_of, rotate
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh import structured
 from adaptmg.problem import Contact, Coulomb, GapFunction, Plane, Support, Tresca
-from adaptmg.smoother.system import frames_of, inverse_blocks, local_system, rotate
+from adaptmg.smoother.system import inverse_blocks, local_system
 
 RNG = np.random.default_rng(4)
 

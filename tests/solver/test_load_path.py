@@ -272,7 +272,7 @@ class TestData:
     def test_combinations_are_what_discretise_makes(self, bodies):
         for grids in (bodies, pulled()):
             discrete, names = grids.finest.discrete, am.LoadPath().resolved(grids.problem)
-            steps = load_steps(grids.problem, grids.finest.mesh, discrete.coupling)
+            steps = load_steps(grids.problem, grids.finest.mesh, discrete)
             factors = dict.fromkeys(names, 1.0)
             np.testing.assert_allclose(steps.load(factors), discrete.load, rtol=1e-12, atol=1e-9)
             np.testing.assert_array_equal(steps.fixed_values(factors), discrete.fixed_values)
