@@ -21,10 +21,6 @@ and contact rows that interpolate from coarse contact nodes only (:mod:`adaptmg.
 Source of the setting: the paper's correction problem, steps a-g; its other choices are here too, under the names
 ``largest_gap`` and ``injected_...``, and guarantee nothing. A nodal limit is a force and is summed, never
 interpolated; a pressure is interpolated, from coarse to fine, in nested iteration.
-
-Kernels of the transport of contact data: minima over the supports S_k of the columns of P.
-
-``indptr``, ``nodes`` hold S_k as in a CSC matrix; results are written to the last argument.
 """
 
 from __future__ import annotations
@@ -35,14 +31,14 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import kernel
 
-__all__ = ["Supports", "injected_gap", "injected_limit", "injected_slip", "largest", "largest_gap", "minmod_line",
-           "minmod_plane", "minmod_slip", "smallest", "smallest_gap", "summed_limit", "supports"]
+__all__ = ["Supports", "injected_gap", "injected_limit", "injected_slip", "largest_gap", "minmod_slip", "smallest_gap",
+           "summed_limit", "supports"]
+
 
 @dataclass(frozen=True, eq=False)
 class Supports:
-    """The sets S_k of a contact prolongation; made once by :func:`supports`, accepted in place of ``P_cc``.
+    """The sets S_k of a contact prolongation, from :func:`supports`.
 
     Attributes
     ----------
@@ -65,17 +61,26 @@ class Supports:
 
     def injected(self, values: np.ndarray, empty: float) -> np.ndarray:
         """Fine values (n_fine, ...) at ``main``, ``empty`` where S_k is."""
-        result = values[np.maximum(self.main, 0)]
+        result = self._over_fine(values)[np.maximum(self.main, 0)]
         result[self.main < 0] = empty
         return result
 
+    def reduced(self, ufunc: np.ufunc, values: np.ndarray, empty: float) -> np.ndarray:
+        """Fine values (n_fine, ...) reduced over each S_k, ``empty`` where it is."""
+        values, filled = self._over_fine(values), self.main >= 0
+        result = np.full((len(self.main), *values.shape[1:]), empty, dtype=values.dtype)
+        if filled.any():
+            result[filled] = ufunc.reduceat(values[self.nodes], self.indptr[:-1][filled])
+        return result
 
-def supports(P_cc: sparse.csr_array | Supports) -> Supports:
-    """The sets S_k; ValueError if an entry of P_cc is negative or not finite."""
-    if isinstance(P_cc, Supports):
-        return P_cc
-    if not sparse.issparse(P_cc):
-        raise TypeError(f"P_cc must be a scipy sparse matrix or Supports, got {type(P_cc).__name__}")
+    def _over_fine(self, values: np.ndarray) -> np.ndarray:
+        if len(values) != self.n_fine:
+            raise ValueError(f"one value a fine contact node is needed, {self.n_fine}, got {len(values)}")
+        return values
+
+
+def supports(P_cc: sparse.csr_array) -> Supports:
+    """The sets S_k of P_cc (n_fine_contact, n_coarse_contact); ValueError if an entry is negative or not finite."""
     columns = sparse.csc_array(P_cc, dtype=np.float64, copy=True)
     columns.sum_duplicates()
     if not (np.isfinite(columns.data) & (columns.data >= 0)).all():
@@ -92,61 +97,31 @@ def supports(P_cc: sparse.csr_array | Supports) -> Supports:
                     main=main)
 
 
-def _over_fine(name: str, value: np.ndarray, n_fine: int) -> np.ndarray:
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape != (n_fine,):
-        raise ValueError(f"{name} must have shape ({n_fine},), one value a fine contact node, got {array.shape}")
-    return array
+def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
+    """Safe bounds D_k (n_coarse_contact,) of the normal correction from the opening g0 - u_n (n_fine_contact,), m.
 
-
-def _slips(slip: np.ndarray, n_fine: int) -> np.ndarray:
-    array = np.ascontiguousarray(slip, dtype=np.float64)
-    if array.shape not in ((n_fine, 1), (n_fine, 2)):
-        raise ValueError(f"slip must have shape ({n_fine}, 1) in 2D or ({n_fine}, 2) in 3D, got {array.shape}")
-    return array
-
-
-def smallest_gap(P_cc: sparse.csr_array | Supports, opening: np.ndarray) -> np.ndarray:
-    """Safe bounds of the normal correction.
-
-    Parameters
-    ----------
-    P_cc : (n_fine_contact, n_coarse_contact) sparse, or Supports
-    opening : (n_fine_contact,) array
-        g0 - u_n of the current iterate, m.
-
-    Returns
-    -------
-    (n_coarse_contact,) array
-        D_k, m; +inf where S_k is empty.
+    +inf where S_k is empty.
     """
-    sets = supports(P_cc)
-    result = np.empty(len(sets.main))
-    smallest(sets.indptr, sets.nodes, _over_fine("opening", opening, sets.n_fine), result)
-    return result
+    return sets.reduced(np.minimum, opening, np.inf)
 
 
-def largest_gap(P_cc: sparse.csr_array | Supports, opening: np.ndarray) -> np.ndarray:
+def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     """The paper's bound read literally ('smallest u_n'): max over S_k; as :func:`smallest_gap`. Stalls or cycles."""
-    sets = supports(P_cc)
-    result = np.empty(len(sets.main))
-    largest(sets.indptr, sets.nodes, _over_fine("opening", opening, sets.n_fine), result)
-    return result
+    return sets.reduced(np.maximum, opening, np.inf)
 
 
-def injected_gap(P_cc: sparse.csr_array | Supports, opening: np.ndarray) -> np.ndarray:
+def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     """Opening of the fine node with the largest weight in S_k; as :func:`smallest_gap`. No guarantee."""
-    sets = supports(P_cc)
-    return sets.injected(_over_fine("opening", opening, sets.n_fine), np.inf)
+    return sets.injected(opening, np.inf)
 
 
-def minmod_slip(P_cc: sparse.csr_array | Supports, slip: np.ndarray, stick: np.ndarray | None = None, *,
+def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = None, *,
                 angle: float = 1e-6) -> np.ndarray:
-    r"""Safe reference slips of the tangential correction.
+    r"""Safe reference slips U_k of the tangential correction.
 
     Parameters
     ----------
-    P_cc : (n_fine_contact, n_coarse_contact) sparse, or Supports
+    sets : Supports
     slip : (n_fine_contact, dim - 1) array
         u_t - u_t^previous of the current iterate, m.
     stick : (n_fine_contact,) bool array, optional
@@ -158,114 +133,48 @@ def minmod_slip(P_cc: sparse.csr_array | Supports, slip: np.ndarray, stick: np.n
     Returns
     -------
     (n_coarse_contact, dim - 1) array
-        U_k, m: 0 unless all slips in S_k have one sign (3D: one direction) and none is zero or sticks, else the
-        shortest; 0 where S_k is empty.
+        m: 0 unless all slips in S_k have one sign (3D: one direction) and none is zero or sticks, else the shortest; 0
+        where S_k is empty.
     """
-    sets = supports(P_cc)
-    slip = _slips(slip, sets.n_fine)
-    mask = np.zeros(sets.n_fine, dtype=bool) if stick is None else np.asarray(stick)
-    if mask.dtype != bool or mask.shape != (sets.n_fine,):
-        raise ValueError(f"stick must be a boolean mask of shape ({sets.n_fine},), got {mask.dtype} {mask.shape}")
     if not 0 <= checks.number("angle", angle) < np.pi / 2:
         raise ValueError(f"angle must be >= 0 and below pi/2, got {angle!r}")
-    result = np.empty((len(sets.main), slip.shape[1]))
+    slip = slip if stick is None else np.where(stick[:, None], 0.0, slip)
     if slip.shape[1] == 1:
-        minmod_line(sets.indptr, sets.nodes, slip[:, 0], mask, result[:, 0])
-    else:
-        minmod_plane(sets.indptr, sets.nodes, slip, mask, np.sin(angle), result)
-    return result
-
-
-def injected_slip(P_cc: sparse.csr_array | Supports, slip: np.ndarray) -> np.ndarray:
-    """Slip of the fine node with the largest weight in S_k; shapes as :func:`minmod_slip`. No guarantee."""
-    sets = supports(P_cc)
-    return sets.injected(_slips(slip, sets.n_fine), 0.0)
-
-
-def summed_limit(P_cc: sparse.csr_array | Supports, limit: np.ndarray) -> np.ndarray:
-    """Nodal friction limits summed with the transpose: G = P'g.
-
-    Parameters
-    ----------
-    P_cc : (n_fine_contact, n_coarse_contact) sparse, or Supports
-    limit : (n_fine_contact,) array
-        g, nodal forces (dual), N.
-
-    Returns
-    -------
-    (n_coarse_contact,) array
-        N; the total is that of g where the rows sum to 1.
-    """
-    sets = supports(P_cc)
+        # one of the two is 0 unless all have one sign
+        low, high = sets.reduced(np.minimum, slip, 0.0), sets.reduced(np.maximum, slip, 0.0)
+        return np.maximum(low, 0.0) + np.minimum(high, 0.0)
+    size = np.hypot(slip[:, 0], slip[:, 1])
     coarse = np.repeat(np.arange(len(sets.main)), np.diff(sets.indptr))
-    values = sets.weights * _over_fine("limit", limit, sets.n_fine)[sets.nodes]
-    return np.bincount(coarse, weights=values, minlength=len(sets.main))
+    # first of each column after sorting by length, and the first of equals
+    order = np.lexsort((size[sets.nodes], coarse))
+    shortest = np.zeros(len(sets.main), dtype=np.int64)
+    filled = sets.main >= 0
+    shortest[filled] = sets.nodes[order[sets.indptr[:-1][filled]]]
+    this, best = slip[sets.nodes], slip[shortest[coarse]]
+    dot = this[:, 0] * best[:, 0] + this[:, 1] * best[:, 1]
+    cross = this[:, 0] * best[:, 1] - this[:, 1] * best[:, 0]
+    other = ~(dot > 0.0) | (np.abs(cross) > np.sin(angle) * (size[shortest[coarse]] * size[sets.nodes]))
+    parallel = filled & (np.bincount(coarse[other], minlength=len(sets.main)) == 0)
+    return np.where(parallel[:, None], slip[shortest], 0.0)
 
 
-def injected_limit(P_cc: sparse.csr_array | Supports, limit: np.ndarray) -> np.ndarray:
+def injected_slip(sets: Supports, slip: np.ndarray) -> np.ndarray:
+    """Slip of the fine node with the largest weight in S_k; shapes as :func:`minmod_slip`. No guarantee."""
+    return sets.injected(slip, 0.0)
+
+
+def summed_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
+    """Nodal friction limits g (n_fine_contact,) summed with the transpose, G = P'g (n_coarse_contact,), N; dual.
+
+    The total is that of g where the rows sum to 1.
+    """
+    coarse = np.repeat(np.arange(len(sets.main)), np.diff(sets.indptr))
+    return np.bincount(coarse, weights=sets.weights * limit[sets.nodes], minlength=len(sets.main))
+
+
+def injected_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
     """Nodal limit of the fine node with the largest weight in S_k, N; 0 where S_k is empty.
 
     As :func:`summed_limit`, but what one fine node bears is less than the force on a coarse one. No guarantee.
     """
-    sets = supports(P_cc)
-    return sets.injected(_over_fine("limit", limit, sets.n_fine), 0.0)
-
-
-@kernel
-def smallest(indptr, nodes, values, result):
-    """Minimum over S_k, +inf where it is empty."""
-    for k in range(len(indptr) - 1):
-        result[k] = np.inf
-        for at in range(indptr[k], indptr[k + 1]):
-            result[k] = min(result[k], values[nodes[at]])
-
-
-@kernel
-def largest(indptr, nodes, values, result):
-    """Maximum over S_k, +inf where it is empty."""
-    for k in range(len(indptr) - 1):
-        result[k] = np.inf if indptr[k] == indptr[k + 1] else -np.inf
-        for at in range(indptr[k], indptr[k + 1]):
-            result[k] = max(result[k], values[nodes[at]])
-
-
-@kernel
-def minmod_line(indptr, nodes, slip, stick, result):
-    """2D: the slip of smallest magnitude, 0 unless all slips in S_k have one sign and none sticks."""
-    for k in range(len(indptr) - 1):
-        result[k] = 0.0
-        for at in range(indptr[k], indptr[k + 1]):
-            i = nodes[at]
-            value = slip[i]
-            first = at == indptr[k]
-            if stick[i] or value == 0.0 or (not first and (value > 0.0) != (result[k] > 0.0)):
-                result[k] = 0.0
-                break
-            if first or abs(value) < abs(result[k]):
-                result[k] = value
-
-
-@kernel
-def minmod_plane(indptr, nodes, slip, stick, sine, result):
-    """3D: the shortest slip, 0 unless all slips in S_k point its way within an angle below 90 degrees."""
-    for k in range(len(indptr) - 1):
-        result[k, 0], result[k, 1] = 0.0, 0.0
-        shortest, length = -1, np.inf
-        for at in range(indptr[k], indptr[k + 1]):
-            i = nodes[at]
-            norm = 0.0 if stick[i] else np.hypot(slip[i, 0], slip[i, 1])
-            if norm < length:
-                shortest, length = i, norm
-        if shortest < 0 or length == 0.0:
-            continue
-        parallel = True
-        for at in range(indptr[k], indptr[k + 1]):
-            i = nodes[at]
-            scale = length * np.hypot(slip[i, 0], slip[i, 1])
-            dot = slip[i, 0] * slip[shortest, 0] + slip[i, 1] * slip[shortest, 1]
-            cross = slip[i, 0] * slip[shortest, 1] - slip[i, 1] * slip[shortest, 0]
-            if not dot > 0.0 or abs(cross) > sine * scale:
-                parallel = False
-                break
-        if parallel:
-            result[k, 0], result[k, 1] = slip[shortest, 0], slip[shortest, 1]
+    return sets.injected(limit, 0.0)

@@ -1,4 +1,4 @@
-r"""Rows of contact nodes interpolated along the contact boundary.
+r"""Prolongations between two levels of a contact problem: rows of contact nodes, and relative coordinates of bodies.
 
 On curved or non-nested contact boundaries a fine contact node lies inside or outside the coarse mesh, and a
 prolongation between the volumes gives it weights of inner coarse nodes, on which there is no contact condition. Here it
@@ -9,17 +9,12 @@ is projected onto the nearest coarse contact facet and takes the weights there:
 which is what the proof of the monotone correction needs (see :mod:`adaptmg.transfer.constraints`). Affine fields are
 reproduced at the projected points, so on curved boundaries up to O(h_coarse^2).
 
-Prolongations between two levels of a contact problem: contact rows, and relative coordinates of coupled bodies.
-
 With the nodal prolongation P of displacements and the couplings W_f, W_c of the two levels there are two forms for
-relative values w:
-
-.. math:: P_w = (I - W_f)\,P\,(I - W_c)^{-1},
-
-which spans the same space as P, rigid motions of all bodies included; and the same with the rows of the slave nodes
-replaced by interpolation of relative values along the coarse slave surface, weights >= 0 with sums 1 over the coarse
-slave nodes of the pair, as the monotone correction wants them. Other coarse nodes of the surface (where it hangs over,
-or belongs to another pair) have no values relative to this master: those beside them take over their weights.
+relative values w: :math:`P_w = (I - W_f)\,P\,(I - W_c)^{-1}`, which spans the same space as P, rigid motions of all
+bodies included; and the same with the rows of the slave nodes replaced by interpolation of relative values along the
+coarse slave surface, weights >= 0 with sums 1 over the coarse slave nodes of the pair, for the monotone correction.
+Other coarse nodes of the surface (where it hangs over, or belongs to another pair) have no values relative to this
+master: those next to them take over their weights.
 """
 
 from __future__ import annotations
@@ -41,48 +36,21 @@ from adaptmg.transfer.interpolation import Transfer, csr_from_weights, nodes_of_
 
 __all__ = ["LevelTransfer", "between_levels", "surface_interpolation", "with_contact_rows"]
 
-def _indices(name: str, value: np.ndarray, ndim: int, limit: int) -> np.ndarray:
-    array = np.asarray(value)
-    if array.dtype.kind not in "iu":
-        raise TypeError(f"{name} must be integers, got {array.dtype}")
-    if array.ndim != ndim:
-        raise ValueError(f"{name} must have {ndim} dimension(s), got shape {array.shape}")
-    if array.size and (array.min() < 0 or array.max() >= limit):
-        raise ValueError(f"{name} must lie in 0 .. {limit - 1}, got {array.min()} .. {array.max()}")
-    return array
-
 
 def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_facets: np.ndarray,
                           fine_nodes: np.ndarray) -> sparse.csr_array:
-    """Interpolate at fine contact nodes from the nearest coarse contact facet.
-
-    Parameters
-    ----------
-    coarse, fine : MeshArrays
-    coarse_boundary_facets : (n_facets, dim) array of int
-        Coarse nodes of the contact facets (``coarse.boundary_facets(name)``): segments in 2D, triangles in 3D.
-    fine_nodes : (n_fine_contact,) array of int
-        Fine contact nodes.
+    """Interpolate at fine contact nodes (n,) from the nearest coarse contact facet.
 
     Returns
     -------
-    (n_fine_contact, n_coarse_nodes) csr_array
-        >= 0, row sums 1, at most dim entries a row. The nearest facet is exact (a search in a tree of boxes), on graded
-        boundaries too.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Indices of the wrong type, shape or range; no facets.
+    (n, n_coarse_nodes) csr_array
+        >= 0, row sums 1, at most dim entries a row. The facets (n_facets, dim) hold coarse nodes, as
+        ``coarse.boundary_facets(name)`` does; the nearest is exact, on graded boundaries too.
     """
-    facets = _indices("coarse_boundary_facets", coarse_boundary_facets, 2, coarse.n_nodes)
-    nodes = _indices("fine_nodes", fine_nodes, 1, fine.n_nodes)
-    if coarse.dim != fine.dim:
-        raise ValueError(f"coarse and fine must have the same dimension, got {coarse.dim} and {fine.dim}")
-    if facets.shape[1] != coarse.dim or len(facets) == 0:
-        raise ValueError(f"coarse_boundary_facets must have shape (n, {coarse.dim}) with n > 0, got {facets.shape}")
-    tree = BoxTree(coarse.points, facets)
-    facet, weights, _ = tree.nearest(fine.points[nodes])
+    facets = coarse_boundary_facets
+    if facets.ndim != 2 or not len(facets) or not 0 <= facets.min() <= facets.max() < coarse.n_nodes:
+        raise ValueError(f"coarse_boundary_facets must hold nodes of coarse, a row a facet, got shape {facets.shape}")
+    facet, weights, _ = BoxTree(coarse.points, facets).nearest(fine.points[fine_nodes])
     return csr_from_weights(facets[facet], weights, coarse.n_nodes)
 
 
@@ -102,31 +70,11 @@ def _merge(row_of, p_indptr, p_indices, p, r_indptr, r_indices, r, indptr, indic
 
 
 def with_contact_rows(P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.csr_array) -> sparse.csr_array:
-    """Replace the rows of contact nodes in a nodal prolongation.
-
-    Parameters
-    ----------
-    P : (n_fine, n_coarse) sparse
-    fine_nodes : (n_fine_contact,) array of int
-        Rows to replace, each once.
-    rows : (n_fine_contact, n_coarse) sparse
-        Their replacements.
-
-    Returns
-    -------
-    (n_fine, n_coarse) csr_array
-        A new matrix.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Indices or shapes do not fit.
-    """
-    nodes = _indices("fine_nodes", fine_nodes, 1, P.shape[0])
-    if rows.shape != (len(nodes), P.shape[1]):
-        raise ValueError(f"rows must have shape ({len(nodes)}, {P.shape[1]}), got {rows.shape}")
-    if len(np.unique(nodes)) < len(nodes):
-        raise ValueError("fine_nodes must be distinct")
+    """A nodal prolongation (n_fine, n_coarse) with other rows (n, n_coarse) for distinct fine nodes (n,)."""
+    nodes = check_arrays.array("fine_nodes", fine_nodes, (None,), integer=True)
+    if rows.shape != (len(nodes), P.shape[1]) or len(np.unique(nodes)) < len(nodes):
+        raise ValueError(f"rows must have shape ({len(nodes)}, {P.shape[1]}), one for each of distinct fine_nodes, got "
+                         f"{rows.shape}")
     P, rows = sparse.csr_array(P), sparse.csr_array(rows)
     row_of = np.full(P.shape[0], -1)
     row_of[nodes] = np.arange(len(nodes))

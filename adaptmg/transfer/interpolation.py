@@ -1,21 +1,12 @@
-r"""Point interpolation: the coarse function evaluated at the fine nodes.
+r"""What a transfer is, and point interpolation: the coarse function evaluated at the fine nodes.
 
-.. math:: P_{ij} = \varphi^c_j(x_i)
+.. math:: u_f(x_i) \leftarrow \sum_j P_{ij}\, u_c(x_j), \qquad P_{ij} = \varphi^c_j(x_i), \qquad \sum_j P_{ij} = 1
 
-A fine node outside the coarse mesh takes the value at the closest point of the coarse mesh.
-
-What a transfer is: an object that builds the prolongation between two meshes.
-
-.. math:: u_f(x_i) \leftarrow \sum_j P_{ij}\, u_c(x_j), \qquad \sum_j P_{ij} = 1
-
-P acts on nodal values (primal), component by component; its transpose restricts residuals (dual).
-
-Points located in a mesh, and the nodes of a fine mesh in a coarse one, body by body.
-
-Rows of a prolongation: made from weights, freed of tiny entries, corrected to keep their sums and moments.
+P acts on nodal values (primal), component by component; its transpose restricts residuals (dual). A fine node outside
+the coarse mesh takes the value at the closest point of the coarse mesh.
 
 After entries have been dropped, the rest :math:`p_j` of a row is changed by the smallest :math:`\delta_j` (least
-squares) that restores the sum and, where asked for, the first moments :math:`m` the row had before:
+squares) that restores the sum and the first moments :math:`m` the row had before:
 
 .. math:: \min \sum_j \delta_j^2 \quad\text{with}\quad \sum_j (p_j + \delta_j)\, q_j = m, \qquad
           q_j = (1, (x_j - x_i)/h_i), \qquad \delta_j = q_j \cdot G^{-1} \Big(m - \sum_j p_j q_j\Big),\;
@@ -23,8 +14,6 @@ squares) that restores the sum and, where asked for, the first moments :math:`m`
 
 where :math:`h_i` is a size of the mesh: a single coarse node that is left may equal the fine node up to rounding, and
 its distance is no scale.
-
-mesh_ratio: how much finer a mesh is than the next coarser one, element by element.
 """
 
 from __future__ import annotations
@@ -53,9 +42,9 @@ __all__ = [
     "locate_nodes",
     "mesh_ratio",
     "nodes_of_bodies",
-    "normalised",
     "size_ratio",
 ]
+
 
 @runtime_checkable
 class Transfer(Protocol):
@@ -65,31 +54,35 @@ class Transfer(Protocol):
         """Nodal prolongation (n_fine, n_coarse); rows should sum to 1, or rigid translations are not reproduced."""
 
 
-OUTSIDE_TOLERANCE = 0.25
-"""How far outside the coarse mesh a fine node may lie, over the size of the nearest element. A chord of a curved
-boundary misses the arc by less; different units, a shifted body or a missing part do not."""
+@dataclass(frozen=True, kw_only=True)
+class Interpolation:
+    """Point interpolation: the cheapest transfer, and the default.
+
+    Entries are >= 0 with row sums 1. Reproduces constants always, and affine fields at every fine node that lies in
+    the coarse mesh. On nested meshes it is the canonical embedding. Bodies are matched by name and interpolated apart.
+    """
+
+    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+        """Nodal prolongation (n_fine, n_coarse), at most dim + 1 entries a row.
+
+        Raises
+        ------
+        ValueError
+            A fine node lies outside by more than a quarter of an element; bodies or dimensions do not match.
+        """
+        found = locate_nodes(coarse, fine)
+        return csr_from_weights(coarse.elements[found.element], found.weights, coarse.n_nodes)
 
 
 class PointLocator(SimplexLocator):
     """Finds points in a mesh; see :class:`~adaptmg.geometry.location.SimplexLocator`.
 
-    Parameters
-    ----------
-    mesh : MeshArrays
-        Triangles or tetrahedra.
-    body : int, optional
-        Look only at the elements of this body (index into ``mesh.bodies``): where two bodies touch, a point lies in
-        both. Default: all elements.
-
-    Raises
-    ------
-    TypeError, ValueError
-        No MeshArrays; no elements (of that body); an element without volume.
+    With ``body``, an index into ``mesh.bodies``, only in the elements of this body: where two bodies touch, a point
+    lies in both. ValueError if there are no elements (of that body), or one without volume.
     """
 
     def __init__(self, mesh: MeshArrays, body: int | None = None) -> None:
-        if not isinstance(mesh, MeshArrays):
-            raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}")
+        checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
         chosen = None if body is None else np.flatnonzero(mesh.element_body == body)
         if len(mesh.elements if chosen is None else chosen) == 0:
             whose = "mesh has no elements" if body is None else f"body {body} of the mesh has no elements"
@@ -108,81 +101,47 @@ def nodes_of_bodies(mesh: MeshArrays, name: str = "fine") -> np.ndarray:
     return body
 
 
-def body_locators(coarse: MeshArrays, fine: MeshArrays, names: tuple[str, str] = ("coarse", "fine")
-                  ) -> list[tuple[int | None, PointLocator]]:
+def body_locators(coarse: MeshArrays, fine: MeshArrays) -> list[tuple[int | None, PointLocator]]:
     """Pairs of a body of ``fine`` (None: all of it) and the locator in the coarse mesh of the same body."""
-    for name, mesh in zip(names, (coarse, fine), strict=True):
-        if not isinstance(mesh, MeshArrays):
-            raise TypeError(f"{name} must be MeshArrays, got {type(mesh).__name__}")
+    for name, mesh in (("coarse", coarse), ("fine", fine)):
+        checks.instance(name, mesh, MeshArrays, "MeshArrays")
     if coarse.dim != fine.dim:
-        raise ValueError(f"{names[0]} and {names[1]} must have the same dimension, got {coarse.dim} and {fine.dim}")
+        raise ValueError(f"coarse and fine must have the same dimension, got {coarse.dim} and {fine.dim}")
     if len(fine.bodies) == len(coarse.bodies) == 1:
         return [(None, PointLocator(coarse))]
     pairs = []
     for index in np.unique(fine.element_body):
         body = fine.bodies[index]
         if body not in coarse.bodies:
-            raise ValueError(f"{names[0]}: no body {body!r}, which {names[1]} has; its bodies are "
-                             f"{', '.join(coarse.bodies)}")
+            raise ValueError(f"coarse: no body {body!r}, which fine has; its bodies are {', '.join(coarse.bodies)}")
         pairs.append((int(index), PointLocator(coarse, coarse.bodies.index(body))))
     return pairs
 
 
-def locate_nodes(coarse: MeshArrays, fine: MeshArrays, outside_tolerance: float,
-                 names: tuple[str, str] = ("coarse", "fine")) -> Location:
+OUTSIDE_TOLERANCE = 0.25
+"""How far outside the coarse mesh a fine node may lie, over the size of the nearest element. A chord of a curved
+boundary misses the arc by less; different units, a shifted body or a missing part do not."""
+
+
+def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
     """Locate every fine node in the coarse elements of its body."""
-    locators = body_locators(coarse, fine, names)
+    locators = body_locators(coarse, fine)
     element = np.empty(fine.n_nodes, dtype=np.int32)
     weights, distance = np.empty((fine.n_nodes, fine.dim + 1)), np.empty(fine.n_nodes)
-    body_of = None if locators[0][0] is None else nodes_of_bodies(fine, names[1])
+    body_of = None if locators[0][0] is None else nodes_of_bodies(fine)
     for body, locator in locators:
         nodes = slice(None) if body is None else np.flatnonzero(body_of == body)
         found = locator.locate(fine.points[nodes])
         element[nodes], weights[nodes], distance[nodes] = found.element, found.weights, found.distance
-    outside = np.flatnonzero(distance > 0)
-    if not len(outside):
-        return Location(element=element, weights=weights, distance=distance)
-    relative = distance[outside] / coarse.element_sizes[element[outside]]
-    if (relative > outside_tolerance).any():
-        worst = int(np.argmax(relative))
-        node = outside[worst]
+    relative = distance / coarse.element_sizes[element]
+    if (relative > OUTSIDE_TOLERANCE).any():
+        node = int(np.argmax(relative))
         raise ValueError(
-            f"{names[1]} node {node} at {tuple(float(c) for c in fine.points[node])} lies {distance[node]:.3g} m "
-            f"outside the {names[0]} mesh, {relative[worst]:.3g} of the element size there (outside_tolerance is "
-            f"{outside_tolerance:g}; {np.count_nonzero(relative > outside_tolerance)} nodes exceed it): do both meshes "
-            f"describe the same body in the same units? If so, refine the {names[0]} mesh at the curved boundary or "
-            "raise outside_tolerance")
+            f"fine node {node} at {tuple(float(c) for c in fine.points[node])} lies {distance[node]:.3g} m outside the "
+            f"coarse mesh, {relative[node]:.3g} of the element size there "
+            f"({np.count_nonzero(relative > OUTSIDE_TOLERANCE)} nodes exceed {OUTSIDE_TOLERANCE:g}). Both meshes must "
+            "describe the same body in the same units; if they do, refine the coarse mesh at the curved boundary")
     return Location(element=element, weights=weights, distance=distance)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Interpolation:
-    """Point interpolation: the cheapest transfer, and the default.
-
-    Entries are >= 0 with row sums 1. Reproduces constants always, and affine fields at every fine node that lies in
-    the coarse mesh. On nested meshes it is the canonical embedding. Bodies are matched by name and interpolated apart.
-
-    Parameters
-    ----------
-    outside_tolerance : float
-        How far outside the coarse mesh a fine node may lie, over the longest edge of the nearest coarse element.
-    """
-
-    outside_tolerance: float = OUTSIDE_TOLERANCE
-
-    def __post_init__(self) -> None:
-        checks.nonnegative("outside_tolerance", self.outside_tolerance)
-
-    def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
-        """Nodal prolongation (n_fine, n_coarse), at most dim + 1 entries a row.
-
-        Raises
-        ------
-        ValueError
-            A fine node lies outside by more than the tolerance; bodies or dimensions do not match.
-        """
-        found = locate_nodes(coarse, fine, self.outside_tolerance)
-        return csr_from_weights(coarse.elements[found.element], found.weights, coarse.n_nodes)
 
 
 CLIP = 1e-10
@@ -225,39 +184,17 @@ def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -
     return sparse.csr_array((data[:count].copy(), indices[:count].copy(), indptr), shape=(n, n_columns))
 
 
-@kernel
-def _drop(indptr, indices, data, tolerance, new_indptr, new_indices, new_data):
-    count = 0
-    for i in range(len(indptr) - 1):
-        new_indptr[i] = count
-        for at in range(indptr[i], indptr[i + 1]):
-            if abs(data[at]) >= tolerance:
-                new_indices[count], new_data[count] = indices[at], data[at]
-                count += 1
-    new_indptr[-1] = count
-    return count
-
-
 def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
     """A copy without entries whose magnitude is below ``tolerance``."""
-    indptr, indices, data = np.empty_like(matrix.indptr), np.empty_like(matrix.indices), np.empty_like(matrix.data)
-    count = _drop(matrix.indptr, matrix.indices, matrix.data, tolerance, indptr, indices, data)
-    return sparse.csr_array((data[:count].copy(), indices[:count].copy(), indptr), shape=matrix.shape)
-
-
-def normalised(matrix: sparse.csr_array) -> sparse.csr_array:
-    """A copy with row sums 1; ValueError if a row is empty."""
-    sums = matrix.sum(axis=1)
-    if (sums == 0).any():
-        raise ValueError(f"row {np.argmax(sums == 0)} of the prolongation is empty: the fine node lies in no part of "
-                         "the coarse mesh")
-    data = matrix.data / np.repeat(sums, np.diff(matrix.indptr))
-    return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+    kept = np.abs(matrix.data) >= tolerance
+    before = np.concatenate([[0], np.cumsum(kept, dtype=matrix.indptr.dtype)])
+    indptr = before[matrix.indptr].astype(matrix.indptr.dtype)
+    return sparse.csr_array((matrix.data[kept], matrix.indices[kept], indptr), shape=matrix.shape)
 
 
 @kernel
-def _moment_systems(indptr, indices, data, points, centres, target, gram, defect, scale):
-    """Gram matrices G and moment defects of every row; ``scale`` grows to the extent of the row, if that is larger."""
+def _moment_systems(indptr, indices, data, points, centres, target, gram, residual, scale):
+    """Gram matrices G and residuals of every row; ``scale`` grows to the extent of the row, if that is larger."""
     dim = points.shape[1]
     q = np.ones(dim + 1)
     for i in range(len(indptr) - 1):
@@ -265,14 +202,14 @@ def _moment_systems(indptr, indices, data, points, centres, target, gram, defect
             for c in range(dim):
                 scale[i] = max(scale[i], abs(points[indices[at], c] - centres[i, c]))
         gram[i] = 0.0
-        defect[i, 0] = target[i, 0]
+        residual[i, 0] = target[i, 0]
         for c in range(dim):
-            defect[i, c + 1] = target[i, c + 1] / scale[i]
+            residual[i, c + 1] = target[i, c + 1] / scale[i]
         for at in range(indptr[i], indptr[i + 1]):
             for c in range(dim):
                 q[c + 1] = (points[indices[at], c] - centres[i, c]) / scale[i]
             for r in range(dim + 1):
-                defect[i, r] -= data[at] * q[r]
+                residual[i, r] -= data[at] * q[r]
                 for s in range(dim + 1):
                     gram[i, r, s] += q[r] * q[s]
 
@@ -291,15 +228,15 @@ def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays
                   ) -> tuple[sparse.csr_array, np.ndarray]:
     """Change the entries of every row as little as possible so that it has the given moments."""
     n, dim = fine.points.shape
-    gram, defect, scale = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1)), np.empty(n)
+    gram, residual, scale = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1)), np.empty(n)
     scale[fine.elements] = fine.element_sizes[:, None]      # that of one of its elements will do
     data = matrix.data.copy()
-    _moment_systems(matrix.indptr, matrix.indices, data, coarse.points, fine.points, moments, gram, defect, scale)
+    _moment_systems(matrix.indptr, matrix.indices, data, coarse.points, fine.points, moments, gram, residual, scale)
     multiplier, reached = np.zeros((n, dim + 1)), np.ones(n, dtype=bool)
-    wrong = np.flatnonzero(np.abs(defect).max(axis=1) > 4 * np.finfo(float).eps)
+    wrong = np.flatnonzero(np.abs(residual).max(axis=1) > 4 * np.finfo(float).eps)
     inverse = np.linalg.pinv(gram[wrong], rcond=1e-10, hermitian=True)
-    multiplier[wrong] = np.einsum("nij,nj->ni", inverse, defect[wrong])
-    left = np.einsum("nij,nj->ni", gram[wrong], multiplier[wrong]) - defect[wrong]
+    multiplier[wrong] = np.einsum("nij,nj->ni", inverse, residual[wrong])
+    left = np.einsum("nij,nj->ni", gram[wrong], multiplier[wrong]) - residual[wrong]
     reached[wrong] = np.abs(left).max(axis=1) <= _REACHED
     _add_corrections(matrix.indptr, matrix.indices, data, coarse.points, fine.points, multiplier, scale)
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape), reached
@@ -325,51 +262,32 @@ def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays,
 _SAMPLE = 5000
 
 
-def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -> float:
-    """Largest local ratio h_coarse / h_fine; two-level rates suffer above about 3.
-
-    For each fine element: the longest edge of the coarse element that holds its centroid, over its own longest edge.
-    (Centroids, as a fine node on an edge belongs to coarse elements of several sizes.)
-
-    Parameters
-    ----------
-    coarse, fine : MeshArrays
-    quantile : float
-        1 takes the largest; .99 leaves out the hundredth of the fine elements with the largest ratios, in which a
-        single flat element cannot hide what holds elsewhere.
-
-    Returns
-    -------
-    float
-    """
-    if not 0 <= checks.number("quantile", quantile) <= 1:
-        raise ValueError(f"quantile must lie in [0, 1], got {quantile!r}")
-    locators = body_locators(coarse, fine)
-    ratio = np.empty(len(fine.elements))
-    for body, locator in locators:
-        elements = slice(None) if body is None else np.flatnonzero(fine.element_body == body)
-        found = locator.locate(fine.points[fine.elements[elements]].mean(axis=1))
-        ratio[elements] = coarse.element_sizes[found.element] / fine.element_sizes[elements]
-    return float(np.quantile(ratio, quantile))
-
-
-def size_ratio(coarse: MeshArrays, fine: MeshArrays, quantile: float = 0.99) -> float:
-    """Local ratio h_coarse / h_fine by which levels of an adaptive hierarchy are kept: at most about 4.
-
-    Parameters
-    ----------
-    coarse, fine : MeshArrays
-    quantile : float
-        See :func:`mesh_ratio`, of which this is the 99 % quantile; of large meshes over every so-manieth element.
-
-    Returns
-    -------
-    float
-    """
-    step, ratios = max(1, len(fine.elements) // _SAMPLE), []
+def _size_ratios(coarse: MeshArrays, fine: MeshArrays, step: int) -> np.ndarray:
+    """h_coarse / h_fine at the centroids of every ``step``-th fine element of each body."""
+    ratios = []
     for body, locator in body_locators(coarse, fine):
         elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
         corners = fine.points[fine.elements[elements[::step]]]
         found = locator.locate(corners.mean(axis=1))
         ratios.append(coarse.element_sizes[found.element] / longest_edges(corners))
-    return float(np.quantile(np.concatenate(ratios), quantile))
+    return np.concatenate(ratios)
+
+
+def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -> float:
+    """Largest local ratio h_coarse / h_fine; two-level rates suffer above about 3.
+
+    For each fine element: the longest edge of the coarse element that holds its centroid, over its own longest edge.
+    ``quantile`` 1 takes the largest; .99 leaves out the hundredth of the fine elements with the largest ratios, in
+    which a single flat element cannot hide what holds elsewhere.
+    """
+    if not 0 <= checks.number("quantile", quantile) <= 1:
+        raise ValueError(f"quantile must lie in [0, 1], got {quantile!r}")
+    return float(np.quantile(_size_ratios(coarse, fine, 1), quantile))
+
+
+def size_ratio(coarse: MeshArrays, fine: MeshArrays, quantile: float = 0.99) -> float:
+    """The 99 % quantile of :func:`mesh_ratio`, of large meshes over a sample of the elements.
+
+    Levels of an adaptive hierarchy are kept by it: at most about 4.
+    """
+    return float(np.quantile(_size_ratios(coarse, fine, max(1, len(fine.elements) // _SAMPLE)), quantile))

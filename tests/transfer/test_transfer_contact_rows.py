@@ -97,18 +97,10 @@ def test_rows_are_replaced_and_others_kept():
 def test_failures_name_the_argument():
     coarse, fine = disk(2), disk(3)
     nodes = np.unique(fine.facets)
-    with pytest.raises(TypeError, match="coarse_boundary_facets must be integers"):
-        surface_interpolation(coarse, fine, coarse.facets.astype(float), nodes)
-    with pytest.raises(ValueError, match=r"coarse_boundary_facets must have shape \(n, 2\)"):
-        surface_interpolation(coarse, fine, coarse.elements, nodes)
-    with pytest.raises(ValueError, match="n > 0"):
-        surface_interpolation(coarse, fine, coarse.facets[:0], nodes)
-    with pytest.raises(ValueError, match="fine_nodes must lie in 0"):
-        surface_interpolation(coarse, fine, coarse.facets, np.array([fine.n_nodes]))
-    with pytest.raises(ValueError, match="same dimension"):
-        surface_interpolation(coarse, structured(1, 3), coarse.facets, np.array([0]))
+    for facets in (coarse.facets[:0], coarse.facets + coarse.n_nodes, coarse.facets[0]):
+        with pytest.raises(ValueError, match="coarse_boundary_facets must hold nodes of coarse"):
+            surface_interpolation(coarse, fine, facets, nodes)
     P = Interpolation().build(coarse, fine)
-    with pytest.raises(ValueError, match="rows must have shape"):
-        with_contact_rows(P, nodes, sparse.csr_array((len(nodes), 3)))
-    with pytest.raises(ValueError, match="fine_nodes must be distinct"):
-        with_contact_rows(P, np.array([0, 0]), P[[0, 1]])
+    for rows, at in ((sparse.csr_array((len(nodes), 3)), nodes), (P[[0, 1]], np.array([0, 0]))):
+        with pytest.raises(ValueError, match=r"rows must have shape .* distinct fine_nodes"):
+            with_contact_rows(P, at, rows)

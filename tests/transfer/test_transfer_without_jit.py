@@ -24,7 +24,6 @@ np.savez(sys.argv[3], **results())
 
 def results():
     """Every kernel on small input, by way of the public functions."""
-    from scipy import sparse
     from simplex_meshes import disk, structured
 
     from adaptmg import transfer as t
@@ -38,11 +37,6 @@ def results():
         found[f"outside{dim}"] = np.append(outside.weights, outside.distance)
         rows = t.surface_interpolation(coarse, fine, coarse.facets, np.unique(fine.facets))
         found[f"rows{dim}"] = rows.toarray()
-        P = sparse.csr_array(np.abs(np.sin(np.arange(24.0))).reshape(6, 4) * (np.arange(24).reshape(6, 4) % 3 > 0))
-        value = np.cos(np.arange(6.0)) + 2
-        slip = np.outer(value, np.ones(dim - 1))
-        found[f"contact{dim}"] = np.column_stack([t.smallest_gap(P, value), t.largest_gap(P, value),
-                                                  t.summed_limit(P, value), t.minmod_slip(P, slip)])
     found["disk"] = t.PseudoL2().build(disk(1), disk(2)).toarray()
     return found
 
