@@ -40,7 +40,7 @@ def _pattern(a_indptr, a_indices, b_indptr, b_indices, marker, indptr):
 
 @kernel
 def _multiply(zero, left, a_indptr, a_indices, a, b_indptr, b_indices, b, place, indptr, indices, data):
-    """C = A B; weights are A (``left`` a tuple with an entry) or B (an empty one), the other has blocks; C comes as 0."""
+    """C = A B, one of them weights, A if ``left`` is a tuple with an entry, B if it is empty; C comes as 0."""
     size = len(zero)
     for i in range(len(a_indptr) - 1):
         begin = indptr[i]

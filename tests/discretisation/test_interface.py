@@ -1,13 +1,12 @@
-"""Averaged normals of a surface, and what an MortarInterface refuses."""
+"""Averaged normals of a surface."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import sparse
 from test_mortar_2d import arc
 
-from adaptmg.discrete.mortar.interface import MortarInterface, surface_normals
+from adaptmg.discrete.mortar.interface import surface_normals
 
 
 class TestNormals:
@@ -35,35 +34,3 @@ class TestNormals:
         points = np.array([[0.0, 0.0], [1.0, 0.0]])
         with pytest.raises(ValueError, match="no normal at node 0"):
             surface_normals(points, np.array([[0, 1], [1, 0]]))
-        with pytest.raises(ValueError, match="fixed must be a boolean mask"):
-            surface_normals(points, np.array([[0, 1]]), fixed=np.zeros((2, 2)))
-
-
-GOOD = {"nodes": np.array([0, 2]), "normals": np.eye(2), "weights": np.ones(2), "gaps": np.zeros(2),
-        "coupling": sparse.csr_array(np.array([[0, 0.5, 0, 0.5], [0, 0, 0, 1.0]]))}
-
-
-class TestInterface:
-    def test_good(self):
-        interface = MortarInterface(**GOOD)
-        assert len(interface) == 2 and interface.dim == 2 and not interface.gaps.flags.writeable
-
-    @pytest.mark.parametrize(("changes", "match"), [
-        ({"nodes": np.array([2, 0])}, "ascending"),
-        ({"nodes": np.array([0, 4])}, "column for every node"),
-        ({"nodes": np.array([0, 1])}, "no entries in the columns of nodes"),
-        ({"normals": np.ones((2, 2))}, "length 1; not so at node 0"),
-        ({"weights": np.array([1.0, 0.0])}, "> 0; not so at node 2"),
-        ({"gaps": np.array([0.0, np.nan])}, "gaps must be finite"),
-        ({"gaps": np.zeros(3)}, "a row for each of 2 nodes"),
-        ({"coupling": sparse.csr_array(np.full((2, 4), 0.3))}, "sum 1"),
-    ])
-    def test_refusals(self, changes, match):
-        with pytest.raises(ValueError, match=match):
-            MortarInterface(**(GOOD | changes))
-
-    def test_types(self):
-        with pytest.raises(TypeError, match="integers"):
-            MortarInterface(**(GOOD | {"nodes": np.array([0.0, 2.0])}))
-        with pytest.raises(TypeError, match="sparse"):
-            MortarInterface(**(GOOD | {"coupling": np.zeros((2, 4))}))

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mortar import mortar_2d
 from scipy import sparse
 from uncompiled import uncompile
 
-from adaptmg.discrete.mortar import segments as kernels
 from adaptmg.discrete.mortar import segments as module
 from adaptmg.discrete.mortar.interface import NEVER_FACING, surface_normals
-from adaptmg.discrete.mortar.segments import mortar_2d
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
 
@@ -118,11 +117,11 @@ class TestFlat:
         assert found.coupling.nnz == 13 and abs(found.coupling - expected).max() < 1e-12
         np.testing.assert_array_equal(found.nodes, np.arange(13))
 
-    @pytest.mark.parametrize("covered", [1e-3, 1.01e-3, 1e-2, 0.5])
+    @pytest.mark.parametrize("covered", [1.01e-3, 1e-2, 0.5])
     @pytest.mark.parametrize("axisymmetric", [False, True])
     def test_small_coverage_stays_stable(self, covered, axisymmetric):
         xs, xm = np.linspace(0, 1, 6), np.r_[0.2 * (1 - covered), 0.3, 0.55, 0.8 + 0.2 * covered]
-        found = mortar_2d(*two(line(xs), line(xm, up=True)), axisymmetric=axisymmetric, min_coverage=0.999 * covered)
+        found = mortar_2d(*two(line(xs), line(xm, up=True)), axisymmetric=axisymmetric)
         weight = (lambda x: 2 * np.pi * x) if axisymmetric else (lambda x: 1.0)
         loads = hats_over(xm, covered_parts(xs, xm, 0.9 * covered), weight)
         np.testing.assert_allclose((found.coupling.T @ found.weights)[6:][::-1], loads, rtol=1e-11)
@@ -135,7 +134,7 @@ class TestFlat:
     def test_less_coverage_is_dropped(self):
         xs, xm = np.linspace(0, 1, 6), np.array([0.2 - 1.9e-4, 0.5, 1.0])
         np.testing.assert_array_equal(mortar_2d(*two(line(xs), line(xm, up=True))).nodes, np.arange(1, 6))
-        with pytest.raises(ValueError, match="less than min_coverage"):
+        with pytest.raises(ValueError, match="on a sliver of each edge"):
             mortar_2d(*two(line(xs), line([0.2, 0.2001], up=True)))
 
     def test_a_hole_in_the_master_surface(self):
@@ -190,7 +189,7 @@ class TestCrosspoints:
         assert np.sum(found.coupling.T @ found.weights) == pytest.approx(found.weights.sum(), rel=1e-14)
 
     def test_nothing_left(self):
-        with pytest.raises(ValueError, match="excluded holds every node"):
+        with pytest.raises(ValueError, match="every node of the slave surface is excluded"):
             mortar_2d(*two(line([0.0, 1.0]), line([0.0, 1.0], up=True)), excluded=range(2))
         with pytest.raises(ValueError, match="only where slave nodes are excluded"):
             mortar_2d(*two(line([0.0, 1.0, 2.0]), line([0.0, 1.0], up=True)), excluded=(0, 1))
@@ -216,10 +215,6 @@ class TestAxisymmetric:
         assert found.weights.sum() == pytest.approx(np.pi)
         assert len(found) == 5
 
-    def test_negative_radius(self):
-        with pytest.raises(ValueError, match=r"radii >= 0, got node 0 \(-1\.0, 0\.0\)"):
-            mortar_2d(*two(line([-1.0, 1.0]), line([-1.0, 1.0], up=True)), axisymmetric=True)
-
 
 class TestRefusals:
     DATA = two(line(np.linspace(0, 1, 4), 0.1), line(np.linspace(0, 1, 3), up=True))
@@ -231,7 +226,7 @@ class TestRefusals:
 
     def test_orientation(self):
         points, slave, master, _ = self.DATA
-        with pytest.raises(ValueError, match=r"point out of the slave body; that of node 1 .* Turn"):
+        with pytest.raises(ValueError, match=r"point out of the slave body; that of node 1 .* Reverse"):
             self.made(slave=slave[:, ::-1])
         with pytest.raises(ValueError, match=NEVER_FACING):
             self.made(master=master[:, ::-1])
@@ -241,38 +236,15 @@ class TestRefusals:
     def test_reach(self):
         with pytest.raises(ValueError, match=f"^{NEVER_FACING} within a reach of 0.05 m"):
             self.made(reach=0.05)
-        with pytest.raises(ValueError, match="reach must be > 0"):
-            self.made(reach=0.0)
-        with pytest.raises(ValueError, match="min_coverage must be finite"):
-            self.made(min_coverage=float("nan"))
         assert len(mortar_2d(*self.DATA, reach=0.11)) == 4
         deep = two(line(np.linspace(0, 1, 4), -0.5), line(np.linspace(0, 1, 3), up=True))
         with pytest.raises(ValueError, match=NEVER_FACING):
             mortar_2d(*deep)
         np.testing.assert_allclose(mortar_2d(*deep, reach=0.6).gaps, -0.5)
 
-    def test_arrays(self):
-        points, slave, master, normals = self.DATA
+    def test_shared_nodes(self):
         with pytest.raises(ValueError, match="share node 4"):
-            self.made(slave=np.r_[slave, [[3, 4]]])
-        with pytest.raises(ValueError, match="shape"):
-            self.made(points=points[:, :1])
-        with pytest.raises(ValueError, match="normals the same"):
-            self.made(normals=normals[:-1])
-        with pytest.raises(ValueError, match="length 1 at the nodes of the slave surface"):
-            self.made(normals=np.where(np.arange(7)[:, None] == 2, np.nan, normals))
-        with pytest.raises(ValueError, match="slave must have shape"):
-            self.made(slave=slave[:0])
-        with pytest.raises(ValueError, match="node numbers from 0 to 6"):
-            self.made(master=master + 1)
-        with pytest.raises(TypeError, match="integer"):
-            self.made(master=master.astype(float))
-        with pytest.raises(ValueError, match="without extent"):
-            self.made(slave=np.r_[slave, [[2, 2]]])
-        with pytest.raises(ValueError, match="finite at the nodes of master"):
-            self.made(points=np.where(np.arange(7)[:, None] == 5, np.inf, points))
-        with pytest.raises(ValueError, match="excluded must hold node numbers"):
-            self.made(excluded=(7,))
+            self.made(slave=np.r_[self.DATA[1], [[3, 4]]])
 
     def test_normals_elsewhere_are_not_read(self):
         points, slave, master, normals = self.DATA
@@ -291,6 +263,6 @@ def test_without_jit(monkeypatch):
     cases = [two(arc(1.0, np.arange(9) * 2 * np.pi / 9), arc(1.1, -np.arange(7) * 2 * np.pi / 7), closed=True),
              two(line(np.linspace(0, 1, 6)), line([0.13, 0.3, 0.9], up=True))]
     compiled = [mortar_2d(*data) for data in cases]
-    uncompile(monkeypatch, kernels, module)
+    uncompile(monkeypatch, module)
     for data, expected in zip(cases, compiled, strict=True):
         assert_same(mortar_2d(*data), expected)

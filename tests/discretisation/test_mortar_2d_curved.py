@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from mortar import mortar_2d
 from test_mortar_2d import SEEDS, arc, assert_same, line, random_line, two
 
-from adaptmg.discrete.mortar import segments as kernels
 from adaptmg.discrete.mortar import segments as module
 from adaptmg.discrete.mortar.interface import NEVER_FACING, Surfaces
-from adaptmg.discrete.mortar.segments import mortar_2d
 
 
 def errors_on_a_plane(n):
@@ -95,7 +94,7 @@ class TestCurved:
             there = points[2] + eta[0, k] * (points[3] - points[2])
             np.testing.assert_allclose(x + distance[0, k] * ray / np.linalg.norm(ray), there, atol=1e-13)
             if 0 < eta[0, k] < 1:
-                other = kernels.distance_along_normal(points, normals, 0, 1, 2, 3, s[0, k])
+                other = module.distance_along_normal(points, normals, 0, 1, 2, 3, s[0, k])
                 assert other == pytest.approx(distance[0, k], rel=1e-13) or np.isinf(other)
 
     @settings(max_examples=25, deadline=None)

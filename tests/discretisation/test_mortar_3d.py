@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mortar import mortar_3d
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 from uncompiled import uncompile
 
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.mortar.interface import NEVER_FACING, surface_normals
-from adaptmg.discrete.mortar.triangles import mortar_3d
 from adaptmg.geometry import clipping as kernels
 
 HERE = Path(__file__).parent
@@ -279,8 +279,6 @@ def test_a_narrow_strip_of_coverage_is_stable(width):
     np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-10)
     np.testing.assert_allclose(interface.gaps, 0.1, atol=1e-10)
     assert interface.weights.sum() == pytest.approx(width, rel=1e-2)
-    with pytest.raises(ValueError, match="min_coverage"):
-        couple(rigid(flat, 3), slave, master, min_coverage=0.9)
 
 
 def test_what_does_not_fit_is_refused():
@@ -293,16 +291,6 @@ def test_what_does_not_fit_is_refused():
                   master, normals)
     with pytest.raises(ValueError, match="normals must point out"):
         mortar_3d(points, slave, master, -normals)
-    with pytest.raises(ValueError, match="share node"):
-        mortar_3d(points, slave, slave, normals)
-    with pytest.raises(ValueError, match="excluded"):
-        mortar_3d(points, slave, master, normals, excluded=range(len(points)))
-    with pytest.raises(ValueError, match="reach must be > 0"):
-        mortar_3d(points, slave, master, normals, reach=0.0)
-    with pytest.raises(ValueError, match="min_coverage"):
-        mortar_3d(points, slave, master, normals, min_coverage=np.nan)
-    with pytest.raises(ValueError, match=r"\(n_nodes, 3\)"):
-        mortar_3d(points[:, :2], slave, master, normals[:, :2])
 
 
 @pytest.fixture(params=["compiled", "plain"])

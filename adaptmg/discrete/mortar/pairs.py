@@ -18,14 +18,13 @@ over the slave surface (in axisymmetry with :math:`2\pi r`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from adaptmg import _checks as checks
-from adaptmg._checks import positive
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.discrete.mortar.interface import NEVER_FACING, MortarInterface, Surfaces, surface_normals
 from adaptmg.discrete.mortar.segments import mortar_2d
@@ -35,9 +34,9 @@ from adaptmg.problem.surfaces import ContactPair
 
 __all__ = ["node_to_node", "pair_interface"]
 
-
 _ROUNDING = 1e-12  # of the bodies' size
 _LEAST_COVERED = 0.25  # of the part of a slave node
+_BESIDE = 1e-2  # of the shortest edge at a slave node: how far beside its normal its partner may lie
 
 
 def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, excluded: np.ndarray,
@@ -47,10 +46,11 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
         normals = surface_normals(mesh.points, slave, fixed=fixed)
-        found = _coupled(mesh, pair, slave, master, normals, excluded, axisymmetric)
-        hanging = _hanging_over(mesh, slave, found, axisymmetric)
+        surfaces = Surfaces(mesh.points, slave, master, normals, excluded, axisymmetric)
+        found = _coupled(pair, surfaces)
+        hanging = _hanging_over(surfaces, found)
         if 0 < len(hanging) < len(found) and pair.coupling == "mortar":
-            found = _coupled(mesh, pair, slave, master, normals, np.union1d(excluded, hanging), axisymmetric)
+            found = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
         raise ValueError(f"{what}: {error}") from error
     gaps = found.gaps.copy()
@@ -74,27 +74,26 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
                              f"{tuple(mesh.points[found.nodes[deepest]].tolist())}: move one of them apart, or "
                              "say allow_interference=True for an interference fit")
         gaps = np.maximum(gaps, 0.0)
-    return MortarInterface(nodes=found.nodes, normals=found.normals, weights=found.weights, gaps=gaps,
-                     coupling=found.coupling)
+    return replace(found, gaps=gaps)
 
 
-def _coupled(mesh: MeshArrays, pair: ContactPair, slave: np.ndarray, master: np.ndarray, normals: np.ndarray,
-             excluded: np.ndarray, axisymmetric: bool) -> MortarInterface:
+def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
     """By the coupling that the pair asks for."""
     if pair.coupling == "nodes":
-        return node_to_node(mesh.points, slave, master, normals, excluded=excluded, axisymmetric=axisymmetric)
-    if mesh.dim == 2:
-        return mortar_2d(mesh.points, slave, master, normals, excluded=excluded, axisymmetric=axisymmetric,
-                         reach=pair.reach)
-    return mortar_3d(mesh.points, slave, master, normals, excluded=excluded, reach=pair.reach)
+        return node_to_node(surfaces)
+    return (mortar_2d if surfaces.points.shape[1] == 2 else mortar_3d)(surfaces, pair.reach)
 
 
-def _hanging_over(mesh: MeshArrays, slave: np.ndarray, found: MortarInterface, axisymmetric: bool) -> np.ndarray:
+def _lumped(surfaces: Surfaces) -> np.ndarray:
+    """Integrals (n_nodes,) of the shape functions over the slave surface."""
+    measure = np.linalg.norm(area_vectors(surfaces.points, surfaces.slave), axis=1)
+    share = measure[:, None] * shape_integrals(surfaces.points, surfaces.slave, surfaces.axisymmetric)
+    return np.bincount(surfaces.slave.ravel(), weights=share.ravel(), minlength=len(surfaces.points))
+
+
+def _hanging_over(surfaces: Surfaces, found: MortarInterface) -> np.ndarray:
     """Slave nodes (n,) of which the master covers too little."""
-    measure = np.linalg.norm(area_vectors(mesh.points, slave), axis=1)
-    share = measure[:, None] * shape_integrals(mesh.points, slave, axisymmetric)
-    whole = np.bincount(slave.ravel(), weights=share.ravel(), minlength=mesh.n_nodes)
-    return found.nodes[found.weights < _LEAST_COVERED * whole[found.nodes]]
+    return found.nodes[found.weights < _LEAST_COVERED * _lumped(surfaces)[found.nodes]]
 
 
 def _facet_heights(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
@@ -111,25 +110,22 @@ def _facet_heights(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
     return result
 
 
-def node_to_node(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
-                 excluded: Iterable[int] = (), axisymmetric: bool = False, tolerance: float = 1e-2) -> MortarInterface:
+def node_to_node(surfaces: Surfaces) -> MortarInterface:
     """Couple each node of a slave surface to the nearest node of a master surface."""
-    surfaces = Surfaces(points, slave_facets, master_facets, normals, excluded, axisymmetric)
-    tolerance = positive("tolerance", tolerance)
     points, normals = surfaces.points, surfaces.normals
     nodes = np.flatnonzero(surfaces.carries)
     partner = surfaces.master_nodes[cKDTree(points[surfaces.master_nodes]).query(points[nodes])[1]]
     apart, normal = points[partner] - points[nodes], normals[nodes]
     gaps = np.einsum("nd,nd->n", apart, normal)
     beside = np.linalg.norm(apart - gaps[:, None] * normal, axis=1)
-    _check_partners(surfaces, nodes, partner, beside, tolerance * _shortest_edges(surfaces)[nodes])
+    _check_partners(surfaces, nodes, partner, beside, _BESIDE * _shortest_edges(surfaces)[nodes])
     weights = _lumped(surfaces)[nodes]
     if not weights.min() > 0:
         raise ValueError(f"slave node {nodes[int(np.argmin(weights))]} has no area: its facets lie on the axis of "
                          "symmetry; end the boundary there")
     coupling = sparse.csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), partner)),
                                 shape=(len(nodes), len(points)))
-    return MortarInterface(nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling)
+    return MortarInterface(nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling, closest=gaps)
 
 
 def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, beside: np.ndarray,
@@ -148,8 +144,7 @@ def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, 
         raise ValueError(f"slave node {nodes[i]} {tuple(points[nodes[i]].tolist())} has no partner: the nearest master "
                          f"node {partner[i]} {tuple(points[partner[i]].tolist())} lies {beside[i]:.3g} m beside its "
                          f"normal, {allowed[i]:.3g} m are allowed{'' if facing[i] else ', and faces the same way'} "
-                         f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes, a mortar coupling, or a "
-                         "larger tolerance")
+                         f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes or a mortar coupling")
     order = np.argsort(partner, kind="stable")
     twice = np.flatnonzero(np.diff(partner[order]) == 0)
     if len(twice):
@@ -167,16 +162,4 @@ def _shortest_edges(surfaces: Surfaces) -> np.ndarray:
             length = np.linalg.norm(surfaces.points[corners[i]] - surfaces.points[corners[j]], axis=1)
             np.minimum.at(result, corners[i], length)
             np.minimum.at(result, corners[j], length)
-    return result
-
-
-def _lumped(surfaces: Surfaces) -> np.ndarray:
-    """Integrals (n_nodes,) of the shape functions over the slave surface."""
-    points, slave = surfaces.points, surfaces.slave
-    area = np.linalg.norm(area_vectors(points, slave), axis=1)
-    result = np.zeros(len(points))
-    radii = np.maximum(points[slave, 0], 0.0) if surfaces.axisymmetric else None
-    for k, corner in enumerate(slave.T):
-        factor = 1.0 if radii is None else 2 * np.pi * (radii[:, k] + radii.sum(axis=1)) / 3
-        np.add.at(result, corner, area * factor / points.shape[1])
     return result

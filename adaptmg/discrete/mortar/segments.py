@@ -34,42 +34,29 @@ and the edge faces the ray if f > 0. The rays do not cross between the surfaces 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from scipy import sparse
 
-from adaptmg._checks import nonnegative, positive
 from adaptmg._runtime import kernel
-from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, nothing_covered
+from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, nothing_covered
 from adaptmg.geometry.search import STACK, BoxTree, leaf_range
 
 __all__ = ["SHORTEST", "distance_along_normal", "mortar_2d", "nearest_pieces", "search_strips"]
 
-_DEEPEST = 0.25  # of the size of the surfaces: overlap that is found without a given reach
+_LEAST_COVERED = 1e-3  # of a facet: less is left out
 _NEGLIGIBLE = 1e-13  # of the largest weight in a row of B
 _GAUSS = np.polynomial.legendre.leggauss(4)
 
 
-def mortar_2d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
-              excluded: Iterable[int] = (), axisymmetric: bool = False, reach: float | None = None,
-              min_coverage: float = 1e-3) -> MortarInterface:
-    r"""Couple the nodes of a slave surface to a master surface."""
-    if np.shape(points)[1:] != (2,):
-        raise ValueError(f"points must have shape (n_nodes, 2), got {np.shape(points)}")
-    surfaces = Surfaces(points, slave_facets, master_facets, normals, excluded, axisymmetric)
-    min_coverage = nonnegative("min_coverage", min_coverage)
-    backward, forward = (_DEEPEST * surfaces.size, surfaces.size) if reach is None else (positive("reach", reach),) * 2
+def mortar_2d(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
+    """Couple the nodes of a slave surface to a master surface."""
+    backward, forward = surfaces.depths(reach)
     edge, facet, ends = _pieces(surfaces, backward, forward)
     covered = np.bincount(edge, ends[:, 1] - ends[:, 0], minlength=len(surfaces.slave))
-    kept = ((covered >= min_coverage) & surfaces.carries[surfaces.slave].any(axis=1))[edge]
+    kept = ((covered >= _LEAST_COVERED) & surfaces.carries[surfaces.slave].any(axis=1))[edge]
     if not kept.any():
         raise ValueError(nothing_covered(covered, reach, "edge"))
     return _integrate(surfaces, edge[kept], facet[kept], ends[kept])
-
-
-def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
 
 def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -134,7 +121,7 @@ def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.n
     """
     x, n = surfaces.points[slave], surfaces.normals[slave]
     e, turn, r = x[:, 1] - x[:, 0], n[:, 1] - n[:, 0], x[:, 0] - surfaces.points[node]
-    a, b, c = _cross(e, turn), _cross(r, turn) + _cross(e, n[:, 0]), _cross(r, n[:, 0])
+    a, b, c = cross(e, turn), cross(r, turn) + cross(e, n[:, 0]), cross(r, n[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(b * b - 4 * a * c)
         s = np.where(b <= 0, 2 * c / (root - b), -(b + root) / (2 * a))
@@ -208,8 +195,8 @@ def _opposite(surfaces: Surfaces, slave: np.ndarray, master: np.ndarray, s: np.n
     at = x[:, :1] + s * (x[:, 1:] - x[:, :1]) - y[:, :1]
     normal = n[:, :1] + s * (n[:, 1:] - n[:, :1])
     along = y[:, 1:] - y[:, :1]
-    facing = _cross(along, normal)
-    return _cross(at, normal) / facing, _cross(at, along) / facing * np.linalg.norm(normal, axis=2)
+    facing = cross(along, normal)
+    return cross(at, normal) / facing, cross(at, along) / facing * np.linalg.norm(normal, axis=2)
 
 
 def _without_rounding(coupling: sparse.csr_array) -> sparse.csr_array:

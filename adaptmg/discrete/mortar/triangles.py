@@ -37,37 +37,30 @@ that of the slave's.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
-from adaptmg._checks import nonnegative, positive
 from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.discrete.facets import area_vectors
-from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, nothing_covered
+from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, nothing_covered
 from adaptmg.geometry.clipping import MOMENTS, ROOM, add_visible, clip, polygon_moments, separated
 from adaptmg.geometry.search import STACK, BoxTree, leaf_range
 
 __all__ = ["common_moments", "find_opposite", "mortar_3d"]
 
-_DEEPEST = 0.25  # of the size of the surfaces: overlap that is found without a given reach
+_LEAST_COVERED = 1e-6  # of a facet: less is left out
 _NEGLIGIBLE = 1e-13  # of the largest entry in a row of B, and of the area around a node
 _STRIP = 1e-3  # S of a smaller ratio det(S) / trace(S)^2 is taken in its principal axes
 
 
-def mortar_3d(points: np.ndarray, slave_facets: np.ndarray, master_facets: np.ndarray, normals: np.ndarray, *,
-              excluded: Iterable[int] = (), reach: float | None = None, min_coverage: float = 1e-6) -> MortarInterface:
-    r"""Couple the nodes of a slave surface to a master surface."""
-    if np.shape(points)[1:] != (3,):
-        raise ValueError(f"points must have shape (n_nodes, 3), got {np.shape(points)}")
-    surfaces = Surfaces(points, slave_facets, master_facets, normals, excluded)
-    min_coverage = nonnegative("min_coverage", min_coverage)
-    backward, forward = (_DEEPEST * surfaces.size, surfaces.size) if reach is None else (positive("reach", reach),) * 2
+def mortar_3d(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
+    """Couple the nodes of a slave surface to a master surface."""
+    backward, forward = surfaces.depths(reach)
     parts = _common_parts(surfaces, backward, forward)
     covered = parts.covered()
-    enough = (covered > 0) & (covered >= min_coverage * parts.areas())
+    enough = (covered > 0) & (covered >= _LEAST_COVERED * parts.areas())
     kept = (enough & surfaces.carries[surfaces.slave].any(axis=1))[parts.slave]
     if not kept.any():
         raise ValueError(nothing_covered(covered, reach, "triangle"))
@@ -90,7 +83,7 @@ class _Parts:
 
     def areas(self) -> np.ndarray:
         """Projected area of each slave facet."""
-        return 0.5 * _cross(self.corners[:, 1, :2] - self.corners[:, 0, :2],
+        return 0.5 * cross(self.corners[:, 1, :2] - self.corners[:, 0, :2],
                             self.corners[:, 2, :2] - self.corners[:, 0, :2])
 
     def covered(self) -> np.ndarray:
@@ -113,10 +106,6 @@ class _Parts:
     def _sum(self, values: np.ndarray) -> np.ndarray:
         """Sums (n_slave, m) over the parts of each slave facet."""
         return np.stack([np.bincount(self.slave, column, minlength=len(self.frames)) for column in values.T], axis=1)
-
-
-def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
 
 def _common_parts(surfaces: Surfaces, backward: float, forward: float) -> _Parts:
@@ -188,8 +177,8 @@ def _clipped(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, found: n
 def _barycentric(corners: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Shape functions (n, 3) of plane triangles (n, 3, 2) at points (n, 2), and their gradients (n, 3, 2)."""
     opposite = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
-    double = _cross(opposite[:, 0], opposite[:, 1])[:, None]
-    values = _cross(opposite, at[:, None] - np.roll(corners, -1, axis=1)) / double
+    double = cross(opposite[:, 0], opposite[:, 1])[:, None]
+    values = cross(opposite, at[:, None] - np.roll(corners, -1, axis=1)) / double
     return values, np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1) / double[..., None]
 
 
