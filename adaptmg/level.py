@@ -1,19 +1,13 @@
-"""Level: one grid of a hierarchy, with the problem on it and the prolongation from the next coarser one.
-
-Levels made of meshes: the problem on each, and the prolongation from each to the next finer.
-
-What the constructors of a hierarchy are given: checked, and in words.
-"""
+"""Level: one grid of a hierarchy, with the problem on it and the prolongation from the next coarser one."""
 
 from __future__ import annotations
 
 import copy
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations, pairwise, product
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -24,14 +18,13 @@ from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import OnDemand, made_on_demand
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.netgen_guard import MAX_NODES
-from adaptmg.problem import ContactPair, ContactProblem
+from adaptmg.problem import ContactProblem
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
-__all__ = ["Level", "check_coarse_to_fine", "check_total", "each", "joined", "label", "level_of", "limits_of_bisection",
-           "meshed_levels", "need_domain", "need_problem", "overlaps", "ratio_to", "the_transfer"]
+__all__ = ["Level", "check_coarse_to_fine", "joined", "level_of", "need_domain", "the_transfer"]
+
 
 @dataclass(frozen=True, eq=False)
 class Level:
@@ -90,7 +83,7 @@ class Level:
 
     @property
     def known_ratio(self) -> float:
-        """``mesh_ratio`` if somebody has asked for it before, else NaN."""
+        """``mesh_ratio`` if it was read before, else NaN."""
         held = self.__dict__["mesh_ratio"]
         return float("nan") if isinstance(held, OnDemand) else held
 
@@ -113,7 +106,7 @@ class Level:
 Level.mesh_ratio = made_on_demand("mesh_ratio", "Largest local ratio of mesh sizes, next coarser over this; or NaN.")
 
 
-def ratio_to(coarse: MeshArrays, level: Level) -> float:
+def _ratio_to(coarse: MeshArrays, level: Level) -> float:
     """Largest local ratio of mesh sizes, those of ``coarse`` over those of the level."""
     from adaptmg.transfer import mesh_ratio
 
@@ -141,59 +134,12 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
 
     found = between_levels(transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows)
     return replace(above, prolongation=found.prolongation, surface_prolongation=found.surface,
-                   mesh_ratio=OnDemand(partial(ratio_to, below.mesh)))
-
-
-def meshed_levels(problem: ContactProblem, meshes: Sequence[MeshArrays], transfer: Transfer | None,
-                  contact_rows: bool, begin: float) -> tuple[tuple[Level, ...], dict[str, float]]:
-    """Levels of a problem on meshes, coarse to fine, and the seconds they took by phase since ``begin``."""
-    transfer = the_transfer(transfer)
-    checks.flag("contact_rows", contact_rows)
-    check_coarse_to_fine(meshes)
-    meshed = time.perf_counter()
-    levels = [level_of(problem, mesh) for mesh in meshes]
-    assembled = time.perf_counter()
-    for k in range(1, len(levels)):
-        levels[k] = joined(levels[k - 1], levels[k], transfer, contact_rows)
-    timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
-    return tuple(levels), timings
-
-
-# elements away from contact this many times as large as those at it: about what two halvings more than theirs make
-_FAR_APART = 6
-
-
-def limits_of_bisection(meshes: Sequence[MeshArrays], boundaries: Sequence[str]) -> tuple[str, bool]:
-    """Words on what bisection near contact leaves: the elements that no level has touched, and what they do."""
-    first, last = meshes[0].element_sizes, meshes[-1]
-    contact = np.unique(np.concatenate([last.boundary_nodes(name) for name in boundaries]))
-    near = np.isin(last.elements, contact).any(axis=1)
-    bulk, fine = float(last.element_sizes.max()), float(last.element_sizes[near].max())
-    kept = float(last.volumes[last.element_sizes >= 0.5 * first.max()].sum() / last.volumes.sum())
-    words = (f"limits: only elements at contact are refined (to {fine:.3g} m); away from it {100 * kept:.0f} % of the "
-             f"domain keeps elements of up to {bulk:.3g} m")
-    too_far = bulk > _FAR_APART * fine
-    return words + (": their part of the error stays, and more levels hardly help" if too_far else ""), too_far
-
-
-def need_problem(problem: ContactProblem) -> None:
-    """TypeError unless it is a ContactProblem."""
-    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
-
-
-def each(name: str, value: Any, one: tuple[type, ...]) -> tuple[Any, ...]:
-    """A sequence with a value a level; an instance of ``one`` stands for one level."""
-    if isinstance(value, one) and not isinstance(value, bool):
-        return (value,)
-    values = checks.listed(name, value, "values, one a level, coarse to fine")
-    if not values:
-        raise ValueError(f"{name} is empty: no meshes; give at least one, coarse to fine")
-    return values
+                   mesh_ratio=OnDemand(partial(_ratio_to, below.mesh)))
 
 
 def need_domain(problem: ContactProblem) -> None:
     """ValueError unless the problem has a domain to mesh."""
-    need_problem(problem)
+    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
     if problem.domain is None:
         raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
 
@@ -203,35 +149,3 @@ def check_coarse_to_fine(meshes: Sequence[MeshArrays]) -> None:
     sizes = [mesh.n_nodes for mesh in meshes]
     if any(a >= b for a, b in pairwise(sizes)):
         raise ValueError(f"meshes must go from coarse to fine; they have {sizes} nodes")
-
-
-def check_total(name: str, nodes: Sequence[int], dim: int) -> None:
-    """ValueError if levels that hardly get finer would take memory and time that the finest does not."""
-    most = max(MAX_NODES[dim], 4 * max(nodes))
-    if sum(nodes) > most:
-        raise ValueError(f"{name} must make at most {most:.3g} nodes in all, got {sum(nodes):.3g} on {len(nodes)} "
-                         f"levels, {max(nodes):.3g} on the finest: leave levels out (halving the divisions is usual)")
-
-
-def overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
-    """Words on bodies that lie in each other and are no pair; in axisymmetry that is how a ring of bolts is posed."""
-    from adaptmg.mesh.soundness import overlapping_bodies
-
-    if problem.axisymmetric or len(mesh.bodies) < 2:
-        return []
-    body = np.zeros(mesh.n_nodes, dtype=np.int64)
-    body[mesh.elements] = mesh.element_body[:, None]
-    of = {name: set(body[mesh.boundary_nodes(name)].tolist()) for name in mesh.boundaries}
-    paired = {frozenset(ends) for pair in problem.contact if isinstance(pair, ContactPair)
-              for ends in product(of.get(pair.slave, ()), of.get(pair.master, ()))}
-    apart = [ends for ends in combinations(np.unique(mesh.element_body).tolist(), 2) if frozenset(ends) not in paired]
-    return [f"the bodies {mesh.bodies[a]!r} and {mesh.bodies[b]!r} lie in each other, at {x.round(9).tolist()} among "
-            "other places, and are not a contact pair: nothing keeps them apart. Move one of them, or declare an "
-            "am.ContactPair" for a, b, x in overlapping_bodies(mesh, apart)]
-
-
-def label(value: Any) -> str:
-    """A size, a ratio or divisions in words: a number, some, or by body."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{body}: {label(part)}" for body, part in value.items()) + "}"
-    return f"{value:g}" if isinstance(value, float) else str(value)

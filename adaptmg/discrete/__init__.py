@@ -1,6 +1,5 @@
 """ContactProblem + mesh -> DiscreteProblem: P1 elements, loads, contact nodes, mortar coupling of bodies."""
 
-from adaptmg.discrete.contact import contact_nodes
 from adaptmg.discrete.discretise import discretise
 from adaptmg.discrete.elasticity import stiffness
 from adaptmg.discrete.facets import fixed_dofs
@@ -8,5 +7,5 @@ from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import element_strain, full_stress, von_mises
 
-__all__ = ["contact_nodes", "discretise", "element_strain", "fixed_dofs", "full_stress", "load_vector",
+__all__ = ["discretise", "element_strain", "fixed_dofs", "full_stress", "load_vector",
            "rigid_motions", "stiffness", "von_mises"]

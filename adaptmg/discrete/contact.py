@@ -9,7 +9,7 @@ axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.di
 
 A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it faces is found,
 there. In front of obstacles, facets of the other boundary count in its mass by the part that faces the same way. In a
-pair it carries no multiplier of the pair named later: that pair's multipliers beside it take over its part, and it
+pair it carries no multiplier of the pair named later: that pair's multipliers next to it take over its part, and it
 follows as a plain node.
 """
 
@@ -23,38 +23,34 @@ from scipy import sparse
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.discrete.facets import area_vectors, fixed_dofs, named_facets, shape_integrals
-from adaptmg.discrete.mortar.interface import surface_normals
+from adaptmg.discrete.mortar.interface import MortarInterface, surface_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.discrete.problem import ContactNodes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.surfaces import ContactPair
 
-__all__ = ["contact_data", "contact_nodes"]
+__all__ = ["contact_data"]
 
 _ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The nodes of one contact boundary: arrays over them, and what they follow (n, n_nodes) if that is a body."""
+    """The nodes of one contact boundary in front of an obstacle: arrays over them."""
 
     nodes: np.ndarray
     normals: np.ndarray
     weights: np.ndarray
     gaps: np.ndarray
-    coupling: sparse.csr_array | None = None
-
-
-def contact_nodes(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
-                  ) -> ContactNodes:
-    """The contact nodes alone; see :func:`contact_data`."""
-    return contact_data(problem, mesh, slip_reference=slip_reference)[0]
 
 
 def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
                  excluded: np.ndarray | None = None) -> tuple[ContactNodes, sparse.csr_array | None]:
-    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow."""
+    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow.
+
+    ``excluded`` slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m.
+    """
     owner = np.full(mesh.n_nodes, -1)
     facets = [named_facets(mesh, contact.boundary) for contact in problem.contact]
     for k in reversed(range(len(facets))):
@@ -67,9 +63,8 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
             without = mine[owner[mine] != k]
             if excluded is not None:
                 without = np.union1d(without, excluded)
-            found = pair_interface(mesh, contact, fixed=fixed, excluded=without,
-                                   axisymmetric=problem.axisymmetric)
-            parts.append(_Part(found.nodes, found.normals, found.weights, found.gaps, found.coupling))
+            parts.append(pair_interface(mesh, contact, fixed=fixed, excluded=without,
+                                        axisymmetric=problem.axisymmetric))
         else:
             parts.append(_in_front_of(contact, problem, mesh, facets, owner, k, fixed))
     boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
@@ -86,9 +81,9 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     return contact, _followed(parts, mesh.n_nodes)
 
 
-def _followed(parts: list[_Part], n_nodes: int) -> sparse.csr_array | None:
+def _followed(parts: list[_Part | MortarInterface], n_nodes: int) -> sparse.csr_array | None:
     """Rows (n_nodes, n_nodes) of what the nodes of all pairs face."""
-    coupled = [part for part in parts if part.coupling is not None]
+    coupled = [part for part in parts if isinstance(part, MortarInterface)]
     if not coupled:
         return None
     rows = np.concatenate([np.repeat(part.nodes, np.diff(part.coupling.indptr)) for part in coupled])

@@ -1,7 +1,4 @@
-"""ContactNodes: the nodes that may touch an obstacle or another body, with normals, gaps and weights.
-
-What the arrays and matrices of a discrete problem must be: shapes, sizes, symmetry. Checked once, by discrete.py.
-"""
+"""ContactNodes: the nodes that may touch an obstacle or another body; and the checks of a discrete problem's arrays."""
 
 from __future__ import annotations
 

@@ -11,9 +11,10 @@ from functools import partial
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg._runtime import OnDemand, one_blas_thread
 from adaptmg.discrete.contact import contact_data
-from adaptmg.discrete.elasticity import stiffness
+from adaptmg.discrete.elasticity import body_materials, stiffness
 from adaptmg.discrete.exchange import find_carriers
 from adaptmg.discrete.facets import fixed_dofs
 from adaptmg.discrete.loads import load_vector
@@ -30,13 +31,12 @@ _LOG = logging.getLogger(__name__)
 @one_blas_thread()
 def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
                ) -> DiscreteProblem:
-    """Discretise by P1 elements.
+    """Discretise by P1 elements on a mesh with every boundary that the problem names.
 
     Parameters
     ----------
     problem : ContactProblem
     mesh : MeshArrays
-        With every boundary the problem names.
     slip_reference : (n_nodes, dim) array, optional
         Displacement against which slip is measured (the previous load step), m; at slave nodes relative to the
         master. Default 0.
@@ -50,12 +50,10 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     ------
     ValueError
         If dimensions, boundary or body names differ, if a body has neither support nor contact, if the mesh has fewer
-        than dim + 1 contact nodes, or for what :func:`contact_data`, :func:`fixed_dofs` and :func:`load_vector` refuse.
+        than dim + 1 contact nodes, or loads and supports do not fit it.
     """
-    if not isinstance(problem, ContactProblem):
-        raise TypeError(f"problem must be a ContactProblem, got {type(problem).__name__}")
-    if not isinstance(mesh, MeshArrays):
-        raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}")
+    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+    checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
     if mesh.dim != problem.dim:
         raise ValueError(f"the mesh is {mesh.dim}D, the problem {problem.name!r} {problem.dim}D")
     problem.check_boundaries(mesh.boundaries)
@@ -67,7 +65,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     if len(contact) <= mesh.dim:
         raise ValueError(f"mesh too coarse: {len(contact)} contact nodes on {', '.join(problem.contact_boundaries)}, "
                          f"at least {mesh.dim + 1} are needed; refine the mesh there")
-    parts = {"matrix": stiffness(mesh, problem.material), "load": load_vector(mesh, problem.loads, problem.material),
+    materials = body_materials(mesh, problem.material)
+    parts = {"matrix": stiffness(mesh, materials), "load": load_vector(mesh, problem.loads, materials),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
@@ -112,9 +111,8 @@ def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
 
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
     """Raise ValueError if a body has neither a support nor a surface in contact."""
-    holding = [*problem.pair_boundaries, *(support.boundary for support in problem.supports)]
     held = np.zeros(mesh.n_nodes, dtype=bool)
-    for name in holding:
+    for name in (*problem.pair_boundaries, *(support.boundary for support in problem.supports)):
         held[mesh.boundary_facets(name)] = True
     for name, nodes in bodies.items():
         if not held[nodes].any():

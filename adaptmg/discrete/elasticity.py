@@ -1,30 +1,17 @@
 r"""The stiffness matrix of P1 elasticity; the bodies may differ in material.
 
-.. math:: a(u, v) = \int_\Omega \lambda\,\mathrm{div}\,u\,\mathrm{div}\,v + 2\mu\,\varepsilon(u) : \varepsilon(v)
+.. math:: a(u, v) = \int_\Omega \lambda\,\mathrm{div}\,u\,\mathrm{div}\,v + 2\mu\,\varepsilon(u) : \varepsilon(v),
+   \qquad K_{ab} = V \left(\lambda\, g_a g_b^T + \mu\, g_b g_a^T + \mu\,(g_a \cdot g_b) I\right)
 
-with the Lame constants of the material, so that plane stress, plane strain and three dimensions are one form. In
-axisymmetry x is the radius r and y the axial coordinate z,
-
-.. math:: \varepsilon = (u_{r,r},\ u_{z,z},\ u_r / r,\ \tfrac12(u_{r,z} + u_{z,r})),
-
-integrals run over the full circumference (weight :math:`2 \pi r`), and forces are in N.
-
-Kernels of P1 elasticity: the pattern of the matrix, and element matrices added into it, element by element.
-
-With the constant gradients g_a of the shape functions phi_a and the volume V of an element, the block of nodes a, b is
-
-.. math:: K_{ab} = V \left(\lambda\, g_a g_b^T + \mu\, g_b g_a^T + \mu\,(g_a \cdot g_b) I\right),
-
-exact in Cartesian components. In axisymmetry (r, z) the hoop strain :math:`u_r / r` joins in and all is weighted with
-:math:`2 \pi r`: the integrals :math:`\int r` and :math:`\int \varphi_a` are exact, :math:`\int \varphi_a \varphi_b / r`
-takes a rule with interior points and positive weights. Any rule that is exact for polynomials of degree 1 gives those
-other integrals too: the sum is one quadrature of the energy, hence positive semidefinite, and constant strains
-(:math:`u_r = c r`) are exact.
+with the Lame constants of the material, so that plane stress, plane strain and three dimensions are one form, the
+constant gradients g_a of the shape functions and the volume V of an element. In axisymmetry x is the radius r and y the
+axial coordinate z, the hoop strain :math:`u_r / r` joins in, all is weighted with :math:`2 \pi r`, and forces are in N.
+There :math:`\int r` and :math:`\int \varphi_a` are exact, :math:`\int \varphi_a \varphi_b / r` takes a rule with
+interior points and positive weights: any rule that is exact for degree 1 gives the other integrals too, so that the sum
+is one quadrature of the energy, hence positive semidefinite, and constant strains (:math:`u_r = c r`) are exact.
 
 Both blocks (a, b) and (b, a) come from one computation and are added in the order of the elements: the matrix is
 bitwise symmetric, and the same in every run.
-
-The material of each body of a mesh, and whether the bodies are axisymmetric.
 """
 
 from __future__ import annotations
@@ -42,30 +29,64 @@ from adaptmg.problem.materials import Axisymmetric, Elastic
 __all__ = ["Materials", "add_axisymmetric", "add_plane", "add_solid", "body_materials", "count_neighbours",
            "fill_neighbours", "is_axisymmetric", "lame_constants", "stiffness"]
 
+#: one material for all bodies, body name -> material, or what :func:`body_materials` returns
+Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]
+
+# of the largest radius: nodes on the axis may lie this far behind it by rounding
+_ROUNDING = 1e-9
+
+
+def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]:
+    """Materials in the order of ``mesh.bodies``, checked against the mesh; such a tuple is returned unchanged."""
+    if isinstance(material, tuple):
+        return material
+    if isinstance(material, Mapping):
+        missing = [body for body in mesh.bodies if body not in material]
+        if missing:
+            raise ValueError(f"no material for body {missing[0]!r}; the bodies are {', '.join(mesh.bodies)}, materials "
+                             f"are given for {', '.join(map(str, material)) or 'none'}")
+        materials = tuple(material[body] for body in mesh.bodies)
+    else:
+        materials = (material,) * len(mesh.bodies)
+    for one in materials:
+        if not isinstance(one, Elastic):
+            raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping body name "
+                            f"-> one of them, got {one!r}")
+        if one.dim != mesh.dim:
+            raise ValueError(f"the material is {one.dim}D, the mesh {mesh.dim}D: use Solid in 3D, PlaneStrain, "
+                             "PlaneStress or Axisymmetric in 2D")
+    if is_axisymmetric(materials):
+        if not all(isinstance(one, Axisymmetric) for one in materials):
+            raise ValueError("either all bodies are Axisymmetric or none, got "
+                             + ", ".join(type(one).__name__ for one in materials))
+        r = mesh.points[:, 0]
+        if r.min() < -_ROUNDING * r.max():
+            raise ValueError(f"axisymmetric bodies lie at radii x >= 0, got x = {r.min():.6g} m at node "
+                             f"{int(np.argmin(r))}")
+    return materials
+
+
+def is_axisymmetric(material: Materials) -> bool:
+    """Whether x is the radius r, y the axial coordinate z, and integrals are weighted with 2 pi r."""
+    if isinstance(material, Elastic):
+        return isinstance(material, Axisymmetric)
+    materials = material.values() if isinstance(material, Mapping) else material
+    return any(isinstance(one, Axisymmetric) for one in materials)
+
+
+def lame_constants(materials: tuple[Elastic, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Lame constants lambda and mu (n_bodies,) as they enter the stress, Pa."""
+    return np.array([one.lame for one in materials]), np.array([one.shear_modulus for one in materials])
+
+
 def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
-    """Assemble the stiffness matrix, with no boundary condition applied.
+    """Assemble the stiffness matrix (n_dofs, n_dofs), with no boundary condition applied.
 
-    Parameters
-    ----------
-    mesh : MeshArrays
-        One body or several; only the arrays are used.
-    material : Elastic or mapping
-        The same in all bodies, or body name -> Elastic.
+    Blocks of dim x dim, sorted indices, dof = dim * node + component; bitwise symmetric. N/m (plane: per metre of
+    thickness; axisymmetric: of the full circumference). The material is the same in all bodies, or body name ->
+    Elastic. ValueError if materials and mesh do not fit, a node number is out of range, or an element is inverted or
+    degenerate.
 
-    Returns
-    -------
-    scipy.sparse.bsr_array (n_dofs, n_dofs)
-        Blocks of dim x dim, sorted indices, dof = dim * node + component; bitwise symmetric. N/m (plane: per metre of
-        thickness; axisymmetric: of the full circumference).
-
-    Raises
-    ------
-    ValueError
-        If materials and mesh do not fit (:func:`~adaptmg.discrete.elasticity.body_materials`), a node number
-        is out of range, or an element is inverted or degenerate.
-
-    Notes
-    -----
     On the axis r = 0 the user prescribes u_r = 0, e.g. ``Support("axis", x=0.0)``: the hoop strain is bounded for no
     other displacement. Without it the matrix is finite still.
     """
@@ -300,50 +321,3 @@ def add_axisymmetric(points, elements, body, lame, shear, rule, weights, indptr,
                                  r * (first * zr + mu * rz) + first * g[a, 1] / 3.0,
                                  r * (both * zz + mu * rr), indptr, indices, data)
     return -1
-
-
-Materials = Elastic | Mapping[str, Elastic]
-
-# of the largest radius: nodes on the axis may lie this far behind it by rounding
-_ROUNDING = 1e-9
-
-
-def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]:
-    """Materials in the order of ``mesh.bodies``, checked against the mesh."""
-    if isinstance(material, Mapping):
-        missing = [body for body in mesh.bodies if body not in material]
-        if missing:
-            raise ValueError(f"no material for body {missing[0]!r}; the bodies are {', '.join(mesh.bodies)}, materials "
-                             f"are given for {', '.join(map(str, material)) or 'none'}")
-        materials = tuple(material[body] for body in mesh.bodies)
-    else:
-        materials = (material,) * len(mesh.bodies)
-    for one in materials:
-        if not isinstance(one, Elastic):
-            raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping body name "
-                            f"-> one of them, got {one!r}")
-        if one.dim != mesh.dim:
-            raise ValueError(f"the material is {one.dim}D, the mesh {mesh.dim}D: use Solid in 3D, PlaneStrain, "
-                             "PlaneStress or Axisymmetric in 2D")
-    if is_axisymmetric(materials):
-        if not all(isinstance(one, Axisymmetric) for one in materials):
-            raise ValueError("either all bodies are Axisymmetric or none, got "
-                             + ", ".join(type(one).__name__ for one in materials))
-        r = mesh.points[:, 0]
-        if r.min() < -_ROUNDING * r.max():
-            raise ValueError(f"axisymmetric bodies lie at radii x >= 0, got x = {r.min():.6g} m at node "
-                             f"{int(np.argmin(r))}")
-    return materials
-
-
-def is_axisymmetric(material: Materials | tuple[Elastic, ...]) -> bool:
-    """Whether x is the radius r, y the axial coordinate z, and integrals are weighted with 2 pi r."""
-    if isinstance(material, Elastic):
-        return isinstance(material, Axisymmetric)
-    materials = material.values() if isinstance(material, Mapping) else material
-    return any(isinstance(one, Axisymmetric) for one in materials)
-
-
-def lame_constants(materials: tuple[Elastic, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Lame constants lambda and mu (n_bodies,) as they enter the stress, Pa."""
-    return np.array([one.lame for one in materials]), np.array([one.shear_modulus for one in materials])

@@ -1,18 +1,12 @@
-r"""The load vector: surface tractions, body forces and initial strains tested with the P1 shape functions.
+r"""The load vector: tractions, body forces and initial strains tested with the P1 shape functions.
 
 .. math:: b_{i} = \int_\Omega f\,\varphi_i + \int_{\Gamma} g\,\varphi_i
-   + \int_\Omega C \varepsilon_0 : \varepsilon(\varphi_i)
+   + \int_\Omega C \varepsilon_0 : \varepsilon(\varphi_i), \qquad \sigma = C (\varepsilon - \varepsilon_0)
 
 by quadrature of degree 2 on each element and facet, in axisymmetry, where all is weighted with :math:`2 \pi r`, of
-degree 5: exact for data that are linear in position.
-
-Initial (stress-free) strains: their nodal load and their mean on each element.
-
-.. math:: \sigma = C (\varepsilon - \varepsilon_0), \qquad b_i = \int_\Omega C \varepsilon_0 : \varepsilon(\varphi_i)
-
-with principal components along the axes; the third one in two dimensions is through the thickness or, in axisymmetry,
-the hoop strain. It matters in plane strain, where the total strain through the thickness is zero, and in axisymmetry;
-in plane stress the sheet follows it freely.
+degree 5: exact for data that are linear in position. Initial (stress-free) strains have principal components along the
+axes; the third one in two dimensions is through the thickness or, in axisymmetry, the hoop strain. It matters in plane
+strain, where the total strain through the thickness is zero, and in axisymmetry; in plane stress the sheet follows it.
 """
 
 from __future__ import annotations
@@ -27,40 +21,26 @@ from adaptmg.discrete.facets import area_vectors, named_facets
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_points, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Traction
-from adaptmg.problem.materials import PlaneStress
+from adaptmg.problem.materials import Elastic, PlaneStress
 
 __all__ = ["body_elements", "initial_strain_load", "load_density", "load_vector", "mean_initial_strain"]
 
 def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | None = None) -> np.ndarray:
-    """Nodal forces of all loads.
+    """Nodal forces (n_dofs,) of all loads; dual, dof = dim * node + component.
 
-    Parameters
-    ----------
-    mesh : MeshArrays
-    loads : sequence of Pressure, Traction, BodyForce, InitialStrain
-        Their functions of position are called once each, with all quadrature points (n, dim).
-    material : Elastic or mapping, optional
-        The same in all bodies, or body name -> Elastic. Axisymmetric materials weight all with 2 pi r; initial
-        strains need the elastic constants. Without it the loads are Cartesian.
-
-    Returns
-    -------
-    (n_dofs,) array
-        N (plane: per metre of thickness; axisymmetric: of the full circumference); dual, dof = dim * node + component.
-
-    Raises
-    ------
-    ValueError
-        For a boundary or body the mesh does not have, components of the wrong number, data that are not finite, or an
-        initial strain without ``material``.
+    N (plane: per metre of thickness; axisymmetric: of the full circumference). Functions of position are called once
+    each, with all quadrature points (n, dim). Axisymmetric materials weight all with 2 pi r; initial strains need the
+    elastic constants. ValueError for a boundary or body the mesh does not have, components of the wrong number, data
+    that are not finite, or an initial strain without ``material``.
     """
-    axisymmetric = material is not None and is_axisymmetric(body_materials(mesh, material))
+    materials = None if material is None else body_materials(mesh, material)
+    axisymmetric = materials is not None and is_axisymmetric(materials)
     result = np.zeros((mesh.n_nodes, mesh.dim))
     for load in loads:
         if isinstance(load, InitialStrain):
-            if material is None:
+            if materials is None:
                 raise ValueError(f"the load of {load!r} depends on the elastic constants: give material")
-            result += initial_strain_load(mesh, load, material)
+            result += initial_strain_load(mesh, load, materials)
         elif isinstance(load, BodyForce):
             here = slice(None) if load.body is None else body_elements(mesh, load.body)
             _add(result, mesh, mesh.elements[here], mesh.volumes[here], load, axisymmetric)
@@ -118,9 +98,8 @@ def mean_initial_strain(mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric
     return result
 
 
-def initial_strain_load(mesh: MeshArrays, load: InitialStrain, material: Materials) -> np.ndarray:
-    """Nodal forces of an initial strain."""
-    materials = body_materials(mesh, material)
+def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[Elastic, ...]) -> np.ndarray:
+    """Nodal forces (n_nodes, dim) of an initial strain."""
     axisymmetric = is_axisymmetric(materials)
     elements, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
     k = mesh.bodies.index(load.body)

@@ -1,14 +1,13 @@
-r"""What is solved: DiscreteProblem and ContactNodes. Arrays and matrices only.
+r"""What is solved: a contact problem as arrays and matrices.
 
-Find u with :math:`A u - b = r`, r = 0 but at fixed dofs and at contact nodes, where with the outward unit normal n and
-:math:`u_n = u\cdot n,\; p = -r_n,\; f_t = r_t`
+Find u with :math:`A u - b = r`, r = 0 except at fixed dofs and at contact nodes, where with the outward unit normal n
+and :math:`u_n = u\cdot n,\; p = -r_n,\; f_t = r_t`
 
 .. math:: u_n \le g_0,\quad p \ge 0,\quad p\,(g_0 - u_n) = 0,\qquad |f_t| \le s + \mu p,
 
 and :math:`f_t` is opposite to the slip :math:`u_t - u_t^{\mathrm{previous}}` wherever that is not zero.
-Degree of freedom ``dim * node + component``. With a :class:`~adaptmg.discrete.coordinates.Coupling` between bodies all
-this is
-meant in relative coordinates: :meth:`DiscreteProblem.coupled` makes them.
+Degree of freedom ``dim * node + component``. Between bodies all this is meant in relative coordinates
+(:mod:`adaptmg.discrete.coordinates`): :meth:`DiscreteProblem.coupled` makes them.
 """
 
 from __future__ import annotations
@@ -94,10 +93,10 @@ class DiscreteProblem(Unknowns):
 
     @classmethod
     def assembled(cls, **parts: Any) -> DiscreteProblem:
-        """From a matrix of this package's own assembly, which is not searched for what a stranger's may have wrong.
+        """From the package's own assembly, which is not searched for what a user's matrix may have wrong.
 
-        Parameters as of the class. The matrix, in dim x dim blocks with sorted columns and symmetric, is kept without
-        a copy; ``near_nullspace`` may be :class:`~adaptmg._runtime.OnDemand`.
+        The matrix, symmetric in dim x dim blocks with sorted columns, is stored without a copy; ``near_nullspace`` may
+        be :class:`~adaptmg._runtime.OnDemand`.
         """
         result = cls.__new__(cls)
         object.__setattr__(result, "_assembled", True)
@@ -112,12 +111,12 @@ class DiscreteProblem(Unknowns):
                 ) -> DiscreteProblem:
         """Several bodies in contact, from their uncoupled matrix and load.
 
+        Parameters as of the class, in displacements. ``contact`` are the slave nodes; their gaps and slips are
+        relative. ``near_nullspace`` should hold the rigid-body modes of every body (one column a body and mode); with
+        ``coordinates`` alone the bodies move together in it.
+
         Parameters
         ----------
-        matrix, load, fixed, law, contact, fixed_values, coordinates, near_nullspace, name, bodies
-            As of the class, in displacements. ``contact`` are the slave nodes; their gaps and slips are relative.
-            ``near_nullspace`` should hold the rigid-body modes of every body (one column a body and mode); with
-            ``coordinates`` alone the bodies move together in it.
         weights : (n_nodes, n_nodes) sparse
             W: in the rows of slave nodes the nodes that they face, row sums 1.
 
@@ -156,14 +155,9 @@ class DiscreteProblem(Unknowns):
                     near_nullspace=near_nullspace)
 
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
-        """The same bodies under other data (a load step): nothing else is checked or copied again.
+        """The same bodies under the data (n_dofs,), N and m, and slip reference (n_contact, dim) of a load step.
 
-        Parameters
-        ----------
-        load, fixed_values : (n_dofs,) arrays
-            N and m, in the coordinates of this problem (with a coupling relative ones).
-        slip_reference : (n_contact, dim) array
-            Displacement of the contact nodes against which slip is measured, as :meth:`at_contact` has it, m.
+        In the coordinates of this problem, the reference as :meth:`at_contact` returns it.
         """
         contact, result = copy.copy(self.contact), copy.copy(self)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)

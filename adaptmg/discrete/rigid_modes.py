@@ -2,8 +2,6 @@ r"""Rigid-body motions, body by body: what strains no element.
 
 Translations and, about the centroid of the nodes, rotations; bodies of revolution, which may neither move sideways nor
 tilt, have the axial translation only.
-
-Rigid-body modes of a set of points.
 """
 
 from __future__ import annotations
@@ -18,23 +16,11 @@ from adaptmg.mesh.arrays import MeshArrays
 __all__ = ["rigid_body_modes", "rigid_motions"]
 
 def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
-    """Orthonormal rigid-body motions of every body.
+    """Orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an uncoupled problem.
 
-    Parameters
-    ----------
-    mesh : MeshArrays
-        Bodies that share nodes (glued materials) move together and count as one.
-    axisymmetric : bool
-        x = r, y = z: axial translations only.
-
-    Returns
-    -------
-    (n_dofs, k) array
-        Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry, zero outside the body, in the order of ``mesh.bodies``;
-        dof = dim * node + component. As ``near_nullspace`` of a DiscreteProblem with no coupling.
+    Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry (x = r, y = z), zero outside the body, in the order of
+    ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count as one.
     """
-    if axisymmetric and mesh.dim != 2:
-        raise ValueError(f"axisymmetric meshes are 2D (r, z), got a {mesh.dim}D mesh")
     columns = []
     for nodes in _nodes_of_pieces(mesh):
         if axisymmetric:
@@ -68,12 +54,12 @@ def _nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
     """Rigid-body modes about the centroid, orthonormal."""
     n, dim = points.shape
-    # by coordinate, each in one piece: several times faster than the points as they are
+    # by coordinate, each in one piece: several times faster than point by point
     x = np.ascontiguousarray(points.T)
     x = x - x.mean(axis=1, keepdims=True)
     planes = ((0, 1),) if dim == 2 else ((0, 1), (1, 2), (2, 0))
     modes = np.full((n, dim, dim + len(planes)), 0.0)
-    # about the centroid rotations are orthogonal to translations: only their own Gram matrix is to be undone
+    # about the centroid rotations are orthogonal to translations: only their Gram matrix is inverted
     triangle = _triangle(x @ x.T, planes)
     plain = triangle is None  # points on a line: by reflections
     if plain:

@@ -25,18 +25,9 @@ __all__ = ["StressData", "element_strain", "full_stress", "hoop_strain", "von_mi
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """Small-strain tensors in the plane (3D: full), initial strains included.
+    """Symmetric small-strain tensors (n_elements, dim, dim) in the plane (3D: full), initial strains included.
 
-    Parameters
-    ----------
-    mesh : MeshArrays
-    displacement : (n_nodes, dim) or (n_dofs,) array
-        m.
-
-    Returns
-    -------
-    (n_elements, dim, dim) array
-        Symmetric.
+    The displacement is (n_nodes, dim) or (n_dofs,), m.
     """
     u = _nodal(mesh, displacement)
     corners, values = mesh.points[mesh.elements], u[mesh.elements]
@@ -48,8 +39,6 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """Mean hoop strain u_r / r of axisymmetric elements."""
     u = _nodal(mesh, displacement)
-    if mesh.dim != 2:
-        raise ValueError(f"axisymmetric meshes are 2D (r, z), got a {mesh.dim}D mesh")
     return u[mesh.elements, 0].sum(axis=1) / mesh.points[mesh.elements, 0].sum(axis=1)
 
 
@@ -59,10 +48,10 @@ _PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class StressData:
-    """What stresses follow from, beside a mesh and a displacement."""
+    """What stresses follow from, next to a mesh and a displacement."""
 
-    lame: np.ndarray  # (n_bodies,)s: lame constants as they enter the stress, Pa
-    shear: np.ndarray  # (n_bodies,)s: lame constants as they enter the stress, Pa
+    lame: np.ndarray  # (n_bodies,): Lame constants as they enter the stress, Pa
+    shear: np.ndarray  # (n_bodies,), Pa
     kind: np.ndarray  # (n_bodies,) int8: 0 for plane strain and solids, 1 for plane stress, 2 for axisymmetric bodies
     initial_strain: np.ndarray  # (n_elements, 3), or (0, 3) for none
 
@@ -105,40 +94,17 @@ class StressData:
 
 def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
                 ) -> np.ndarray:
-    """Cauchy stress tensors with the stress out of the plane, whatever the material.
+    """Cauchy stress tensors (n_elements, 3, 3), Pa, tension positive, with the stress out of the plane.
 
-    Parameters
-    ----------
-    mesh : MeshArrays
-    material : Elastic or mapping
-        The same in all bodies, or body name -> Elastic.
-    displacement : (n_nodes, dim) or (n_dofs,) array
-        m.
-    loads : sequence of Load
-        Of the problem; initial strains among them carry no stress, the others are passed over.
-
-    Returns
-    -------
-    (n_elements, 3, 3) array
-        Pa; tension positive. In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress;
-        the shear stresses out of the plane are 0.
+    In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress; the shear stresses out of
+    the plane are 0. The displacement is (n_nodes, dim) or (n_dofs,), m; initial strains among the loads carry no
+    stress, other loads do not matter.
     """
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
-    r"""Equivalent stress :math:`\sqrt{\tfrac32\, s : s}` of the full deviator s.
-
-    Parameters
-    ----------
-    stress : (n, 3, 3) array
-        Pa, from :func:`full_stress`.
-
-    Returns
-    -------
-    (n,) array
-        Pa.
-    """
+    r"""Equivalent stress :math:`\sqrt{\tfrac32\, s : s}` (n,), Pa, of the full deviator s of tensors (n, 3, 3)."""
     if np.shape(stress)[1:] != (3, 3):
         raise ValueError(f"stress must have shape (n, 3, 3), as of full_stress, got {np.shape(stress)}")
     deviator = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)

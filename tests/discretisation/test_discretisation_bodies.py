@@ -239,10 +239,6 @@ class TestRigidMotions:
         np.testing.assert_array_equal(rigid_motions(glued), rigid_motions(mesh))
         assert rigid_motions(assembled(a=mesh, b=mesh)).shape[1] == 6
 
-    def test_refuses(self):
-        with pytest.raises(ValueError, match="axisymmetric meshes are 2D"):
-            rigid_motions(BOTH[3], axisymmetric=True)
-
 
 class TestRefusals:
     def test_materials(self):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.discrete import contact_nodes, discretise
+from adaptmg.discrete import discretise
+from adaptmg.discrete.contact import contact_data
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.problem import (
@@ -78,20 +79,20 @@ class TestContactNodes:
     @pytest.mark.parametrize(("problem", "mesh", "measure"), [
         (plane_problem(), PLATE, 2.0), (solid_problem(), BLOCK, 2.0)])
     def test_flat_boundary(self, problem, mesh, measure):
-        nodes = contact_nodes(problem, mesh)
+        nodes = contact_data(problem, mesh)[0]
         np.testing.assert_array_equal(nodes.nodes, mesh.boundary_nodes("bottom"))
         np.testing.assert_allclose(nodes.normals, np.tile([0.0] * (mesh.dim - 1) + [-1.0], (len(nodes), 1)))
         assert nodes.weights.sum() == pytest.approx(measure)
         assert not nodes.gaps.any() and nodes.names == ("bottom",) and not nodes.boundary.any()
 
     def test_weights_integrate_p1_fields(self):
-        nodes = contact_nodes(plane_problem(), PLATE)
+        nodes = contact_data(plane_problem(), PLATE)[0]
         assert nodes.weights @ PLATE.points[nodes.nodes, 0] == pytest.approx(2.0)
 
     @pytest.mark.parametrize("n", [12, 48])
     def test_curved_boundary(self, n):
         mesh = disc(n)
-        nodes = contact_nodes(plane_problem(contact=Contact("rim", TOUCHING), loads=(), supports=()), mesh)
+        nodes = contact_data(plane_problem(contact=Contact("rim", TOUCHING), loads=(), supports=()), mesh)[0]
         np.testing.assert_allclose(nodes.normals, mesh.points[nodes.nodes], atol=1e-12)
         assert nodes.weights.sum() == pytest.approx(2 * n * np.sin(np.pi / n))
 
@@ -100,37 +101,37 @@ class TestContactNodes:
         contact = (Contact("wall", TOUCHING),)
         labels = np.where(np.isin(PLATE.facet_labels, [0, 3]), 0, 1)
         mesh = MeshArrays(PLATE.points, PLATE.elements, PLATE.facets, labels, ("wall", "rest"))
-        nodes = contact_nodes(plane_problem(contact=contact, loads=(), supports=()), mesh)
+        nodes = contact_data(plane_problem(contact=contact, loads=(), supports=()), mesh)[0]
         np.testing.assert_allclose(nodes.normals[nodes.nodes == 0][0], np.array([-0.25, -0.5]) / np.hypot(0.25, 0.5))
 
     def test_gap_of_a_tilted_plane(self):
         # the plane through (0, -1) rising at 45 degrees is met along its own normal
         plane = Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))
-        nodes = contact_nodes(plane_problem(contact=Contact("bottom", plane), supports=()), PLATE)
+        nodes = contact_data(plane_problem(contact=Contact("bottom", plane), supports=()), PLATE)[0]
         np.testing.assert_allclose(nodes.normals, np.tile([[1.0, -1.0]], (5, 1)) / np.sqrt(2))
         np.testing.assert_allclose(nodes.gaps, (3.0 - PLATE.points[nodes.nodes, 0]) / np.sqrt(2))
 
     def test_rounding_below_zero_is_snapped(self):
         contact = Contact("bottom", GapFunction(lambda x: np.full(len(x), -1e-14)))
-        assert not contact_nodes(plane_problem(contact=contact), PLATE).gaps.any()
+        assert not contact_data(plane_problem(contact=contact), PLATE)[0].gaps.any()
 
     def test_interference(self):
         obstacle = GapFunction(lambda x: 0.5 - x[:, 0])
         with pytest.raises(ValueError, match=r"'bottom' lies up to 1\.5 m behind its obstacle, at \(2\.0, 0\.0\)"):
-            contact_nodes(plane_problem(contact=Contact("bottom", obstacle)), PLATE)
+            contact_data(plane_problem(contact=Contact("bottom", obstacle)), PLATE)[0]
         contact = Contact("bottom", obstacle, allow_interference=True)
-        assert contact_nodes(plane_problem(contact=contact), PLATE).gaps.min() == -1.5
+        assert contact_data(plane_problem(contact=contact), PLATE)[0].gaps.min() == -1.5
 
     def test_interference_on_one_of_two_boundaries(self):
         deep = GapFunction(lambda x: np.full(len(x), -0.1))
         pair = (Contact("bottom", deep, allow_interference=True), Contact("top", deep))
         with pytest.raises(ValueError, match="'top' lies up to 0.1 m"):  # noqa: RUF043
-            contact_nodes(plane_problem(contact=pair, loads=(), supports=()), PLATE)
+            contact_data(plane_problem(contact=pair, loads=(), supports=()), PLATE)[0]
 
     @pytest.mark.parametrize("order", [("bottom", "right"), ("right", "bottom")])
     def test_common_node_belongs_to_the_boundary_named_first(self, order):
         contact = tuple(Contact(name, TOUCHING) for name in order)
-        nodes = contact_nodes(plane_problem(contact=contact, loads=(), supports=()), PLATE)
+        nodes = contact_data(plane_problem(contact=contact, loads=(), supports=()), PLATE)[0]
         assert nodes.names == order
         corner = np.flatnonzero((PLATE.points[nodes.nodes] == [2.0, 0.0]).all(axis=1))[0]
         assert nodes.boundary[corner] == 0
@@ -145,31 +146,31 @@ class TestContactNodes:
         labels[(labels == 0) & (centre[:, 0] > 1)] = 4
         mesh = replace(PLATE, facet_labels=labels, boundaries=(*PLATE.boundaries, "bottom 2"), source=None)
         contact = (Contact("bottom 2", FLOOR), Contact("bottom", FLOOR))
-        nodes = contact_nodes(plane_problem(contact=contact), mesh)
-        np.testing.assert_allclose(nodes.weights, contact_nodes(plane_problem(), PLATE).weights)
+        nodes = contact_data(plane_problem(contact=contact), mesh)[0]
+        np.testing.assert_allclose(nodes.weights, contact_data(plane_problem(), PLATE)[0].weights)
         np.testing.assert_array_equal(nodes.boundary, [1, 1, 0, 0, 0])
 
     def test_symmetry_plane_takes_the_one_sided_tilt_out_of_the_normal(self):
         mesh = disc(12, half=True)
         problem = plane_problem(contact=Contact("rim", TOUCHING), loads=(), supports=(Support("axis", x=0.0),))
-        nodes = contact_nodes(problem, mesh)
+        nodes = contact_data(problem, mesh)[0]
         np.testing.assert_allclose(nodes.normals, mesh.points[nodes.nodes], atol=1e-12)
 
     def test_slip_reference(self):
         displacement = np.arange(PLATE.points.size, dtype=float).reshape(-1, 2)
-        nodes = contact_nodes(plane_problem(), PLATE, slip_reference=displacement)
+        nodes = contact_data(plane_problem(), PLATE, slip_reference=displacement)[0]
         np.testing.assert_array_equal(nodes.slip_reference, displacement[nodes.nodes])
         with pytest.raises(ValueError, match="slip_reference must be a displacement of all nodes"):
-            contact_nodes(plane_problem(), PLATE, slip_reference=displacement[:3])
+            contact_data(plane_problem(), PLATE, slip_reference=displacement[:3])[0]
 
     def test_support_in_the_normal_direction(self):
         with pytest.raises(ValueError, match="support on 'left' fixes y, which has a part normal to contact boundary"):
-            contact_nodes(plane_problem(supports=(Support("right", x=0.0), Support("left", y=0.0))), PLATE)
+            contact_data(plane_problem(supports=(Support("right", x=0.0), Support("left", y=0.0))), PLATE)
         with pytest.raises(ValueError, match="support on 'bottom' fixes y"):
-            contact_nodes(plane_problem(supports=(Support("bottom", y=0.0),)), PLATE)
+            contact_data(plane_problem(supports=(Support("bottom", y=0.0),)), PLATE)
         tilted = Contact("bottom", Plane(point=(0.0, -3.0), normal=(-1.0, 1.0)))
         with pytest.raises(ValueError, match="support on 'left' fixes x"):
-            contact_nodes(plane_problem(contact=tilted), PLATE)
+            contact_data(plane_problem(contact=tilted), PLATE)[0]
 
     def test_normals_that_cancel(self):
         # a crack: the same two nodes seen from both sides
@@ -177,7 +178,7 @@ class TestContactNodes:
         labels = np.r_[PLATE.facet_labels, 4, 4]
         mesh = MeshArrays(PLATE.points, PLATE.elements, facets, labels, (*PLATE.boundaries, "crack"))
         with pytest.raises(ValueError, match="contact boundary 'crack': the surface has no normal at node 0"):
-            contact_nodes(plane_problem(contact=Contact("crack", TOUCHING), loads=()), mesh)
+            contact_data(plane_problem(contact=Contact("crack", TOUCHING), loads=()), mesh)[0]
 
     def test_obstacle_of_ones_own_with_wrong_shapes(self):
         class Wrong:
@@ -185,7 +186,7 @@ class TestContactNodes:
                 return normals[:1], np.zeros(len(points))
 
         with pytest.raises(ValueError, match="obstacle in front of 'bottom' must return normals"):
-            contact_nodes(plane_problem(contact=Contact("bottom", Wrong())), PLATE)
+            contact_data(plane_problem(contact=Contact("bottom", Wrong())), PLATE)
 
 
 class TestDiscretise:

@@ -6,7 +6,7 @@ facet F: negative gaps above minus that are the discretisation, not interference
 
 A slave node of whose part less than a quarter has the master opposite (where the slave hangs over) carries no
 multiplier: its dual function would be large, of the order of one over the covered fraction, and with it the entries of
-the coupling, which spoils the smoothing. The multipliers beside it take over, so that constant pressures stay exact.
+the coupling, which spoils the smoothing. The multipliers next to it take over, so that constant pressures stay exact.
 
 Where the meshes match, node j may face the one master node k(j) nearest to it (:func:`node_to_node`):
 :math:`B_{jk} = \delta_{k,k(j)}`, with

@@ -15,13 +15,6 @@ In axisymmetry all integrals carry :math:`2\pi r`. If end b of an edge may carry
 (the crosspoint modification), and with :math:`D_{ab} = \int\psi_a\phi_b` node b is one of those that a follows:
 :math:`u_a - (\sum_k M_{ak} u_k - D_{ab} u_b)/D_{aa}`.
 
-Sources: B. Wohlmuth, SIAM J. Numer. Anal. 38, 2000, doi:10.1137/S0036142999350929 (dual multipliers); B. Yang,
-T. Laursen, X. Meng, Int. J. Numer. Meth. Engng 62, 2005, doi:10.1002/nme.1222 (normal field and segments);
-T. Cichosz, M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011, doi:10.1016/j.cma.2010.11.004 (dual basis on
-partly covered edges).
-
-Kernels of the mortar coupling in 2D: which master edges lie in front of a slave edge, and which of them is nearest.
-
 Along slave edge (a, b) let :math:`x(s) = x_a + s\,(x_b - x_a)` and :math:`n(s) = n_a + s\,(n_b - n_a)`, 0 <= s <= 1.
 The ray :math:`x(s) + \alpha\,n(s)` meets the line through the master edge :math:`(y_1, y_2)` at
 
@@ -30,6 +23,11 @@ The ray :math:`x(s) + \alpha\,n(s)` meets the line through the master edge :math
 
 and the edge faces the ray if f > 0. The rays do not cross between the surfaces as long as
 :math:`(x_b - x_a)\times n - \alpha\; n\times(n_b - n_a) < 0`.
+
+Sources: B. Wohlmuth, SIAM J. Numer. Anal. 38, 2000, doi:10.1137/S0036142999350929 (dual multipliers); B. Yang,
+T. Laursen, X. Meng, Int. J. Numer. Meth. Engng 62, 2005, doi:10.1002/nme.1222 (normal field and segments);
+T. Cichosz, M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011, doi:10.1016/j.cma.2010.11.004 (dual basis on
+partly covered edges).
 """
 
 from __future__ import annotations

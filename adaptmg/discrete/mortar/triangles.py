@@ -1,11 +1,12 @@
 r"""Mortar coupling of two triangulated surfaces in 3D with dual Lagrange multipliers.
 
-Every slave triangle has an auxiliary plane through its centroid, normal to the average of its nodal normals. The
-triangle and the master triangles that face it are projected on it along that normal, and clipped against each other.
-On the common parts all shape functions and the gap are affine, so that the integrals follow from area, centroid and
-covariance of each part, without quadrature. With :math:`A, c, S` area, centroid and covariance of what is covered of
-the triangle, and :math:`x_j` its projected corners, the dual basis :math:`\psi = \mathrm{diag}(d)\,m^{-1}\phi` over
-the covered part (:math:`d_j = \int\phi_j,\ m_{ij} = \int\phi_i\phi_j`) is
+Every slave triangle has a frame (e1, e2, n) with its origin at the centroid, n being the average of its nodal normals;
+coordinates in it are called local, and e1 and e2 span the auxiliary plane. The triangle and the master triangles that
+face it are projected on it along that normal, and clipped against each other. On the common parts all shape functions
+and the gap are affine, so that the integrals follow from area, centroid and covariance of each part, without
+quadrature. With :math:`A, c, S` area, centroid and covariance of what is covered of the triangle, and :math:`x_j` its
+projected corners, the dual basis :math:`\psi = \mathrm{diag}(d)\,m^{-1}\phi` over the covered part (:math:`d_j =
+\int\phi_j,\ m_{ij} = \int\phi_i\phi_j`) is
 
 .. math:: \psi_j(x) = \phi_j(c)\,\bigl(1 + (x_j - c)\cdot S^{-1}(x - c)\bigr),
 
@@ -26,13 +27,6 @@ Sources: M. Puso, T. Laursen, Comput. Methods Appl. Mech. Engrg 193, 2004, doi:1
 planes); A. Popp, M. Gitterle, M. Gee, W. Wall, Int. J. Numer. Meth. Engng 83, 2010, doi:10.1002/nme.2866 (dual
 multipliers in 3D); T. Cichosz, M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011,
 doi:10.1016/j.cma.2010.11.004 (dual basis over the covered part).
-
-Which parts of two triangulated surfaces face each other (kernels).
-
-For every slave facet there is a frame (e1, e2, n) with its origin at the centroid: e1 and e2 span the auxiliary plane,
-n is the averaged normal along which everything is projected (Puso and Laursen 2004, doi:10.1016/j.cma.2003.06.010).
-Coordinates in it are called local. The gap of a pair is then affine on the plane: height of the master's plane less
-that of the slave's.
 """
 
 from __future__ import annotations
