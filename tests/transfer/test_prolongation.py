@@ -1,0 +1,396 @@
+"""Prolongations on any pair of meshes: sums, affine fields, adjointness, signs, bodies; and of relative values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import LOWER_ON_UPPER, UPPER_ON_LOWER, bar_on_block, corner_pushed, turned
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from saddle import Parts
+from scipy import sparse
+from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
+from smoother_problems import expand
+from uncompiled import uncompile
+
+import adaptmg as am
+from adaptmg.discrete.discretise import discretise
+from adaptmg.geometry import clipping, location, search
+from adaptmg.geometry.quadrature import simplex_rule
+from adaptmg.mesh import MeshArrays, graded
+from adaptmg.mesh import structured as structured_mesh
+from adaptmg.transfer import (
+    CLIP,
+    L2,
+    Interpolation,
+    LumpedL2,
+    PseudoL2,
+    QuasiInterpolation,
+    Transfer,
+    galerkin_product,
+    interpolation,
+    projections,
+    surface_interpolation,
+    with_contact_rows,
+)
+from adaptmg.transfer.contact_rows import between_levels
+from adaptmg.transfer.projections import mass_matrix, mixed_mass
+
+ALL = (Interpolation(), L2(), PseudoL2(), LumpedL2(), QuasiInterpolation())
+AFFINE = (Interpolation(), L2(), PseudoL2(), QuasiInterpolation())
+EMBEDDING = (Interpolation(), L2(), PseudoL2())
+
+# coarse, fine: meshes of the same box with independent nodes on its sides, nested ones, a fine one that is coarser
+PAIRS = {"2D": (random_box(20, 2, 1), random_box(90, 2, 2)), "3D": (random_box(12, 3, 1), random_box(60, 3, 2)),
+         "graded": (log_graded(300, 1), log_graded(900, 2)), "coarser": (random_box(90, 2, 2), random_box(20, 2, 1)),
+         "graded 3D": (structured(3, 3, 3.0), structured(5, 3, 3.0)), "nested": (structured(4, 2), structured(8, 2)),
+         "nested 3D": (structured(2, 3), structured(4, 3)), "bodies": (two_boxes(2, 2), two_boxes(5, 2)),
+         "bodies 3D": (two_boxes(1, 3), two_boxes(2, 3))}
+
+
+def name(transfer):
+    return type(transfer).__name__
+
+
+@pytest.mark.parametrize("transfer", ALL, ids=name)
+@pytest.mark.parametrize("pair", PAIRS)
+def test_every_transfer_on_every_pair(transfer, pair):
+    coarse, fine = PAIRS[pair]
+    P = transfer.build(coarse, fine)
+    assert isinstance(transfer, Transfer)
+    assert P.shape == (fine.n_nodes, coarse.n_nodes) and P.format == "csr" and P.has_canonical_format
+    np.testing.assert_allclose(P.sum(axis=1), 1, atol=2e-14)
+    assert np.abs(P.data).min() >= CLIP
+    if transfer in AFFINE:
+        assert np.abs(P @ coarse.points - fine.points).max() < 3e-14
+    if transfer in (Interpolation(), LumpedL2()):
+        assert P.data.min() >= 0
+    # <r, P v> = <P' r, v>, and a constant force keeps its resultant
+    rng = np.random.default_rng(0)
+    r, v = rng.standard_normal(fine.n_nodes), rng.standard_normal(coarse.n_nodes)
+    assert r @ (P @ v) == pytest.approx((P.T @ r) @ v, rel=1e-12, abs=1e-12)
+    assert (P.T @ r).sum() == pytest.approx(r.sum(), abs=1e-11)
+    if "bodies" in pair:
+        of_rows = np.repeat(np.arange(fine.n_nodes) >= fine.n_nodes // 2, np.diff(P.indptr))
+        np.testing.assert_array_equal(P.indices >= coarse.n_nodes // 2, of_rows)
+        # the order of the bodies in the mesh does not matter, their names do
+        swapped = mesh_of(fine.points, fine.elements, element_body=1 - fine.element_body, bodies=("above", "below"))
+        assert abs(transfer.build(coarse, swapped) - P).max() == 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), transfer=st.sampled_from(AFFINE),
+       apart=st.sampled_from([None, 1e-17, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4]), moved=st.booleans())
+def test_sums_and_affine_fields_on_any_two_meshes(seed, dim, transfer, apart, moved):
+    """Also where fine nodes equal coarse ones up to rounding: their rows have one entry, and no extent."""
+    rng = np.random.default_rng(seed)
+    coarse, fine = (random_box(int(n), dim, seed + k) for k, n in enumerate(rng.integers(1, 40, 2)))
+    if apart is not None:
+        inner = (coarse.points > 0) & (coarse.points < 1)
+        points = np.clip(coarse.points + apart * rng.standard_normal(coarse.points.shape) * inner, 0, 1)
+        if moved:
+            corners = points[coarse.elements]
+            assume((np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0).all())
+            fine = mesh_of(points, coarse.elements)
+        else:
+            shared = ~inner.any(axis=1) | (rng.random(coarse.n_nodes) < 0.5)
+            fine = delaunay(np.concatenate([points[shared], rng.random((20, dim))]))
+    P = transfer.build(coarse, fine)
+    np.testing.assert_allclose(P.sum(axis=1), 1, atol=1e-12)
+    assert np.abs(P @ coarse.points - fine.points).max() < (1e-12 if apart is None else 1e-9)
+
+
+@pytest.mark.parametrize("transfer", EMBEDDING, ids=name)
+@pytest.mark.parametrize(("n", "dim"), [(4, 2), (2, 3)])
+def test_nested_meshes_give_the_canonical_embedding(transfer, n, dim):
+    coarse, fine = structured(n, dim), structured(2 * n, dim)
+    P = transfer.build(coarse, fine).toarray()
+    for row, where in zip(P, np.rint(fine.points * 2 * n).astype(int), strict=True):
+        # the diagonals all run along (1, .., 1): a node with odd numbers is the middle of floor and ceil
+        expected = np.zeros(coarse.n_nodes)
+        for end in (where // 2, -(-where // 2)):
+            expected[np.argmin(np.abs(coarse.points * n - end).sum(axis=1))] += 0.5
+        np.testing.assert_allclose(row, expected, atol=1e-10)
+    mesh = random_box(40 if dim == 2 else 20, dim, 4)
+    same = transfer.build(mesh, mesh_of(mesh.points, mesh.elements))
+    np.testing.assert_allclose(same.toarray(), np.eye(mesh.n_nodes), atol=1e-9)
+
+
+def test_lumped_l2_breaks_linears_at_the_boundary():
+    coarse, fine = PAIRS["2D"]
+    assert np.abs(LumpedL2().build(coarse, fine) @ coarse.points - fine.points).max() > 0.01
+
+
+@pytest.mark.parametrize("pair", ["2D", "3D", "graded", "graded 3D"])
+def test_coupling_integrals_are_exact(pair):
+    """The integral of phi_i phi_j cannot depend on which of the meshes is clipped against the other."""
+    first, second = PAIRS[pair]
+    forth, back = mixed_mass(first, second), mixed_mass(second, first)
+    B = forth.assemble(forth.shape_coefficients())
+    C = back.assemble(back.shape_coefficients())
+    assert abs(B - C.T).max() < 1e-13 * max(second.volumes.max(), first.volumes.max())
+    x = np.column_stack([np.ones(first.n_nodes), first.points])
+    y = np.column_stack([np.ones(second.n_nodes), second.points])
+    dim = first.dim
+    moments = np.full((dim + 1, dim + 1), 0.25) + np.eye(dim + 1) / 12
+    moments[0] = moments[:, 0] = 0.5
+    moments[0, 0] = 1.0
+    np.testing.assert_allclose(y.T @ (B @ x), moments, atol=1e-12)
+    M = mass_matrix(second)
+    np.testing.assert_allclose(M.sum(axis=1), forth.lumped_mass, atol=1e-15)
+    assert y[:, 1] @ (M @ y[:, 1]) == pytest.approx(1 / 3, abs=1e-13)
+    if "graded" not in pair:
+        exact = np.linalg.solve(M.toarray(), B.toarray())
+        assert np.abs(L2().build(first, second).toarray() - exact).max() < 6e-3
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_simplex_rule_is_exact_for_degree_six(dim):
+    shape, weights = simplex_rule(dim, 4)
+    assert shape.shape == (4**dim, dim + 1) and shape.min() > 0 and weights.min() > 0
+    np.testing.assert_allclose(shape.sum(axis=1), 1, atol=1e-14)
+    # the mean of x^a over one barycentric coordinate, which is beta distributed: B(1 + a, dim)/B(1, dim)
+    for coordinate in range(dim + 1):
+        for a in range(7):
+            expected = np.prod([(1 + k) / (1 + dim + k) for k in range(a)])
+            assert weights @ shape[:, coordinate] ** a == pytest.approx(expected, abs=1e-14)
+
+
+@pytest.mark.parametrize("transfer", ALL, ids=name)
+def test_curved_boundary(transfer):
+    """Fine nodes outside the coarse polygon: constants exact, and the interpolation of a smooth field second order."""
+    errors = []
+    for rings in (3, 6):
+        coarse, fine = disk(rings), disk(2 * rings + 1, turn=0.3)
+        P = transfer.build(coarse, fine)
+        np.testing.assert_allclose(P.sum(axis=1), 1, atol=2e-14)
+        errors.append(np.abs(P @ coarse.points - fine.points).max())
+    bound = 0.2 if name(transfer) == "LumpedL2" else 0.12
+    assert errors[0] < bound and errors[1] < 0.6 * errors[0]
+
+
+def test_nodes_outside():
+    """A quarter of the element size is the most: the diagonal of the cells here."""
+    coarse, points = structured(2, 2), np.array(structured(3, 2).points)
+    far, near = (mesh_of(points * scale, structured(3, 2).elements) for scale in (1.126, 1.124))
+    assert Interpolation().build(coarse, near)[[15]].toarray()[0, -1] == 1
+    for transfer in ALL:
+        with pytest.raises(ValueError, match=r"fine node 15 at \(1.126, 1.126\) lies 0.178 m outside .* same units"):
+            transfer.build(coarse, far)
+
+
+def test_failures_name_the_argument():
+    square, cube = structured(2, 2), structured(2, 3)
+    for transfer in ALL:
+        with pytest.raises(TypeError, match="coarse must be MeshArrays"):
+            transfer.build(square.points, square)
+        with pytest.raises(ValueError, match="same dimension, got 2 and 3"):
+            transfer.build(square, cube)
+        with pytest.raises(ValueError, match="no body 'below', which fine has; its bodies are body"):
+            transfer.build(square, two_boxes(2, 2))
+    unused = MeshArrays(points=[[0, 0], [1, 0], [0, 1], [0.5, 0.5]], elements=[[0, 1, 2]], facets=np.zeros((0, 2)),
+                        facet_labels=[], boundaries=())
+    with pytest.raises(ValueError, match="fine: node 3 belongs to no element"):
+        PseudoL2().build(square, unused)
+
+
+def test_clipped_weights_leave_no_trace():
+    """A fine node a hair off a coarse edge takes nothing from the corner across."""
+    coarse = delaunay(np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]]))
+    fine = delaunay(np.array([[0.0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5 * CLIP]]))
+    row = Interpolation().build(coarse, fine)[[4]]
+    assert row.nnz == 2 and row.sum() == 1
+    np.testing.assert_allclose(row.data, 0.5, atol=CLIP)
+
+
+def test_growing_buffers_change_nothing():
+    """A fine element over hundreds of coarse ones needs more room than is set aside at first."""
+    coarse, fine = random_box(2000, 2, 11), structured(1, 2)
+    P = PseudoL2().build(coarse, fine)
+    np.testing.assert_allclose(P @ coarse.points, fine.points, atol=1e-12)
+    assert P.nnz > 2000
+
+
+def test_kernels_without_jit(monkeypatch):
+    def results():
+        for dim in (2, 3):
+            coarse, fine = structured(1, dim), structured(2, dim, 1.3)
+            yield from (kind.build(coarse, fine) for kind in ALL)
+            yield surface_interpolation(coarse, fine, coarse.facets, np.unique(fine.facets))
+        yield PseudoL2().build(disk(1), disk(2))
+
+    compiled = [P.toarray() for P in results()]
+    uncompile(monkeypatch, clipping, interpolation, location, projections, search)
+    for plain, expected in zip(results(), compiled, strict=True):
+        np.testing.assert_allclose(plain.toarray(), expected, atol=1e-12)
+
+
+# -- contact rows and relative values -------------------------------------------------------------------------------
+
+def flat(pair, dim=2, angle=0.0):
+    """A block on a wider one, fixed below only, on independent meshes."""
+    if dim == 2:
+        problem = bar_on_block(am.Coulomb(0.3), pair)
+        divisions = [{"upper": 3, "lower": (5, 2)}, {"upper": (5, 4), "lower": (7, 5)}]
+    else:
+        problem = am.ContactProblem(
+            material=am.Solid(young=1e11, poisson=0.3), law=am.Coulomb(0.3), contact=am.ContactPair(*pair),
+            domain=am.Assembly(parts={"upper": am.Box(width=1.0, depth=1.0, height=1.0), "lower": am.Box(
+                width=1.5, depth=1.25, height=0.5, origin=(0.0, -0.1, -0.5))}))
+        divisions = [{"upper": 2, "lower": (3, 2, 1)}, {"upper": (3, 4, 3), "lower": (4, 5, 2)}]
+    problem = replace(problem, supports=(am.Support("lower.bottom", **dict.fromkeys("xyz"[:dim], 0.0)),))
+    meshes = [structured_mesh(problem.domain, d) for d in divisions]
+    return replace(problem, domain=None), [turned(mesh, angle) if angle else mesh for mesh in meshes]
+
+
+def axisymmetric():
+    problem, meshes = flat(UPPER_ON_LOWER)
+    shifted = [replace(mesh, points=mesh.points + np.array([0.05, 0.0]), source=None) for mesh in meshes]
+    return replace(problem, material=am.Axisymmetric(young=1e11, poisson=0.3)), shifted
+
+
+def corner():
+    """Three bodies in a row: what follows the block follows the seat."""
+    problem = corner_pushed(am.Coulomb(0.3))
+    meshes = [graded(problem.domain, h, problem.pair_boundaries, ratio) for h, ratio in ((0.5, 1.2), (0.3, 1.5))]
+    return replace(problem, domain=None, supports=(am.Support("seat.bottom", x=0.0, y=0.0),)), meshes
+
+
+def one_body():
+    problem = am.cases.greco_bar(law=am.Coulomb(0.5))
+    return problem, [structured_mesh(problem.domain, n) for n in (3, 5)]
+
+
+CASES = {"one body": one_body, "upper": lambda: flat(UPPER_ON_LOWER), "lower": lambda: flat(LOWER_ON_UPPER),
+         "turned": lambda: flat(UPPER_ON_LOWER, angle=0.8), "axisymmetric": axisymmetric, "corner": corner,
+         "upper 3D": lambda: flat(UPPER_ON_LOWER, 3), "lower 3D": lambda: flat(LOWER_ON_UPPER, 3)}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def levels(request):
+    problem, meshes = CASES[request.param]()
+    return problem, meshes, [discretise(problem, mesh) for mesh in meshes]
+
+
+def affine_of_each_body(mesh):
+    """Every body under a different affine field (n_nodes, dim): rigid motions are among them."""
+    rng, field = np.random.default_rng(0), np.empty(mesh.points.shape)
+    for k in range(len(mesh.bodies)):
+        nodes = np.unique(mesh.elements[mesh.element_body == k])
+        gradient, shift = rng.normal(size=(mesh.dim, mesh.dim)), rng.normal(size=mesh.dim)
+        field[nodes] = mesh.points[nodes] @ gradient + shift
+    return field
+
+
+def nodal_of(problem, meshes, transfer):
+    """The prolongation of displacements, with the rows of both surfaces of all pairs along the surfaces."""
+    coarse, fine = meshes
+    nodal, contact = sparse.csr_array(transfer.build(coarse, fine)), discretise(problem, fine).contact
+    masters = [(name, fine.boundary_nodes(name)) for name in contact.masters if name]
+    slaves = [(name, contact.nodes[contact.boundary == k]) for k, name in enumerate(contact.names)]
+    for boundary, nodes in (*masters, *slaves):
+        rows = surface_interpolation(coarse, fine, coarse.boundary_facets(boundary), nodes)
+        nodal = with_contact_rows(nodal, nodes, rows)
+    return nodal
+
+
+@pytest.mark.parametrize("rows", [True, False], ids=["rows", "plain"])
+@pytest.mark.parametrize("transfer", EMBEDDING, ids=name)
+def test_fields_between_levels(levels, transfer, rows):
+    problem, meshes, (coarse, fine) = levels
+    P = between_levels(transfer, *meshes, coarse, fine, rows).prolongation
+    expected = fine.relative(affine_of_each_body(meshes[1]))
+    np.testing.assert_allclose(P @ coarse.relative(affine_of_each_body(meshes[0])), expected,
+                               atol=1e-11 * np.abs(expected).max())
+    # any field is that of displacements
+    nodal = nodal_of(problem, meshes, transfer) if rows else transfer.build(*meshes)
+    w = np.random.default_rng(1).normal(size=meshes[0].points.shape)
+    expected = nodal @ coarse.physical(w)
+    np.testing.assert_allclose(fine.physical(P @ w), expected, atol=1e-11 * np.abs(expected).max())
+
+
+def test_rigid_motions_and_the_galerkin_matrix(levels):
+    problem, meshes, (coarse, fine) = levels
+    found = between_levels(Interpolation(), *meshes, coarse, fine)
+    assert (found.surface is None) == (fine.coupling is None)
+    if fine.coupling is None:
+        return
+    for prolongation in (found.prolongation, found.surface):
+        got = prolongation @ coarse.relative(np.ones(meshes[0].points.shape))
+        np.testing.assert_allclose(fine.physical(got), 1.0, atol=1e-11)
+        assert np.abs(got[fine.contact.nodes]).max() <= 1e-12
+    stiffness = sparse.csr_array(Parts.of(problem, meshes[1]).matrix)
+    P = expand(nodal_of(problem, meshes, Interpolation()), coarse.dim)
+    T = np.column_stack([coarse.physical(unit).ravel() for unit in np.eye(coarse.n_dofs)])
+    expected = T.T @ (P.T @ stiffness @ P).toarray() @ T
+    got = galerkin_product(fine.matrix, found.prolongation).toarray()
+    np.testing.assert_allclose(got, expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_constraints_of_surface_rows(levels):
+    """Weights >= 0 with sums 1 over the coarse contact nodes of the same pair: what the monotone correction needs."""
+    _, meshes, (coarse, fine) = levels
+    found = between_levels(L2(), *meshes, coarse, fine)
+    above, contact = coarse.contact, fine.contact
+    surface = found.prolongation if found.surface is None else found.surface
+    rows = surface[contact.nodes]
+    assert rows.data.min() >= 0 and np.diff(rows.indptr).max() <= fine.dim
+    np.testing.assert_allclose(np.asarray(rows.sum(axis=1)).ravel(), 1.0, atol=1e-13)
+    for k in range(len(contact.names)):
+        used = np.unique(rows[np.flatnonzero(contact.boundary == k)].indices)
+        assert np.isin(used, above.nodes[above.boundary == k]).all()
+    assert len(np.unique(rows.indices)) == len(above)
+    others = np.setdiff1d(np.arange(fine.n_nodes), contact.nodes)
+    assert abs(surface[others] - found.prolongation[others]).max() == 0
+    # relative values that are constant on a surface stay so
+    w = np.zeros(meshes[0].points.shape)
+    w[above.nodes] = 1.0 + above.boundary[:, None]
+    np.testing.assert_allclose((surface @ w)[contact.nodes], np.tile(1.0 + contact.boundary[:, None], fine.dim),
+                               atol=1e-13)
+    if fine.coupling is None:
+        return
+    slaves, on_slaves = (np.flatnonzero(np.diff(p.coupling.weights.indptr)) for p in (fine, coarse))
+    for master in fine.contact.masters:
+        nodes = np.setdiff1d(meshes[1].boundary_nodes(master), slaves)
+        columns = np.setdiff1d(np.unique(found.prolongation[nodes].indices), on_slaves)
+        allowed = np.union1d(meshes[0].boundary_nodes(master), np.unique(coarse.coupling.weights.indices))
+        assert np.isin(columns, allowed).all()
+
+
+class Wrong:
+    def __init__(self, change):
+        self.change = change
+
+    def build(self, coarse, fine):
+        return self.change(Interpolation().build(coarse, fine))
+
+
+def _spoiled(matrix):
+    matrix = sparse.csr_array(matrix, copy=True)
+    matrix.data[0] = np.nan
+    return matrix
+
+
+@pytest.mark.parametrize(("change", "message"), [(lambda m: m[:, :-1], r"shape \(\d+, \d+\) \(fine, coarse nodes\)"),
+                                                 (lambda m: m.T, "shape"), (_spoiled, "must be finite")])
+def test_what_a_transfer_must_not_return(change, message):
+    problem, meshes = flat(UPPER_ON_LOWER)
+    with pytest.raises(ValueError, match=message):
+        between_levels(Wrong(change), *meshes, *(discretise(problem, mesh) for mesh in meshes))
+
+
+def test_soft_bodies_next_to_stiff_ones_count_when_matrices_are_compared():
+    """is_galerkin is relative row by row: a soft body with another coarse matrix is seen next to a stiff one."""
+    coarse, fine = structured(2, 2), structured(4, 2)
+    P = Interpolation().build(coarse, fine)
+    rng = np.random.default_rng(2)
+    soft = sparse.kron(mass_matrix(fine), sparse.csr_array(np.eye(2) + 0.1 * rng.random((2, 2))))
+    stiff = sparse.bsr_array(sparse.block_diag([1e12 * soft, soft]), blocksize=(2, 2))
+    both = sparse.csr_array(sparse.block_diag([P, P]))
+    product = galerkin_product(stiff, both)
+    assert am.transfer.is_galerkin(stiff, both, product)
+    wrong = product.copy()
+    wrong.data[wrong.indptr[coarse.n_nodes]:] *= 1.001
+    assert not am.transfer.is_galerkin(stiff, both, wrong)
