@@ -1,0 +1,394 @@
+"""Stiffness, stress and initial strains of every kind of body, one or several: against NGSolve and closed forms."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_bodies import joined
+from scipy import sparse
+from uncompiled import uncompile
+
+from adaptmg.discrete import elasticity, element_strain, fixed_dofs, full_stress, load_vector, stiffness, von_mises
+from adaptmg.discrete.rigid_modes import rigid_motions
+from adaptmg.discrete.stress import hoop_strain
+from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
+from adaptmg.mesh import MeshArrays, structured
+from adaptmg.problem import BodyForce, Box, PlaneStrain, PlaneStress, Pressure, Rectangle, Solid, Support, Traction
+from adaptmg.problem.loads import InitialStrain
+from adaptmg.problem.materials import Axisymmetric
+
+KINDS = {"plane strain": PlaneStrain, "plane stress": PlaneStress, "axisymmetric": Axisymmetric, "solid": Solid}
+EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+STEEL = Axisymmetric(young=2.1e11, poisson=0.3)
+INNER, OUTER, HEIGHT = 0.1, 0.25, 0.12
+
+
+def shaken(mesh: MeshArrays, size: float, seed: int) -> MeshArrays:
+    """With moved inner nodes."""
+    points, inside = mesh.points.copy(), np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
+    points[inside] += size * np.random.default_rng(seed).uniform(-1, 1, (len(inside), mesh.dim))
+    return replace(mesh, points=points, source=None)
+
+
+def part(dim: int, divisions: int, lift: float) -> MeshArrays:
+    """A block; in the plane 0.5 <= x <= 2.5."""
+    shape = (Rectangle(width=2.0, height=1.0, origin=(0.5, lift)) if dim == 2
+             else Box(width=2.0, depth=1.5, height=1.0, origin=(0.0, 0.0, lift)))
+    return shaken(structured(shape, divisions), 0.05, divisions)
+
+
+def meridian(inner: float, divisions: int | tuple[int, int] = (4, 3)) -> MeshArrays:
+    """A rectangle inner <= r <= OUTER, 0 <= z <= HEIGHT."""
+    return structured(Rectangle(width=OUTER - inner, height=HEIGHT, origin=(inner, 0.0)), divisions)
+
+
+PARTS = {dim: {"lower": part(dim, 3, 0.0), "upper": part(dim, 2, 1.0)} for dim in (2, 3)}
+BOTH = {dim: joined(parts, dict.fromkeys(parts, (0.0,) * dim)) for dim, parts in PARTS.items()}
+SOLID, RING = shaken(meridian(0.0), 0.007, 3), shaken(meridian(INNER), 0.007, 3)
+MESHES = pytest.mark.parametrize("mesh", [SOLID, RING], ids=["solid", "ring"])
+
+
+def two(kind) -> dict:
+    return {"upper": kind(young=7e10, poisson=0.33), "lower": kind(young=2.1e11, poisson=0.27)}
+
+
+CASES = {**{name: (BOTH[kind.dim], two(kind)) for name, kind in KINDS.items()}, "on the axis": (SOLID, STEEL)}
+EACH_CASE = pytest.mark.parametrize(("mesh", "material"), CASES.values(), ids=CASES)
+
+
+def solved(mesh: MeshArrays, material, loads, supports) -> np.ndarray:
+    """Nodal displacements (n_nodes, dim)."""
+    fixed, u = fixed_dofs(mesh, supports)
+    matrix, free = stiffness(mesh, material).toarray(), ~fixed
+    load = load_vector(mesh, loads, material) - matrix @ u
+    u[free] = np.linalg.solve(matrix[np.ix_(free, free)], load[free])
+    return u.reshape(-1, mesh.dim)
+
+
+def measures(mesh, axisymmetric):
+    """Volumes of the elements, over the full circumference."""
+    return mesh.volumes * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) if axisymmetric else 1.0)
+
+
+def is_axisymmetric(material):
+    return isinstance(next(iter(material.values())) if isinstance(material, dict) else material, Axisymmetric)
+
+
+def by_ngsolve(mesh: MeshArrays, material, *, bonus: int | None = None) -> np.ndarray:
+    """The same form by NGSolve, dense; in axisymmetry with our rule, or its own of a higher order."""
+    import ngsolve as ng
+
+    from adaptmg.mesh.ngsolve_bridge import with_source
+
+    source = with_source(mesh).source
+    space = ng.H1(source, order=1, dim=mesh.dim)
+    u, v = space.TnT()
+    materials = material if isinstance(material, dict) else dict.fromkeys(mesh.bodies, material)
+    lame, shear = (source.MaterialCF({name: getattr(one, what) for name, one in materials.items()}, default=0.0)
+                   for what in ("lame", "shear_modulus"))
+    grad_u, grad_v = ng.Grad(u), ng.Grad(v)
+    form = ng.BilinearForm(space)
+    if is_axisymmetric(material):
+        hoop_u, hoop_v, options = u[0] / ng.x, v[0] / ng.x, {"bonus_intorder": bonus}
+        if bonus is None:
+            points, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
+            # the reference triangle has area 1/2; its corners in NGSolve's order are (1, 0), (0, 1), (0, 0)
+            rule = ng.IntegrationRule([tuple(p) for p in points[:, :2]], list(weights / 2))
+            options = {"intrules": {ng.ET.TRIG: rule}}
+        form += 2 * np.pi * ng.x * (
+            lame * (ng.Trace(grad_u) + hoop_u) * (ng.Trace(grad_v) + hoop_v)
+            + 2 * shear * (ng.InnerProduct(ng.Sym(grad_u), ng.Sym(grad_v)) + hoop_u * hoop_v)) * ng.dx(**options)
+    else:
+        form += (lame * ng.Trace(grad_u) * ng.Trace(grad_v)
+                 + 2 * shear * ng.InnerProduct(ng.Sym(grad_u), ng.Sym(grad_v))) * ng.dx
+    form.Assemble()
+    values, columns, rows = (np.array(array) for array in form.mat.CSR())
+    return sparse.bsr_array((values.reshape(-1, mesh.dim, mesh.dim), columns, rows),
+                            shape=(mesh.points.size,) * 2).toarray()
+
+
+@EACH_CASE
+def test_stiffness_equals_ngsolve_in_sorted_symmetric_blocks(mesh, material):
+    matrix = stiffness(mesh, material)
+    ours, theirs = matrix.toarray(), by_ngsolve(mesh, material)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(ours).max())
+    assert matrix.blocksize == (mesh.dim, mesh.dim) and matrix.has_sorted_indices and matrix.indices.dtype == np.int32
+    assert abs(matrix - matrix.T).max() == 0.0 and (np.diff(matrix.indptr) > 0).all()
+    # an NGSolve mesh that the arrays came from does not matter
+    other = structured(Rectangle(width=1, height=1), 2).source
+    np.testing.assert_array_equal(stiffness(replace(mesh, source=other), material).data, matrix.data)
+
+
+@EACH_KIND
+def test_matrix_and_stress_are_those_of_each_body(kind):
+    mesh, materials = BOTH[kind.dim], two(kind)
+    separate = [stiffness(one, materials[name]).toarray() for name, one in PARTS[kind.dim].items()]
+    np.testing.assert_array_equal(stiffness(mesh, materials).toarray(), sparse.block_diag(separate).toarray())
+    one = materials["upper"]
+    np.testing.assert_array_equal(stiffness(mesh, one).data, stiffness(mesh, {"lower": one, "upper": one}).data)
+    u = 1e-3 * np.random.default_rng(0).normal(size=mesh.points.shape)
+    whole, first = full_stress(mesh, materials, u), 0
+    for k, (name, one) in enumerate(PARTS[kind.dim].items()):
+        alone = full_stress(one, materials[name], u[first:first + one.n_nodes])
+        np.testing.assert_allclose(whole[mesh.element_body == k], alone, rtol=1e-13)
+        first += one.n_nodes
+
+
+def test_glued_materials_equal_ngsolve():
+    mesh = structured(Rectangle(width=2.0, height=1.0), 4)
+    right = mesh.points[mesh.elements, 0].mean(axis=1) > 1.0
+    mesh = replace(mesh, bodies=("left", "right"), source=None, element_body=right)
+    materials = {"left": PlaneStrain(young=2.1e11, poisson=0.3), "right": PlaneStress(young=7e10, poisson=0.33)}
+    ours, theirs = stiffness(mesh, materials).toarray(), by_ngsolve(mesh, materials)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(theirs).max())
+    # they move together
+    plain = replace(mesh, bodies=("body",), element_body=None)
+    np.testing.assert_array_equal(rigid_motions(mesh), rigid_motions(plain))
+
+
+def test_the_axisymmetric_rule_is_accurate_off_the_axis():
+    ours, exact = stiffness(RING, STEEL).toarray(), by_ngsolve(RING, STEEL, bonus=20)
+    # the error of degree 5 in 1/r is of the order (h/r)^6, here h/r < .4
+    np.testing.assert_allclose(ours, exact, rtol=0, atol=2e-7 * np.abs(exact).max())
+
+
+@EACH_CASE
+def test_rigid_motions_cost_no_energy_and_nothing_else_does(mesh, material):
+    axisymmetric, n_bodies = is_axisymmetric(material), len(mesh.bodies)
+    modes = rigid_motions(mesh, axisymmetric)
+    each = 1 if axisymmetric else {2: 3, 3: 6}[mesh.dim]
+    assert modes.shape == (mesh.points.size, n_bodies * each)
+    np.testing.assert_allclose(modes.T @ modes, np.eye(n_bodies * each), atol=1e-14)
+    for k in range(n_bodies):
+        others = np.unique(mesh.elements[mesh.element_body != k])
+        assert not modes.reshape(mesh.n_nodes, mesh.dim, -1)[others][:, :, k * each:(k + 1) * each].any()
+    matrix = stiffness(mesh, material)
+    assert np.abs(matrix @ modes).max() < 2e-14 * np.abs(matrix.data).max()
+    values = np.linalg.eigvalsh(matrix.toarray())
+    assert values[n_bodies * each] > 1e-6 * values[-1] > 1e6 * np.abs(values[:n_bodies * each]).max()
+
+
+@EACH_CASE
+def test_patch_test(mesh, material):
+    """A linear field (u_r = c r in axisymmetry) prescribed on the boundary is found inside, with exact energy."""
+    dim, axisymmetric = mesh.dim, is_axisymmetric(material)
+    gradient = 1e-3 * np.random.default_rng(1).normal(size=(dim, dim))
+    if axisymmetric:
+        gradient = np.diag([3e-4, -1e-3])
+    exact = mesh.points @ gradient.T
+    held = np.zeros(mesh.points.shape, dtype=bool)
+    held[np.unique(mesh.facets)] = True
+    held, u = held.reshape(-1), exact.reshape(-1).copy()
+    matrix = stiffness(mesh, material).toarray()
+    u[~held] = np.linalg.solve(matrix[np.ix_(~held, ~held)], -matrix[np.ix_(~held, held)] @ u[held])
+    np.testing.assert_allclose(u.reshape(-1, dim), exact, atol=1e-14)
+    strain = np.zeros((3, 3))
+    strain[:dim, :dim] = 0.5 * (gradient + gradient.T)
+    expected = np.broadcast_to(strain[:dim, :dim], (len(mesh.elements), dim, dim))
+    np.testing.assert_allclose(element_strain(mesh, u), expected, atol=1e-14)
+    if axisymmetric:
+        strain[2, 2] = 3e-4
+        np.testing.assert_allclose(hoop_strain(mesh, u), 3e-4, rtol=1e-11)
+    stress = full_stress(mesh, material, u)
+    work = measures(mesh, axisymmetric) @ np.einsum("eij,ij->e", stress, strain)
+    assert u @ matrix @ u == pytest.approx(work, rel=1e-12)
+    if not isinstance(material, dict):
+        expected = STEEL.lame * np.trace(strain) * np.eye(3) + 2 * STEEL.shear_modulus * strain
+        np.testing.assert_allclose(stress, np.broadcast_to(expected, stress.shape),
+                                   atol=1e-11 * np.abs(expected).max())
+
+
+def test_bar_under_axial_tension():
+    # free sides: sigma_zz = q and nothing else, u = (-nu q r, q z) / E, the axis held
+    q = 5e7
+    u = solved(SOLID, STEEL, [Traction("top", (0.0, q))], [Support("bottom", y=0.0), Support("left", x=0.0)])
+    np.testing.assert_allclose(u, SOLID.points * [-STEEL.poisson * q / STEEL.young, q / STEEL.young], atol=1e-16)
+    np.testing.assert_allclose(full_stress(SOLID, STEEL, u)[:, 1, 1], q, rtol=1e-10)
+
+
+def test_lame_cylinder_converges():
+    # in the norm of L2: at single nodes, as in the corners, the best of P1 is h^2 log h
+    # bore under pressure, plane strain in z: u_r = (1 + nu) / E * (A (1 - 2 nu) r + B / r), hoop stress A + B / r^2
+    p = 1e8
+    a = p * INNER**2 / (OUTER**2 - INNER**2)
+    b = a * OUTER**2
+    supports = [Support("bottom", y=0.0), Support("top", y=0.0)]
+    errors, stress_errors = [], []
+    for n in (4, 8, 16):
+        mesh = meridian(INNER, (2 * n, n))
+        lumped = np.bincount(mesh.elements.reshape(-1), weights=np.repeat(mesh.volumes / 3, 3))
+        u = solved(mesh, STEEL, [Pressure("left", p)], supports)
+        r = mesh.points[:, 0]
+        exact = (1 + STEEL.poisson) / STEEL.young * (a * (1 - 2 * STEEL.poisson) * r + b / r)
+        error = np.sum((u - np.column_stack([exact, 0 * r]))**2, axis=1)
+        errors.append(np.sqrt(lumped @ error / (lumped @ exact**2)))
+        centre = mesh.points[mesh.elements, 0].mean(axis=1)
+        stress_errors.append(np.abs(full_stress(mesh, STEEL, u)[:, 2, 2] / (a + b / centre**2) - 1).mean())
+    rates = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert (rates > 1.9).all() and errors[-1] < 5e-4, (errors, rates)
+    assert (np.divide(stress_errors[:-1], stress_errors[1:]) > 1.7).all() and stress_errors[-1] < 0.02, stress_errors
+
+
+class TestInitialStrain:
+    @EACH_KIND
+    def test_a_free_body_lengthens_without_stress(self, kind):
+        # compatible with the kind: nothing through the thickness in plane strain, anything in plane stress, hoop = rr
+        mesh, materials = BOTH[kind.dim], two(kind)
+        third = {PlaneStrain: (0.0,), PlaneStress: (5e-3,), Axisymmetric: (1e-3,), Solid: (3e-3,)}[kind]
+        strain = InitialStrain("upper", (1e-3, -2e-3, *third))
+        sides = {"bottom": "y"} if kind is Axisymmetric else {"bottom": "y", "left": "x"}
+        sides = {"bottom": "z", "left": "x", "front": "y"} if kind is Solid else sides
+        supports = [Support(f"{body}.{side}", **{c: 0.0}) for body in mesh.bodies for side, c in sides.items()]
+        u = solved(mesh, materials, [strain], supports)
+        lower, points = PARTS[kind.dim]["lower"].n_nodes, PARTS[kind.dim]["upper"].points
+        origin = points.min(axis=0) * (np.arange(kind.dim) > 0 if kind is Axisymmetric else 1)
+        np.testing.assert_allclose(u[lower:], (points - origin) * [1e-3, -2e-3, *third][:kind.dim], atol=1e-15)
+        np.testing.assert_allclose(u[:lower], 0.0, atol=1e-30)
+        assert np.abs(full_stress(mesh, materials, u, [strain])).max() < 1e-10 * 7e10 * 2e-3
+        assert np.abs(full_stress(mesh, materials, u)).max() > 1e-2 * 7e10 * 2e-3
+
+    @EACH_KIND
+    def test_a_clamped_bar_is_under_minus_young_times_it(self, kind):
+        # both ends held, the sides free to contract: uniaxial stress; plane strain has E / (1 - nu^2)
+        if kind is Axisymmetric:
+            mesh, material, axis = SOLID, STEEL, 1
+            supports = [Support("bottom", y=0.0), Support("top", y=0.0), Support("left", x=0.0)]
+        else:
+            mesh, material, axis = PARTS[kind.dim]["lower"], two(kind)["lower"], 0
+            supports = [Support("left", x=0.0), Support("right", x=0.0),
+                        Support("bottom", **{"xyz"[kind.dim - 1]: 0.0})]
+            supports += [Support("front", y=0.0)] if kind is Solid else []
+        strain = InitialStrain("body", tuple(1e-3 * (np.arange(3) == axis)))
+        u = solved(mesh, material, [strain], supports)
+        stress = full_stress(mesh, material, u, [strain])
+        modulus = material.young / (1 - material.poisson**2 if kind is PlaneStrain else 1)
+        expected = np.zeros((3, 3))
+        expected[axis, axis] = -modulus * 1e-3
+        if kind is PlaneStrain:
+            expected[2, 2] = material.poisson * expected[0, 0]
+        np.testing.assert_allclose(stress, np.broadcast_to(expected, stress.shape), atol=1e-10 * modulus * 1e-3)
+
+    def test_through_the_thickness_in_plane_strain(self):
+        # fully held in z, free in the plane: sigma_zz = -E e and no other stress, in-plane strain nu e
+        mesh, material = PARTS[2]["lower"], PlaneStrain(young=2.1e11, poisson=0.27)
+        strain = InitialStrain("body", (0.0, 0.0, 1e-3))
+        u = solved(mesh, material, [strain], [Support("left", x=0.0), Support("bottom", y=0.0)])
+        stress = full_stress(mesh, material, u, [strain])
+        np.testing.assert_allclose(stress[:, 2, 2], -2.1e8, rtol=1e-10)
+        np.testing.assert_allclose(stress[:, :2, :2], 0.0, atol=1e-2)
+        np.testing.assert_allclose(u, 0.27e-3 * (mesh.points - mesh.points.min(axis=0)), atol=1e-16)
+        np.testing.assert_allclose(von_mises(stress), 2.1e8, rtol=1e-10)
+
+    @MESHES
+    def test_virtual_work_in_axisymmetry(self, mesh):
+        strain, (c, d), volume = np.array([2e-4, -5e-4, 9e-4]), (0.7, -1.3), measures(mesh, True).sum()
+        stress = STEEL.lame * strain.sum() + 2 * STEEL.shear_modulus * strain
+        load = load_vector(mesh, [InitialStrain("body", tuple(strain))], STEEL)
+        assert load @ (mesh.points * [c, d]).reshape(-1) == pytest.approx(stress @ [c, d, c] * volume, rel=1e-12)
+        two = load_vector(mesh, [InitialStrain("body", (2e-4, -5e-4))], STEEL)
+        np.testing.assert_array_equal(two, load_vector(mesh, [InitialStrain("body", (2e-4, -5e-4, 0.0))], STEEL))
+
+    def test_linear_in_position_is_exact(self):
+        # virtual work on v = (x, 0, 0): (lambda + 2 mu) int e with e = k (y + z), 2 x 1.5 x 1
+        mesh, material, k = PARTS[3]["lower"], Solid(young=2.1e11, poisson=0.3), 1e-3
+        strain = InitialStrain("body", (lambda x: k * (x[:, 1] + x[:, 2]), 0.0, 0.0))
+        work = load_vector(mesh, [strain], material) @ (mesh.points * [1.0, 0, 0]).reshape(-1)
+        modulus = material.lame + 2 * material.shear_modulus
+        assert work == pytest.approx(modulus * k * 3.0 * (0.75 + 0.5), rel=1e-12)
+        # zz = k r, the others 0; on v = (0, z): (lambda + 2 mu) k 2 pi int r^2
+        load = load_vector(RING, [InitialStrain("body", (0.0, lambda x: k * x[:, 0], 0.0))], STEEL)
+        modulus = STEEL.lame + 2 * STEEL.shear_modulus
+        assert load @ (RING.points * [0.0, 1.0]).reshape(-1) == pytest.approx(
+            modulus * k * 2 * np.pi * HEIGHT * (OUTER**3 - INNER**3) / 3, rel=1e-12)
+
+    def test_several_add_up(self):
+        mesh, materials = BOTH[2], two(PlaneStress)
+        strains = [InitialStrain("upper", (1e-3, 0.0)), InitialStrain("lower", (0.0, lambda x: 1e-3 * x[:, 0])),
+                   InitialStrain("upper", (0.0, 2e-3))]
+        np.testing.assert_allclose(load_vector(mesh, strains, materials),
+                                   sum(load_vector(mesh, [one], materials) for one in strains), atol=1e-8)
+        u = np.zeros(mesh.points.shape)
+        np.testing.assert_allclose(full_stress(mesh, materials, u, strains),
+                                   sum(full_stress(mesh, materials, u, [one]) for one in strains), atol=1e-6)
+
+
+def test_von_mises():
+    # uniaxial stress s gives s; plane strain adds the stress through the thickness
+    stress, nu = np.zeros((1, 3, 3)), 0.2
+    stress[0, 0, 0] = 5e6
+    assert von_mises(stress) == pytest.approx(5e6)
+    stress[0, 2, 2] = nu * 5e6
+    assert von_mises(stress) == pytest.approx(5e6 * np.sqrt(1 - nu + nu**2))
+    shear = np.zeros((1, 3, 3))
+    shear[0, 0, 2] = shear[0, 2, 0] = 2e6
+    assert von_mises(shear) == pytest.approx(2e6 * np.sqrt(3))
+
+
+def test_rounding_on_the_axis_is_let_pass():
+    points = SOLID.points.copy()
+    points[SOLID.boundary_nodes("left"), 0] = -1e-17
+    near, here = stiffness(replace(SOLID, points=points), STEEL), stiffness(SOLID, STEEL)
+    np.testing.assert_allclose(near.data, here.data, rtol=0, atol=1e-12 * np.abs(near.data).max())
+
+
+def _turned(mesh):
+    elements = mesh.elements.copy()
+    elements[5, :2] = elements[5, 1::-1]
+    return replace(mesh, elements=elements)
+
+
+PLATE, BLOCK, ONE = PARTS[2]["lower"], PARTS[3]["lower"], PlaneStrain(young=1.0, poisson=0.2)
+ROCK = Solid(young=1.0, poisson=0.2)
+
+
+@pytest.mark.parametrize(("call", "error", "message"), [
+    (lambda: stiffness(PLATE, ROCK), ValueError, "the material is 3D, the mesh 2D"),
+    (lambda: full_stress(PLATE, ROCK, np.zeros(PLATE.points.shape)), ValueError, "the material is 3D"),
+    (lambda: stiffness(PLATE, 2.1e11), TypeError, "material must be PlaneStrain"),
+    (lambda: stiffness(_turned(PLATE), ONE), ValueError, r"element 5 with nodes .* is inverted or degenerate"),
+    (lambda: stiffness(_turned(BLOCK), ROCK), ValueError, r"element 5 with nodes .* is inverted or degenerate"),
+    (lambda: stiffness(replace(PLATE, points=PLATE.points[:-1]), ONE), ValueError,
+     r"mesh\.elements must be numbers from 0 to 14, got 0 to 15"),
+    (lambda: stiffness(replace(PLATE, element_body=np.ones(len(PLATE.elements))), ONE), ValueError,
+     r"mesh\.element_body must be numbers from 0 to 0, got 1 to 1"),
+    (lambda: stiffness(replace(RING, points=RING.points - [0.15, 0.0]), STEEL), ValueError,
+     r"lie at radii x >= 0, got x = -0\.05 m"),
+    (lambda: stiffness(BOTH[2], {"lower": ONE}), ValueError, r"no material for body 'upper'; .*lower, upper, .*lower"),
+    (lambda: stiffness(BOTH[2], {"lower": ONE, "upper": STEEL}), ValueError,
+     "either all bodies are Axisymmetric or none, got PlaneStrain, Axisym"),
+    (lambda: full_stress(BOTH[2], {"lower": ONE, "upper": 1.0}, np.zeros(BOTH[2].points.shape)), TypeError,
+     r"mapping body name -> one of them, got 1\.0"),
+    (lambda: von_mises(np.zeros((3, 2, 2))), ValueError, r"stress must have shape \(n, 3, 3\)"),
+    (lambda: von_mises(np.zeros((3, 4))), ValueError, r"stress must have shape \(n, 3, 3\)"),
+    (lambda: element_strain(PLATE, np.zeros((3, 2))), ValueError, "displacement must have shape"),
+    (lambda: load_vector(BOTH[3], [BodyForce((0.0, 0.0, 1.0), body="roof")], ROCK), ValueError,
+     "body 'roof' does not exist; the bodies are lower, upper"),
+    (lambda: load_vector(BOTH[3], [InitialStrain("roof", (1.0, 1.0, 1.0))], ROCK), ValueError, "body 'roof' does not"),
+    (lambda: load_vector(BOTH[3], [InitialStrain("upper", (1.0, 1.0, 1.0))]), ValueError,
+     "depends on the elastic constants: give material"),
+    (lambda: load_vector(BOTH[3], [InitialStrain("upper", (1.0, 1.0))], ROCK), ValueError,
+     "2 components on a 3D mesh: give 3"),
+    (lambda: load_vector(BOTH[3], [InitialStrain("upper", (1.0, 1.0, lambda x: np.full(len(x), np.nan)))], ROCK),
+     ValueError, "component 3 of InitialStrain on 'upper' must be finite"),
+])
+def test_refusals(call, error, message):
+    with pytest.raises(error, match=message):
+        call()
+
+
+def test_kernels_without_jit(monkeypatch):
+    compiled = {name: stiffness(*case).data for name, case in CASES.items()}
+    uncompile(monkeypatch, elasticity)
+    for name, case in CASES.items():
+        np.testing.assert_allclose(stiffness(*case).data, compiled[name], rtol=0,
+                                   atol=1e-14 * np.abs(compiled[name]).max())
+
+
+def test_importing_does_not_load_ngsolve():
+    code = ("import sys, adaptmg.discrete, adaptmg.cases, adaptmg.solver.statics, adaptmg.transfer; "
+            "sys.exit('ngsolve' in sys.modules or 'netgen' in sys.modules)")
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

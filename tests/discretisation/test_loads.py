@@ -1,0 +1,156 @@
+"""Load vectors: resultant force and moment are exact, functions of position included; supports prescribe."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_elasticity import BOTH, EACH_KIND, HEIGHT, INNER, MESHES, OUTER, PARTS, RING, STEEL, measures, two
+
+from adaptmg.discrete import fixed_dofs, load_vector
+from adaptmg.discrete.facets import area_vectors
+from adaptmg.mesh import structured
+from adaptmg.problem import BodyForce, Box, PlaneStrain, Pressure, Rectangle, Support, Traction
+
+PLATE = structured(Rectangle(width=2.0, height=1.0), (5, 3))
+BLOCK = structured(Box(width=2.0, depth=3.0, height=1.0), (3, 2, 2))
+
+
+def resultants(mesh, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Force (dim,) and virtual works (dim, dim) of the fields x_j e_i."""
+    nodal = load.reshape(-1, mesh.dim)
+    return nodal.sum(axis=0), nodal.T @ mesh.points
+
+
+@pytest.mark.parametrize(("load", "force", "moment"), [
+    (Pressure("top", 3.0), [0.0, -6.0], [[0, 0], [-6.0, -6.0]]),
+    # p = 1 + y on the left: force 3/2 in +x, moment of y: int (1 + y) y = 1/2 + 1/3
+    (Pressure("left", lambda x: 1 + x[:, 1]), [1.5, 0.0], [[0.0, 5 / 6], [0.0, 0.0]]),
+    (Traction("right", (lambda x: x[:, 1], 2.0)), [0.5, 2.0], [[1.0, 1 / 3], [4.0, 1.0]]),
+    # int x = 2, int x^2 = 8/3, int x y = 1; over 2 x 1
+    (BodyForce((lambda x: x[:, 0], -2.0)), [2.0, -4.0], [[8 / 3, 1.0], [-4.0, -2.0]]),
+    # p = x + y on the top, 2 x 3: int p = 6 + 9; int p x = 3*8/3 + 2*4.5; int p y = 2*4.5 + 2*9
+    (Pressure("top", lambda x: x[:, 0] + x[:, 1]), [0, 0, -15.0], [[0, 0, 0], [0, 0, 0], [-17.0, -27.0, -15.0]]),
+    # volume 6: int z = 3, int z x = 3, int z y = 4.5, int z^2 = 2
+    (BodyForce((0.0, lambda x: x[:, 2], 1.0)), [0.0, 3.0, 6.0], [[0, 0, 0], [3.0, 4.5, 2.0], [6.0, 9.0, 3.0]]),
+], ids=["pressure", "linear pressure", "traction", "body force", "pressure 3D", "body force 3D"])
+def test_resultants(load, force, moment):
+    mesh = PLATE if len(force) == 2 else BLOCK
+    found = resultants(mesh, load_vector(mesh, [load]))
+    np.testing.assert_allclose(found[0], force, atol=1e-13)
+    np.testing.assert_allclose(found[1], moment, atol=1e-13)
+
+
+def test_loads_add_up():
+    loads = [Pressure("top", 3.0), BodyForce((1.0, 0.0))]
+    np.testing.assert_allclose(load_vector(PLATE, loads), sum(load_vector(PLATE, [load]) for load in loads))
+    assert not load_vector(PLATE, []).any()
+    # without a material, or with a plane one, loads are Cartesian
+    loads, plane = [Pressure("top", 3e6), BodyForce((1.0, 2.0))], PlaneStrain(young=1.0, poisson=0.2)
+    np.testing.assert_array_equal(load_vector(RING, loads), load_vector(RING, loads, plane))
+    assert not np.allclose(load_vector(RING, loads), load_vector(RING, loads, STEEL))
+
+
+def test_consistent_nodal_forces():
+    # one edge of length 2 under p = x: the P1 values 2/3 and 4/3
+    mesh = structured(Rectangle(width=2.0, height=1.0), 1)
+    load = load_vector(mesh, [Pressure("bottom", lambda x: x[:, 0])]).reshape(-1, 2)
+    np.testing.assert_allclose(load[mesh.boundary_nodes("bottom"), 1], [2 / 3, 4 / 3])
+    # int 2 pi r phi_i over an edge of length L: pi L (2 r_i + r_j) / 3; on the axis itself it is not zero
+    load = load_vector(mesh, [Pressure("bottom", 1.0)], STEEL).reshape(-1, 2)
+    np.testing.assert_allclose(load[mesh.boundary_nodes("bottom"), 1], np.pi * 2 / 3 * np.array([2, 2 * 2]))
+
+
+@pytest.mark.parametrize("mesh", [PLATE, BLOCK])
+def test_uniform_pressure_all_around_is_in_equilibrium(mesh):
+    force, moment = resultants(mesh, load_vector(mesh, [Pressure(name, 7.0) for name in mesh.boundaries]))
+    np.testing.assert_allclose(force, 0.0, atol=1e-12)
+    # virtual work of x_j e_i is -p volume delta_ij
+    np.testing.assert_allclose(moment, -7.0 * mesh.volumes.sum() * np.eye(mesh.dim), atol=1e-12)
+    vectors, centres = area_vectors(mesh.points, mesh.facets), mesh.points[mesh.facets].mean(axis=1)
+    np.testing.assert_allclose(vectors.sum(axis=0), 0.0, atol=1e-13)
+    # divergence theorem with the field x / dim: outward, and of the right size
+    assert np.sum(vectors * centres) / mesh.dim == pytest.approx(mesh.volumes.sum())
+
+
+class TestAxisymmetric:
+    def test_resultants(self):
+        for load, force in ((Pressure("top", 3e6), [0.0, -3e6 * np.pi * (OUTER**2 - INNER**2)]),
+                            (Pressure("left", 3e6), [3e6 * 2 * np.pi * INNER * HEIGHT, 0.0]),
+                            (BodyForce((0.0, -7e4)), [0.0, -7e4 * measures(RING, True).sum()])):
+            found = load_vector(RING, [load], STEEL).reshape(-1, 2).sum(axis=0)
+            np.testing.assert_allclose(found, force, rtol=1e-12, atol=1e-8)
+
+    def test_linear_data_are_exact(self):
+        # virtual work on v = (r, z): centrifugal force f = k r: 2 pi k int r^3 dr dz
+        k, v = 2e5, RING.points.reshape(-1)
+        work = load_vector(RING, [BodyForce((lambda x: k * x[:, 0], 0.0))], STEEL) @ v
+        assert work == pytest.approx(2 * np.pi * k * HEIGHT * (OUTER**4 - INNER**4) / 4, rel=1e-12)
+        work = load_vector(RING, [Traction("top", (0.0, lambda x: k * x[:, 0]))], STEEL) @ v
+        assert work == pytest.approx(2 * np.pi * k * HEIGHT * (OUTER**3 - INNER**3) / 3, rel=1e-12)
+
+    @MESHES
+    def test_pressure_all_around(self, mesh):
+        # virtual work of u = (r, 0) is -p times its divergence 2; there is no axial resultant
+        load = load_vector(mesh, [Pressure(name, 5e6) for name in mesh.boundaries], STEEL).reshape(-1, 2)
+        volume = measures(mesh, True).sum()
+        assert load[:, 0] @ mesh.points[:, 0] == pytest.approx(-2 * 5e6 * volume, rel=1e-12)
+        assert abs(load[:, 1].sum()) < 1e-12 * np.abs(load[:, 1]).sum()
+
+
+@EACH_KIND
+def test_loads_on_one_body(kind):
+    mesh, materials = BOTH[kind.dim], two(kind)
+    force = (1.0, lambda x: x[:, 0], 3.0)[:kind.dim]
+    found = load_vector(mesh, [BodyForce(force, body="upper")], materials).reshape(-1, kind.dim)
+    alone = load_vector(PARTS[kind.dim]["upper"], [BodyForce(force)], materials["upper"]).reshape(-1, kind.dim)
+    lower = PARTS[kind.dim]["lower"].n_nodes
+    assert not found[:lower].any()
+    np.testing.assert_allclose(found[lower:], alone, rtol=1e-13)
+    each = [BodyForce(force, body=body) for body in mesh.bodies]
+    np.testing.assert_allclose(load_vector(mesh, each, materials), load_vector(mesh, [BodyForce(force)], materials),
+                               rtol=1e-13)
+    pressed = load_vector(mesh, [Pressure("upper.top", 2.0)]).reshape(-1, kind.dim)
+    assert pressed[lower:].any() and not pressed[:lower].any()
+
+
+class TestSupports:
+    def test_mask_and_values(self):
+        fixed, values = fixed_dofs(PLATE, [Support("left", x=1e-3), Support("bottom", y=-2e-3)])
+        left, bottom = PLATE.boundary_nodes("left"), PLATE.boundary_nodes("bottom")
+        np.testing.assert_array_equal(np.flatnonzero(fixed), np.sort(np.r_[2 * left, 2 * bottom + 1]))
+        np.testing.assert_array_equal(values[2 * left], 1e-3)
+        np.testing.assert_array_equal(values[2 * bottom + 1], -2e-3)
+        assert np.count_nonzero(values) == len(left) + len(bottom)
+        fixed, values = fixed_dofs(PLATE, [])
+        assert not fixed.any() and not values.any()
+
+    def test_supports_that_agree(self):
+        fixed, values = fixed_dofs(BLOCK, [Support("left", x=1.0, y=0.0), Support("front", y=0.0, z=2.0)])
+        corner = np.intersect1d(BLOCK.boundary_nodes("left"), BLOCK.boundary_nodes("front"))
+        np.testing.assert_array_equal(fixed.reshape(-1, 3)[corner], True)
+        np.testing.assert_array_equal(values.reshape(-1, 3)[corner], [[1.0, 0.0, 2.0]] * len(corner))
+
+
+EMPTY = replace(PLATE, boundaries=(*PLATE.boundaries, "hole"))
+
+
+@pytest.mark.parametrize(("call", "message"), [
+    (lambda: load_vector(PLATE, [Pressure("roof", 1.0)]), "'roof' does not exist; the boundaries are bottom"),
+    (lambda: load_vector(EMPTY, [Pressure("hole", 1.0)]), "'hole' has a name in the mesh but no facets"),
+    (lambda: fixed_dofs(EMPTY, [Support("hole", x=0.0)]), "'hole' has a name in the mesh but no facets"),
+    (lambda: load_vector(PLATE, [BodyForce((0.0, 0.0, 1.0))]), "3 components on a 2D mesh"),
+    (lambda: load_vector(PLATE, [Pressure("top", lambda x: np.where(x[:, 0] > 1, np.inf, 1.0))]),
+     "pressure on 'top' must be finite"),
+    (lambda: load_vector(PLATE, [BodyForce((0.0, lambda x: x))]),
+     r"component y of BodyForce: the function must return shape"),
+    (lambda: load_vector(replace(RING, points=RING.points - [0.15, 0.0]), [], STEEL), "radii x >= 0"),
+    (lambda: fixed_dofs(PLATE, [Support("left", x=0.0), Support("bottom", x=1e-3)]),
+     r"'left' and 'bottom' prescribe different x displacements, 0 and 0\.001 m, at their common node 0"),
+    (lambda: fixed_dofs(PLATE, [Support("wall", x=0.0)]), "'wall' does not exist"),
+    (lambda: fixed_dofs(PLATE, [Support("left", z=0.0)]), "2D problem"),
+])
+def test_refusals(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
