@@ -22,26 +22,17 @@ def discrete(**changes: object) -> DiscreteProblem:
 
 
 class TestContactNodes:
-    def test_defaults(self):
-        nodes = contact()
-        assert len(nodes) == 2 and nodes.dim == 2
-        np.testing.assert_array_equal(nodes.weights, 1.0)
-        np.testing.assert_array_equal(nodes.slip_reference, 0.0)
-        np.testing.assert_array_equal(nodes.boundary, 0)
-
-    def test_arrays_are_read_only_copies(self):
-        gaps = np.array([0.0, 0.1])
-        nodes = contact(gaps=gaps)
+    def test_arrays_are_read_only_copies_with_defaults(self):
+        gaps = np.array([0.0, -1e-3])
+        nodes = contact(gaps=gaps, allow_interference=True, normals=[[0.0, -1.0 - 5e-7], [0.6, -0.8]])
         gaps[0] = 5.0
-        assert nodes.gaps[0] == 0.0
-        with pytest.raises(ValueError, match="read-only"):
-            nodes.gaps[0] = 1.0
-        with pytest.raises(ValueError, match="read-only"):
-            nodes.normals[0] = 1.0
-
-    def test_normals_are_normalised(self):
-        nodes = contact(normals=[[0.0, -1.0 - 5e-7], [0.6, -0.8]])
+        assert len(nodes) == 2 and nodes.dim == 2 and nodes.gaps.tolist() == [0.0, -1e-3]
+        np.testing.assert_array_equal(nodes.weights, 1.0)
+        assert not nodes.slip_reference.any() and not nodes.boundary.any()
         np.testing.assert_allclose(np.linalg.norm(nodes.normals, axis=1), 1.0, rtol=1e-15)
+        for array in (nodes.gaps, nodes.normals):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 1.0
 
     @pytest.mark.parametrize(("changes", "error", "message"), [
         ({"nodes": [0.0, 2.0]}, TypeError, "nodes must be an array of integers"),
@@ -65,26 +56,17 @@ class TestContactNodes:
         with pytest.raises(error, match=message):
             contact(**changes)
 
-    def test_interference_on_request(self):
-        assert contact(gaps=[0.0, -1e-3], allow_interference=True).gaps[1] == -1e-3
-
 
 class TestDiscreteProblem:
-    def test_matrix_becomes_bsr(self):
-        problem = discrete()
+    def test_what_is_made_of_the_arrays(self):
+        points, own = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.ones((6, 1))
+        fixed = np.array([True, False, True, False, False, False])  # a fixed tangent is fine
+        rounding = (sparse.eye_array(6) + sparse.eye_array(6, k=1) * 1e-12).tocsr()
+        problem = discrete(matrix=rounding, fixed=fixed, fixed_values=np.arange(1.0, 7.0), coordinates=points)
         assert problem.matrix.format == "bsr" and problem.matrix.blocksize == (2, 2)
         assert (problem.n_nodes, problem.n_dofs, problem.dim) == (3, 6, 2)
-
-    def test_values_at_free_dofs_are_ignored(self):
-        fixed = np.array([False, False, True, False, False, False])
-        problem = discrete(fixed=fixed, fixed_values=np.arange(1.0, 7.0))
-        np.testing.assert_array_equal(problem.fixed_values, [0, 0, 3, 0, 0, 0])
-
-    def test_modes_from_coordinates_unless_given(self):
-        points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-        assert discrete().near_nullspace is None
-        assert discrete(coordinates=points).near_nullspace.shape == (6, 3)
-        own = np.ones((6, 1))
+        np.testing.assert_array_equal(problem.fixed_values, [1, 0, 3, 0, 0, 0])
+        assert problem.near_nullspace.shape == (6, 3) and discrete().near_nullspace is None
         np.testing.assert_array_equal(discrete(coordinates=points, near_nullspace=own).near_nullspace, own)
 
     @pytest.mark.parametrize(("changes", "error", "message"), [
@@ -121,14 +103,6 @@ class TestDiscreteProblem:
 
         with pytest.raises(ValueError, match="nodal friction must be finite and >= 0"):
             discrete(law=Negative())
-
-    def test_fixed_tangent_is_fine(self):
-        fixed = np.array([True, False, False, False, False, False])
-        assert discrete(fixed=fixed).fixed[0]
-
-    def test_rounding_asymmetry_is_fine(self):
-        matrix = (sparse.eye_array(6) + sparse.eye_array(6, k=1) * 1e-12).tocsr()
-        assert discrete(matrix=matrix).n_dofs == 6
 
 
 @pytest.mark.parametrize("dim", [2, 3])
