@@ -33,6 +33,7 @@ __all__ = [
     "bounding_box",
     "closest_on_simplex",
     "leaf_range",
+    "meet_turned",
     "morton_order",
     "nearest_simplex",
     "overlapping",
@@ -197,6 +198,64 @@ def _nearest_all(queries, points, simplices, boxes, dim, found, weights, distanc
         distances[q] = np.sqrt(squared)
 
 
+@inner_kernel
+def _box_meets_turned(boxes, node, frame, origin, low, high):
+    dim = len(origin)
+    for a in range(dim):
+        centre, radius = 0.0, 0.0
+        for c in range(dim):
+            centre += frame[a, c] * (0.5 * (boxes[node, c] + boxes[node, dim + c]) - origin[c])
+            radius += abs(frame[a, c]) * 0.5 * (boxes[node, dim + c] - boxes[node, c])
+        if centre - radius > high[a] or centre + radius < low[a]:
+            return False
+    return True
+
+
+@inner_kernel
+def _simplex_meets_turned(points, corners, frame, origin, low, high):
+    dim = len(origin)
+    for a in range(dim):
+        lowest, highest = np.inf, -np.inf
+        for v in corners:
+            value = 0.0
+            for c in range(dim):
+                value += frame[a, c] * (points[v, c] - origin[c])
+            lowest, highest = min(lowest, value), max(highest, value)
+        if lowest > high[a] or highest < low[a]:
+            return False
+    return True
+
+
+@kernel
+def meet_turned(frames, origins, low, high, boxes, points, simplices, start, fill, found):
+    """Simplices that meet turned boxes: extents ``low`` .. ``high`` (n, dim) along the rows of ``frames``.
+
+    Counts those of box s to ``start[s + 1]`` or, with ``fill``, writes their positions from ``found[start[s]]`` on.
+    """
+    n_leaves = (len(boxes) + 1) // 2
+    stack = np.empty(STACK, dtype=np.int64)
+    for s in range(len(frames)):
+        count = 0
+        stack[0], depth = 0, 1
+        while depth > 0:
+            depth -= 1
+            node = stack[depth]
+            if not _box_meets_turned(boxes, node, frames[s], origins[s], low[s], high[s]):
+                continue
+            if node < n_leaves - 1:
+                stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
+                depth += 2
+                continue
+            first, last = leaf_range(node, n_leaves, len(simplices))
+            for i in range(first, last):
+                if _simplex_meets_turned(points, simplices[i], frames[s], origins[s], low[s], high[s]):
+                    if fill:
+                        found[start[s] + count] = i
+                    count += 1
+        if not fill:
+            start[s + 1] = count
+
+
 class BoxTree:
     """Bounding boxes over simplices."""
 
@@ -218,6 +277,17 @@ class BoxTree:
         weights, distance = np.empty((n, self.simplices.shape[1])), np.empty(n)
         _nearest_all(padded(queries), self.points, self.simplices, self.boxes, self.dim, found, weights, distance)
         return self.order[found], weights, distance
+
+    def meeting(self, frames: np.ndarray, origins: np.ndarray, low: np.ndarray, high: np.ndarray
+                ) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs (turned box, simplex that meets it); see :func:`meet_turned`."""
+        start = np.zeros(len(frames) + 1, dtype=np.int64)
+        arguments = (frames, origins, low, high, self.boxes, self.points, self.simplices, start)
+        meet_turned(*arguments, False, np.empty(0, dtype=np.int64))
+        np.cumsum(start, out=start)
+        found = np.empty(start[-1], dtype=np.int64)
+        meet_turned(*arguments, True, found)
+        return np.repeat(np.arange(len(frames)), np.diff(start)), self.order[found]
 
 
 def padded(points: np.ndarray) -> np.ndarray:

@@ -37,9 +37,9 @@ from scipy import sparse
 
 from adaptmg._runtime import kernel
 from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, nothing_covered
-from adaptmg.geometry.search import STACK, BoxTree, leaf_range
+from adaptmg.geometry.search import BoxTree
 
-__all__ = ["SHORTEST", "distance_along_normal", "mortar_2d", "nearest_pieces", "search_strips"]
+__all__ = ["SHORTEST", "distance_along_normal", "mortar_2d", "nearest_pieces"]
 
 _LEAST_COVERED = 1e-3  # of a facet: less is left out
 _NEGLIGIBLE = 1e-13  # of the largest weight in a row of B
@@ -78,25 +78,15 @@ def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.nda
 
 def _candidates(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray]:
     """Slave and master edges whose bounding boxes say that a ray from the one may meet the other."""
-    tree = BoxTree(surfaces.points, surfaces.master)
-    n = surfaces.normals[surfaces.slave]
-    x = surfaces.points[surfaces.slave]
+    n, x = surfaces.normals[surfaces.slave], surfaces.points[surfaces.slave]
     mean = n.mean(axis=1)
     shortest = np.linalg.norm(mean, axis=1)[:, None, None]  # of n(s), for unit normals at the ends
     corners = np.concatenate([x - backward / shortest * n, x + forward / shortest * n], axis=1)
-    axis = np.column_stack([mean[:, 1], -mean[:, 0]]) / shortest[:, :, 0]
-    along = np.einsum("ekd,ed->ek", corners, axis)
+    frames = np.stack([np.column_stack([mean[:, 1], -mean[:, 0]]), mean], axis=1) / shortest
+    local = np.einsum("ead,ekd->eka", frames, corners - x[:, :1])
     pad = 1e-12 * surfaces.size
-    strips = np.column_stack([corners.min(axis=1) - pad, corners.max(axis=1) + pad, axis,
-                              along.min(axis=1) - pad, along.max(axis=1) + pad])
-    ends = surfaces.points[surfaces.master[tree.order]]
-    edges = np.hstack([ends.min(axis=1), ends.max(axis=1)])
-    counts = np.zeros(len(strips), dtype=np.int64)
-    search_strips(tree.boxes, edges, strips, counts, counts, np.empty(0, dtype=np.int64))
-    starts = np.cumsum(counts) - counts
-    found = np.empty(counts.sum(), dtype=np.int64)
-    search_strips(tree.boxes, edges, strips, starts, counts, found)
-    return np.repeat(np.arange(len(strips)), counts), tree.order[found]
+    return BoxTree(surfaces.points, surfaces.master).meeting(
+        frames, np.ascontiguousarray(x[:, 0]), local.min(axis=1) - pad, local.max(axis=1) + pad)
 
 
 def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.ndarray:
@@ -217,48 +207,6 @@ SHORTEST = 1e-13
 """Parts of a slave edge shorter than this fraction of it are joined to the next part."""
 
 _BESIDE = 1e-9  # how far outside a master edge, as a fraction of it, a ray may pass
-
-
-@kernel
-def _meets(boxes, node, strip):
-    """Whether a box (x, y lower, x, y upper) meets a strip (the same four, unit axis, lower and upper along it)."""
-    if (boxes[node, 0] > strip[2] or boxes[node, 1] > strip[3] or boxes[node, 2] < strip[0]
-            or boxes[node, 3] < strip[1]):
-        return False
-    middle = 0.5 * ((boxes[node, 0] + boxes[node, 2]) * strip[4] + (boxes[node, 1] + boxes[node, 3]) * strip[5])
-    half = 0.5 * ((boxes[node, 2] - boxes[node, 0]) * abs(strip[4]) + (boxes[node, 3] - boxes[node, 1]) * abs(strip[5]))
-    return middle - half <= strip[7] and middle + half >= strip[6]
-
-
-@kernel
-def search_strips(boxes, edges, strips, starts, counts, found):
-    """Master edges whose bounding boxes meet each strip.
-
-    ``boxes`` are those of a :class:`~adaptmg.geometry.search.BoxTree`, ``edges`` (n, 4) those of the edges in its
-    order. ``strips`` (n_strips, 8), see ``_meets``. Writes how many edges meet strip e to ``counts[e]`` and, unless
-    ``found`` is empty, their positions in the tree from ``found[starts[e]]`` on.
-    """
-    n_leaves = (len(boxes) + 1) // 2
-    stack = np.empty(STACK, dtype=np.int64)
-    for e in range(len(strips)):
-        counts[e] = 0
-        stack[0] = 0
-        depth = 1
-        while depth > 0:
-            depth -= 1
-            node = stack[depth]
-            if not _meets(boxes, node, strips[e]):
-                continue
-            if node < n_leaves - 1:
-                stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
-                depth += 2
-                continue
-            first, last = leaf_range(node, n_leaves, len(edges))
-            for s in range(first, last):
-                if _meets(edges, s, strips[e]):
-                    if len(found):
-                        found[starts[e] + counts[e]] = s
-                    counts[e] += 1
 
 
 @kernel

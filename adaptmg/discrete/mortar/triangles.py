@@ -40,12 +40,13 @@ from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, nothing_covered
 from adaptmg.geometry.clipping import MOMENTS, ROOM, add_visible, clip, polygon_moments, separated
-from adaptmg.geometry.search import STACK, BoxTree, leaf_range
+from adaptmg.geometry.search import BoxTree
 
-__all__ = ["common_moments", "find_opposite", "mortar_3d"]
+__all__ = ["common_moments", "mortar_3d"]
 
 _LEAST_COVERED = 1e-6  # of a facet: less is left out
 _NEGLIGIBLE = 1e-13  # of the largest entry in a row of B, and of the area around a node
+_GRAZING = 1e-2  # a master facet faces a slave facet if it leans towards its normal by more than this angle (rad)
 _STRIP = 1e-3  # S of a smaller ratio det(S) / trace(S)^2 is taken in its principal axes
 
 
@@ -140,20 +141,16 @@ def _local(surfaces: Surfaces, frames: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _candidates(surfaces: Surfaces, frames: np.ndarray, backward: float, forward: float
                 ) -> tuple[np.ndarray, np.ndarray]:
     """Master facets that may be opposite to a slave facet: where those of each begin, and their numbers."""
-    corners = surfaces.points[surfaces.master]
-    tree = BoxTree(surfaces.points, surfaces.master)
     origins, local = _local(surfaces, frames)
     low, high = local.min(axis=1), local.max(axis=1)
     low[:, 2] -= backward
     high[:, 2] += forward
-    start = np.zeros(len(frames) + 1, dtype=np.int64)
-    arguments = (frames, origins, low, high, tree.boxes, tree.order, corners,
-                 area_vectors(surfaces.points, surfaces.master), start)
-    find_opposite(*arguments, False, np.empty(0, dtype=np.int64))
-    np.cumsum(start, out=start)
-    found = np.empty(start[-1], dtype=np.int64)
-    find_opposite(*arguments, True, found)
-    return start, found
+    slave, found = BoxTree(surfaces.points, surfaces.master).meeting(frames, origins, low, high)
+    vectors = area_vectors(surfaces.points, surfaces.master)
+    leaning = np.einsum("pd,pd->p", vectors[found], frames[slave, 2])
+    facing = leaning < -_GRAZING * np.linalg.norm(vectors, axis=1)[found]
+    start = np.cumsum(np.bincount(slave[facing] + 1, minlength=len(frames) + 1))
+    return start, found[facing]
 
 
 def _clipped(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, found: np.ndarray, backward: float,
@@ -256,74 +253,11 @@ def _without_rounding(coupling: sparse.csr_array) -> sparse.csr_array:
     return coupling
 
 
-GRAZING = 1e-2
-"""A master facet faces the normal of a slave facet if it leans towards it by more than this angle (rad)."""
-
 SLIVER = 1e-14
 """Common parts smaller than this share of the slave facet are rounding."""
 
 THIN = 1e-10
 """Overlaps of master facets thinner than this share of the slave facet's size are rounding."""
-
-@kernel
-def find_opposite(frames, origins, low, high, boxes, order, corners, vectors, start, fill, found):
-    """Master facets that face a slave facet and meet the box of its local extents."""
-    n_leaves = (len(boxes) + 1) // 2
-    stack = np.empty(STACK, dtype=np.int64)
-    for s in range(len(frames)):
-        count = 0
-        stack[0], depth = 0, 1
-        while depth > 0:
-            depth -= 1
-            node = stack[depth]
-            if not _box_meets(boxes[node], frames[s], origins[s], low[s], high[s]):
-                continue
-            if node < n_leaves - 1:
-                stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
-                depth += 2
-                continue
-            first, last = leaf_range(node, n_leaves, len(order))
-            for i in range(first, last):
-                m = order[i]
-                if _faces(vectors[m], frames[s]) and _facet_meets(corners[m], frames[s], origins[s], low[s], high[s]):
-                    if fill:
-                        found[start[s] + count] = m
-                    count += 1
-        if not fill:
-            start[s + 1] = count
-
-
-@inner_kernel
-def _box_meets(box, frame, origin, low, high):
-    for a in range(3):
-        centre, radius = 0.0, 0.0
-        for c in range(3):
-            centre += frame[a, c] * (0.5 * (box[c] + box[3 + c]) - origin[c])
-            radius += abs(frame[a, c]) * 0.5 * (box[3 + c] - box[c])
-        if centre - radius > high[a] or centre + radius < low[a]:
-            return False
-    return True
-
-
-@inner_kernel
-def _facet_meets(corners, frame, origin, low, high):
-    for a in range(3):
-        lowest, highest = np.inf, -np.inf
-        for k in range(3):
-            value = _local_coordinate(corners[k], frame, origin, a)
-            lowest, highest = min(lowest, value), max(highest, value)
-        if lowest > high[a] or highest < low[a]:
-            return False
-    return True
-
-
-@inner_kernel
-def _faces(vector, frame):
-    along, square = 0.0, 0.0
-    for c in range(3):
-        along += vector[c] * frame[2, c]
-        square += vector[c] * vector[c]
-    return along < -GRAZING * np.sqrt(square)
 
 
 @kernel
