@@ -58,7 +58,7 @@ class Level:
         if self.discrete is not None:
             checks.instance("discrete", self.discrete, DiscreteProblem, "a DiscreteProblem or None")
         elif not (sparse.issparse(self.galerkin) and self.galerkin.format == "bsr"):
-            raise TypeError("galerkin must be a bsr_array where there is no discrete problem, got "
+            raise TypeError("galerkin must be a bsr_array without a discrete problem, got "
                             f"{checks.described(self.galerkin)}")
         if self.galerkin is not None:
             rows, columns = check_arrays.sparse_matrix("galerkin", self.galerkin).shape

@@ -119,7 +119,7 @@ class ContactNodes:
                              f"names and masters none may be it, got {self.names} and {self.masters}")
 
     def check_nodes(self, n_nodes: int) -> None:
-        """ValueError unless there are so many nodes that each of these is one."""
+        """ValueError unless all nodes are below ``n_nodes``."""
         if self.nodes.max() >= n_nodes:
             raise ValueError(f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes")
 

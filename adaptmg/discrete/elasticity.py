@@ -94,7 +94,7 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     _check_numbers(mesh)
     dim = mesh.dim
     indptr, indices = _pattern(mesh.elements, mesh.n_nodes)
-    # not np.zeros: of that the operating system maps small pages, one by one as they are written, several times slower
+    # not np.zeros: its pages are mapped one by one while they are written, several times slower
     data = np.full((len(indices), dim, dim), 0.0)
     arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
     if is_axisymmetric(materials):
@@ -158,7 +158,7 @@ def _elements_of_nodes(elements, start, listed):
 def count_neighbours(elements, start, listed, marker, indptr):
     """Row pointers of the pattern: nodes that share an element, each node with itself.
 
-    ``start`` (n_nodes + 1,) comes as 0, ``listed`` (elements.size,) as it is; both are filled for the next kernel.
+    ``start`` (n_nodes + 1,) comes as 0; ``listed`` (elements.size,) and it are filled for the next kernel.
     ``marker`` (n_nodes,) comes as -1.
     """
     _elements_of_nodes(elements, start, listed)

@@ -71,15 +71,15 @@ def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarra
     alike = facing_part(rows[held]) @ fixed.astype(float)
     slips = fixed[nodes[held]] & (alike <= NEGLIGIBLE)
     places = held[slips.any(axis=1)]
-    mine = rows[places]
-    wanted = np.bincount(mine.indices[np.abs(mine.data) > 0], minlength=rows.shape[1])
-    able = (wanted == 1) & ~fixed.any(axis=1) & (np.diff(sparse.csr_array(weights).indptr) == 0)
+    facing = rows[places]
+    n_facing = np.bincount(facing.indices[np.abs(facing.data) > 0], minlength=rows.shape[1])
+    eligible = (n_facing == 1) & ~fixed.any(axis=1) & (np.diff(sparse.csr_array(weights).indptr) == 0)
     carriers = np.full(len(places), -1)
     for i in range(len(places)):
-        columns, values = (part[mine.indptr[i]:mine.indptr[i + 1]] for part in (mine.indices, mine.data))
-        good = able[columns] & (values > _WEIGHT)
-        if good.any():
-            carriers[i] = columns[np.argmax(np.where(good, values, 0.0))]
+        columns, values = (part[facing.indptr[i]:facing.indptr[i + 1]] for part in (facing.indices, facing.data))
+        possible = eligible[columns] & (values > _WEIGHT)
+        if possible.any():
+            carriers[i] = columns[np.argmax(np.where(possible, values, 0.0))]
     found = carriers >= 0
     return places[found], carriers[found], places[~found]
 

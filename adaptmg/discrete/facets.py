@@ -56,13 +56,13 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[Support]) -> tuple[np.ndarra
         for d, value in enumerate(support.components(mesh.dim)):
             if value is None:
                 continue
-            wanted = checks.field(f"{'xyz'[d]} of the support on {support.boundary!r}", value, mesh.points[nodes])
-            clash = fixed[nodes, d] & (values[nodes, d] != wanted)
+            prescribed = checks.field(f"{'xyz'[d]} of the support on {support.boundary!r}", value, mesh.points[nodes])
+            clash = fixed[nodes, d] & (values[nodes, d] != prescribed)
             if clash.any():
-                node, here = int(nodes[np.argmax(clash)]), wanted[np.argmax(clash)]
+                node, here = int(nodes[np.argmax(clash)]), prescribed[np.argmax(clash)]
                 other = supports[origin[node, d]].boundary
                 raise ValueError(f"supports on {other!r} and {support.boundary!r} prescribe different {'xyz'[d]} "
                                  f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
                                  f"{tuple(mesh.points[node].tolist())}: give both the same value or free one")
-            fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, wanted, k
+            fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, prescribed, k
     return fixed.reshape(-1), values.reshape(-1)

@@ -52,15 +52,15 @@ class LoadSteps:
         result = np.zeros(self.n_dofs)
         owner = np.full(self.n_dofs, -1)
         for k, (name, (dofs, values)) in enumerate(self.prescribed.items()):
-            wanted = factors.get(name, 1.0) * values
-            clash = (owner[dofs] >= 0) & ~np.isclose(result[dofs], wanted, rtol=1e-12, atol=0.0)
+            scaled = factors.get(name, 1.0) * values
+            clash = (owner[dofs] >= 0) & ~np.isclose(result[dofs], scaled, rtol=1e-12, atol=0.0)
             if clash.any():
                 dof = int(dofs[np.argmax(clash)])
                 other = list(self.prescribed)[owner[dof]]
                 raise ValueError(f"the factors of {other!r} and {name!r} prescribe different displacements, "
-                                 f"{result[dof]:g} and {wanted[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
+                                 f"{result[dof]:g} and {scaled[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
                                  "give both the same factors")
-            result[dofs], owner[dofs] = wanted, k
+            result[dofs], owner[dofs] = scaled, k
         return result
 
 

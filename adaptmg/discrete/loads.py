@@ -79,7 +79,7 @@ def load_density(load: BodyForce | Pressure | Traction, points: np.ndarray, norm
 
 
 def body_elements(mesh: MeshArrays, body: str) -> np.ndarray:
-    """Ascending element numbers of a body; ValueError if there is no such body."""
+    """Ascending element numbers of a body; ValueError if it does not exist."""
     if body not in mesh.bodies:
         raise ValueError(f"body {body!r} does not exist; the bodies are {', '.join(mesh.bodies)}")
     return np.flatnonzero(mesh.element_body == mesh.bodies.index(body))
@@ -122,9 +122,9 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[
 
 
 def _check_components(mesh: MeshArrays, load: InitialStrain) -> None:
-    given = len(load.components)
-    if given not in (mesh.dim, 3):
-        raise ValueError(f"{load!r} has {given} components on a {mesh.dim}D mesh: "
+    n = len(load.components)
+    if n not in (mesh.dim, 3):
+        raise ValueError(f"{load!r} has {n} components on a {mesh.dim}D mesh: "
                          + ("give 3" if mesh.dim == 3 else "give 2, or 3 with the one out of the plane"))
 
 

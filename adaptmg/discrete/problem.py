@@ -16,7 +16,6 @@ import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -92,7 +91,7 @@ class DiscreteProblem(Unknowns):
     exchange: Exchange | None = None
 
     @classmethod
-    def assembled(cls, **parts: Any) -> DiscreteProblem:
+    def assembled(cls, **parts: object) -> DiscreteProblem:
         """From the package's own assembly, which is not searched for what a user's matrix may have wrong.
 
         The matrix, symmetric in dim x dim blocks with sorted columns, is stored without a copy; ``near_nullspace`` may

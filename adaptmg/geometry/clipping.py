@@ -1,4 +1,4 @@
-r"""Intersection of simplices and the moments of shape functions over it (kernels, 2D and 3D alike).
+r"""Intersections of simplices in barycentric coordinates and of convex polygons in a plane, with moments (kernels).
 
 A fine element is cut by the d + 1 half-spaces :math:`\mu_m \ge 0` of a coarse one (:math:`\mu` its barycentric
 coordinates) by bisecting edges: while a piece has a corner a with :math:`\mu_m > 0` and one b with
@@ -9,21 +9,13 @@ volume of a piece
 .. math:: \int \lambda_i \lambda_j = \frac{V}{(d+1)(d+2)} \Big(\sum_v \lambda_i(v)\lambda_j(v)
           + \sum_v \lambda_i(v) \sum_v \lambda_j(v)\Big)
 
-is exact. No topological case is told apart, and a sliver only makes a piece of small volume.
+is exact. There are no topological cases, and a sliver only makes a piece of small volume.
 
-Convex polygons in a plane: intersection, difference and moments (kernels).
-
-A polygon is an array (room, 2) of which the first n rows are its corners, counter-clockwise; repeated corners and
-polygons without area are allowed. Half-planes are taken off one by one (Sutherland and Hodgman 1974,
-doi:10.1145/360767.360802); the point where an edge crosses a line is computed only between corners strictly on
-different sides, so that coincident edges need no tolerance: at worst they leave a sliver.
-
-Moments are kept as area A, centroid c and covariance
-
-.. math:: S = \frac1A \int (x - c)(x - c)^T
-
-so that those of a small polygon far from the origin lose no digits. They are merged from triangles, whose negative
-areas (rounding) count as zero: centroids stay inside, covariances positive.
+A polygon is an array (room, 2) of which the first n rows are its corners, counter-clockwise. Half-planes are taken off
+one by one (Sutherland and Hodgman 1974, doi:10.1145/360767.360802); the point where an edge crosses a line is computed
+only between corners strictly on different sides, so that coincident edges need no tolerance. Moments are area A,
+centroid c and covariance :math:`S = \frac1A \int (x - c)(x - c)^T`, so that those of a small polygon far from the
+origin lose no digits; they are merged from triangles, whose negative areas (rounding) count as zero.
 """
 
 from __future__ import annotations
@@ -137,7 +129,7 @@ def _side(polygon, i, ax, ay, bx, by):
 def keep_left(polygon, n, ax, ay, bx, by, out):
     """Write the part of a polygon to the left of the line from a to b to ``out``; returns its number of corners.
 
-    Corners beyond the room of ``out`` are dropped: only rounding makes so many, on an edge along the line.
+    Corners beyond the room of ``out`` are dropped: only rounding makes more, on an edge along the line.
     """
     kept, room = 0, len(out)
     if n == 0:

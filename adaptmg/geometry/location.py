@@ -1,7 +1,5 @@
 r"""Point location: which element holds a point, with which barycentric weights, and how far outside it lies.
 
-Kernels of point location: barycentric weights, and the search that climbs the box tree.
-
 The weights of :math:`x` in an element with corners :math:`x_0 \dots x_d` are
 :math:`\lambda_m = G_m\cdot(x - x_0)`, m = 1 .. d, and :math:`\lambda_0 = 1 - \sum_m \lambda_m`, where :math:`G_m` is
 the gradient of the shape function of corner m. ``maps`` holds :math:`x_0, G_1, \dots, G_d` of each element.
@@ -20,30 +18,19 @@ __all__ = ["INSIDE", "Location", "SimplexLocator", "affine_maps", "locate"]
 
 @dataclass(frozen=True, eq=False)
 class Location:
-    """Where points lie in a mesh.
+    """Where points lie in a mesh."""
 
-    Attributes
-    ----------
-    element : (n,) int32 array
-        Element that holds the point, or the nearest one.
-    weights : (n, dim + 1) array
-        Barycentric weights at the corners of that element, of the point or, for one outside, of the closest point of
-        the mesh; >= 0, sums 1.
-    distance : (n,) array
-        0 inside, else the distance from the mesh, m.
-    """
-
-    element: np.ndarray
+    element: np.ndarray  # (n,) int32: the element that holds the point, or the nearest one
+    #: (n, dim + 1), >= 0, sums 1: barycentric weights in that element, of the point or the closest one of the mesh
     weights: np.ndarray
-    distance: np.ndarray
+    distance: np.ndarray  # (n,): 0 inside, else the distance from the mesh, m
 
 
 class SimplexLocator:
-    """Finds points in a mesh of simplices; build once, then ask as often as you like.
+    """Finds points in a mesh of simplices.
 
-    Every point is found. The cost of a point is nearly the same for any number of elements and any grading, see
-    :mod:`adaptmg.geometry.search`. A point on a node or an edge belongs to one of the elements there: its
-    interpolation weights do not depend on which.
+    Every point is found. A point on a node or an edge belongs to one of the elements there: its interpolation weights
+    do not depend on which.
     """
 
     def __init__(self, points: np.ndarray, elements: np.ndarray, chosen: np.ndarray | None = None) -> None:

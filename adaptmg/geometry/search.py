@@ -1,24 +1,15 @@
-r"""A tree of bounding boxes over simplices: which contain a point, which is the nearest, which overlap a box.
+r"""A tree of bounding boxes over simplices: which is the nearest to a point, which meet a box.
 
 The simplices are laid along a Morton curve and cut into 2^m leaves of equal count; node i of the complete binary tree
 has the children 2 i + 1 and 2 i + 2 and the box of all simplices below it. Leaves hold the same number of simplices
 whatever their sizes, so graded meshes cost what uniform ones do (a grid of cells does not have this). Queries are
 taken along a Morton curve too and climb from the leaf where the last one ended, so that the cost of a query hardly
-depends on the number of simplices.
+depends on the number of simplices. For Morton codes a coordinate is cut into 2^31 (2D) or 2^21 (3D) steps over the
+bounding box, and the bits of the components are interleaved.
 
-Morton (Z-curve) codes: an order of points in which neighbours in the list are mostly neighbours in space.
-
-A coordinate is cut into 2^31 (2D) or 2^21 (3D) steps over the bounding box, and the bits of the components are
-interleaved. The order adapts itself to graded meshes: it needs no cell size.
-
-Closest point of a segment, triangle or tetrahedron, as barycentric weights (kernels).
-
-The weights are >= 0 and sum to 1; the closest point is their combination of the corners. The triangle goes through
-its Voronoi regions (Ericson, Real-Time Collision Detection, 2005, section 5.1.5); the tetrahedron is the closest of
-its four faces (callers test for points inside before).
-
-All kernels read corners from ``points`` (n, 3) (2D is padded with z = 0), write the weights and return the squared
-distance, m^2.
+Closest points are found on segments, triangles (by their Voronoi regions: Ericson, Real-Time Collision Detection, 2005,
+section 5.1.5) and tetrahedra (the closest of the four faces: callers test for points inside before). Kernels read
+corners from ``points`` (n, 3) (2D is padded with z = 0).
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Transfers between meshes, nested or not: point location, prolongations, transport of contact data.
-
-Loads no ngsolve.
-"""
+"""Transfers between meshes, nested or not: point location, prolongations, transport of contact data."""
 
 from adaptmg.geometry.location import Location
 from adaptmg.transfer.constraints import (

@@ -1,7 +1,7 @@
 r"""Prolongations between two levels of a contact problem: rows of contact nodes, and relative coordinates of bodies.
 
 On curved or non-nested contact boundaries a fine contact node lies inside or outside the coarse mesh, and a
-prolongation between the volumes gives it weights of inner coarse nodes, on which there is no contact condition. Here it
+prolongation between the volumes gives it weights of inner coarse nodes, without contact conditions. Here it
 is projected onto the nearest coarse contact facet and takes the weights there:
 
 .. math:: P_{ik} \ge 0, \qquad \sum_k P_{ik} = 1, \qquad k \text{ coarse contact nodes only},

@@ -8,7 +8,6 @@ aggregation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -143,7 +142,7 @@ def _with_diagonal_blocks(indptr: np.ndarray, indices: np.ndarray, data: np.ndar
 
 def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weights: sparse.csr_array, columns: int, *,
              left: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Blocks (indptr, indices, data) times weights, or (``left``) weights times blocks; with so many columns."""
+    """Blocks (indptr, indices, data) times weights, or (``left``) weights times blocks; n ``columns``."""
     # one kind of index arrays, whether a hierarchy holds them or not
     factors = [tuple(map(read_only, blocks[:2])), (read_only(weights.indptr), read_only(weights.indices))]
     values = [blocks[2], weights.data]
@@ -172,7 +171,7 @@ def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: spars
     return bool((np.abs(difference) <= tolerance * (abs(coarse) @ np.abs(probe).reshape(-1))).all())
 
 
-def _prolongation(name: str, value: Any) -> sparse.csr_array:
+def _prolongation(name: str, value: object) -> sparse.csr_array:
     """One of a user's prolongations as csr, its indices and the size of its weights checked."""
     # a copy: duplicates are summed in place
     P = sparse.csr_array(check_arrays.sparse_matrix(name, value), dtype=np.float64, copy=True)
@@ -183,7 +182,7 @@ def _prolongation(name: str, value: Any) -> sparse.csr_array:
     return P
 
 
-def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[Any]
+def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[sparse.csr_array]
                   ) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
     """Check prolongations against a matrix and form the Galerkin matrices."""
     listed = checks.listed("prolongations", prolongations, "scipy sparse matrices, coarse to fine")

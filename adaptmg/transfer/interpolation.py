@@ -13,7 +13,7 @@ squares) that restores the sum and the first moments :math:`m` the row had befor
           G = \sum_j q_j q_j^T ,
 
 where :math:`h_i` is a size of the mesh: a single coarse node that is left may equal the fine node up to rounding, and
-its distance is no scale.
+its distance is not a scale.
 """
 
 from __future__ import annotations

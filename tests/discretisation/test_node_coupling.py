@@ -76,7 +76,7 @@ def test_excluded_nodes_have_no_row():
 def test_tolerance():
     points, slave, master, normals, _ = lines(np.linspace(0, 1, 5), 0.1)
     points[7:9, 0] += 0.02
-    with pytest.raises(ValueError, match=r"slave node 2 \(0\.5, 0\.1\) has no partner: .* lies 0\.02 m beside its "
+    with pytest.raises(ValueError, match=r"slave node 2 \(0\.5, 0\.1\) has no partner: .* lies 0\.02 m off its "
                                          r"normal, 0\.0025 m are allowed \(2 such nodes of 5\)"):
         node_to_node(points, slave, master, normals)
 
@@ -87,7 +87,7 @@ def test_refusals(monkeypatch):
         node_to_node(points, slave, master[:, ::-1], normals)
     with pytest.raises(ValueError, match=r"slave node 0 .* has no partner"):
         node_to_node(points, slave, master[1:], normals)
-    monkeypatch.setattr(pairs, "_BESIDE", 4.0)
+    monkeypatch.setattr(pairs, "_OFFSET", 4.0)
     with pytest.raises(ValueError, match=r"slave nodes 0 .* and 1 .* have the same partner 8"):
         node_to_node(points, slave, master[3:], normals, excluded=(2, 3, 4))
 
@@ -100,7 +100,7 @@ def test_a_facet_that_faces_away_is_named():
 
 
 def test_a_node_on_the_axis(monkeypatch):
-    monkeypatch.setattr(pairs, "_BESIDE", 1.0)
+    monkeypatch.setattr(pairs, "_OFFSET", 1.0)
     points = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0], [0.0, 1.1], [0.0, -0.1], [1.0, -0.1]])
     slave, master = np.array([[0, 1], [1, 2]]), np.array([[5, 4], [4, 3]])
     normals = surface_normals(points, slave)

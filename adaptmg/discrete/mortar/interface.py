@@ -102,7 +102,7 @@ def cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def nothing_covered(covered: np.ndarray, reach: float | None, facet: str) -> str:
-    """Why no slave facet is kept, in words; ``covered`` is how much of each has the master opposite."""
+    """Why no slave facet is kept, as text; ``covered`` is how much of each has the master opposite."""
     if covered.any():
         return (f"the surfaces face each other only where slave nodes are excluded, or on a sliver of each {facet}; "
                 "take the other surface as slave")

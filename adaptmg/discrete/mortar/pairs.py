@@ -36,7 +36,7 @@ __all__ = ["node_to_node", "pair_interface"]
 
 _ROUNDING = 1e-12  # of the bodies' size
 _LEAST_COVERED = 0.25  # of the part of a slave node
-_BESIDE = 1e-2  # of the shortest edge at a slave node: how far beside its normal its partner may lie
+_OFFSET = 1e-2  # of the shortest edge at a slave node: how far off its normal its partner may lie
 
 
 def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, excluded: np.ndarray,
@@ -117,8 +117,8 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     partner = surfaces.master_nodes[cKDTree(points[surfaces.master_nodes]).query(points[nodes])[1]]
     apart, normal = points[partner] - points[nodes], normals[nodes]
     gaps = np.einsum("nd,nd->n", apart, normal)
-    beside = np.linalg.norm(apart - gaps[:, None] * normal, axis=1)
-    _check_partners(surfaces, nodes, partner, beside, _BESIDE * _shortest_edges(surfaces)[nodes])
+    offset = np.linalg.norm(apart - gaps[:, None] * normal, axis=1)
+    _check_partners(surfaces, nodes, partner, offset, _OFFSET * _shortest_edges(surfaces)[nodes])
     weights = _lumped(surfaces)[nodes]
     if not weights.min() > 0:
         raise ValueError(f"slave node {nodes[int(np.argmin(weights))]} has no area: its facets lie on the axis of "
@@ -128,7 +128,7 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     return MortarInterface(nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling, closest=gaps)
 
 
-def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, beside: np.ndarray,
+def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, offset: np.ndarray,
                     allowed: np.ndarray) -> None:
     points = surfaces.points
     vectors = np.zeros(points.shape)
@@ -138,11 +138,11 @@ def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, 
     if not facing.any():
         raise ValueError(f"{NEVER_FACING}: the normals of slave nodes and of their partners point the same way. Check "
                          "the orientation of the facets")
-    missing = np.flatnonzero((beside > allowed) | ~facing)
+    missing = np.flatnonzero((offset > allowed) | ~facing)
     if len(missing):
         i = missing[0]
         raise ValueError(f"slave node {nodes[i]} {tuple(points[nodes[i]].tolist())} has no partner: the nearest master "
-                         f"node {partner[i]} {tuple(points[partner[i]].tolist())} lies {beside[i]:.3g} m beside its "
+                         f"node {partner[i]} {tuple(points[partner[i]].tolist())} lies {offset[i]:.3g} m off its "
                          f"normal, {allowed[i]:.3g} m are allowed{'' if facing[i] else ', and faces the same way'} "
                          f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes or a mortar coupling")
     order = np.argsort(partner, kind="stable")

@@ -105,7 +105,7 @@ def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.n
     r"""Where on slave edges the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times n(s) = 0`.
 
     Of the two roots of this quadratic equation the one where q falls: there the node is before the centre of
-    curvature. If there is none, 1 where q > 0 and 0 where q < 0: the node is beside all of the edge.
+    curvature. If there is none, 1 where q > 0 and 0 where q < 0: the node is next to all of the edge.
     """
     x, n = surfaces.points[slave], surfaces.normals[slave]
     e, turn, r = x[:, 1] - x[:, 0], n[:, 1] - n[:, 0], x[:, 0] - surfaces.points[node]

@@ -223,7 +223,7 @@ def _dual_moments(surfaces: Surfaces, parts: _Parts, shape: np.ndarray, towards:
     at, s = moments[:, 1:3], moments[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
     value, slope = _barycentric(other[..., :2], at)
     base, base_slope = _barycentric(own[..., :2], at)
-    # the gap as a fourth function beside the master's shape functions
+    # the gap as a fourth function next to the master's shape functions
     gap = np.sum(value * other[..., 2], axis=1) - np.sum(base * own[..., 2], axis=1)
     gap_slope = np.sum(slope * other[..., 2:], axis=1) - np.sum(base_slope * own[..., 2:], axis=1)
     value = np.column_stack([value, gap])
