@@ -19,6 +19,15 @@ def problem():
     return am.cases.greco_bar()
 
 
+class Nearest:
+    """Values of the nearest coarse node, of whatever body."""
+
+    def build(self, coarse, fine):
+        near = np.argmin(np.linalg.norm(fine.points[:, None] - coarse.points, axis=2), axis=1)
+        return sparse.csr_array((np.ones(fine.n_nodes), (np.arange(fine.n_nodes), near)),
+                                shape=(fine.n_nodes, coarse.n_nodes))
+
+
 def affine(points):
     return 1.0 + points @ np.arange(2, 2 + points.shape[1])
 
@@ -34,6 +43,11 @@ def test_prolongations_reproduce_affine_fields(problem, make):
     for coarse, fine in zip(grids.levels[:-1], grids.levels[1:], strict=True):
         assert fine.prolongation @ affine(coarse.mesh.points) == pytest.approx(affine(fine.mesh.points), rel=1e-10)
         assert fine.mesh_ratio >= 1
+        if "bisected" in grids.origin:
+            n = coarse.mesh.n_nodes
+            assert np.array_equal(fine.mesh.points[:n], coarse.mesh.points)
+            assert abs(fine.prolongation[:n] - sparse.eye_array(n)).max() < 1e-12
+            assert len(fine.discrete.contact) > 1.5 * len(coarse.discrete.contact)
 
 
 def test_paper_grids(problem):
@@ -44,27 +58,14 @@ def test_paper_grids(problem):
     assert "GRECO" in text
     assert f"{grids.operator_complexity:.3f}" in text
     assert grids.grid_complexity == pytest.approx((25 + 81 + 289 + 1089) / 1089)
-
-
-def test_bisected_levels_are_nested(problem):
-    grids = am.Hierarchy.bisected(problem, am.mesh.structured(problem.domain, 4), levels=2)
-    assert len(grids) == 3
-    for coarse, fine in zip(grids.levels[:-1], grids.levels[1:], strict=True):
-        n = coarse.mesh.n_nodes
-        assert np.array_equal(fine.mesh.points[:n], coarse.mesh.points)
-        assert abs(fine.prolongation[:n] - sparse.eye_array(n)).max() < 1e-12
-    assert len(grids.finest.discrete.contact) > 2 * len(grids[0].discrete.contact)
+    part = grids.truncated(coarsest=1, finest=2)
+    assert [row["nodes"] for row in part.table()] == [81, 289]
+    assert part[0].prolongation is None
+    with pytest.raises(ValueError, match="coarsest and finest"):
+        grids.truncated(coarsest=2, finest=1)
 
 
 def test_contact_rows_stay_on_the_contact_boundary(problem):
-    class Nearest:
-        """Takes the nearest coarse node."""
-
-        def build(self, coarse, fine):
-            node = np.argmin(np.linalg.norm(fine.points[:, None] - coarse.points, axis=2), axis=1)
-            return sparse.csr_array((np.ones(len(node)), (np.arange(len(node)), node)),
-                                    shape=(fine.n_nodes, coarse.n_nodes))
-
     sizes = (20e-3, 8e-3)
     grids = am.Hierarchy.graded(problem, sizes=sizes, transfer=Nearest())
     contact = grids[1].discrete.contact.nodes
@@ -76,69 +77,39 @@ def test_contact_rows_stay_on_the_contact_boundary(problem):
     assert (np.diff(untouched[1].prolongation.indptr) == 1).all()
 
 
-def test_truncated(problem):
-    grids = am.Hierarchy.uniform(problem, divisions=(2, 4, 8))
-    part = grids.truncated(coarsest=1)
-    assert [row["nodes"] for row in part.table()] == [25, 81]
-    assert part[0].prolongation is None
-    assert len(grids.truncated(finest=1)) == 2
-    with pytest.raises(ValueError, match="coarsest and finest"):
-        grids.truncated(coarsest=2, finest=1)
+RENAMED = replace(COARSE, boundaries=("south", "east", "north", "west"), source=None)
+BLOCKS = [am.mesh.structured(am.Box(width=1, depth=1, height=1), n) for n in (2, 4)]
 
 
-def test_refusals(problem):
-    with pytest.raises(ValueError, match="coarse to fine"):
-        am.Hierarchy.uniform(problem, divisions=(8, 4))
-    with pytest.raises(ValueError, match="no meshes"):
-        am.Hierarchy.uniform(problem, divisions=())
-    with pytest.raises(ValueError, match="domain is None"):
-        am.Hierarchy.uniform(am.ContactProblem(material=problem.material, contact=problem.contact, law=problem.law),
-                             divisions=(2, 4))
-    with pytest.raises(ValueError, match=r"contact_ratio"):
-        am.Hierarchy.graded(problem, sizes=(20e-3, 10e-3), contact_ratio=np.nan)
-    with pytest.raises(TypeError, match="transfer must be a transfer, which offers build"):
-        am.Hierarchy.graded(problem, sizes=(20e-3, 10e-3), transfer="interpolation")
-    with pytest.raises(ValueError, match="levels is empty"):
-        am.Hierarchy(())
-
-    class Wrong:
-        def __init__(self, matrix):
-            self.matrix = matrix
-
-        def build(self, coarse, fine):
-            return self.matrix
-
-    with pytest.raises(ValueError, match="must return a matrix of shape"):
-        am.Hierarchy.graded(problem, sizes=(20e-3, 10e-3), transfer=Wrong(sparse.eye_array(3)))
-    with pytest.raises(ValueError, match="prolongation must have shape"):
-        levels = am.Hierarchy.uniform(problem, divisions=(2, 4)).levels
-        am.Hierarchy((levels[0], am.Level(levels[1].discrete, levels[1].mesh, sparse.eye_array(3, format="csr"))))
-
-
-def test_wrong_names_and_dimensions_are_refused(problem):
-    mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 4)
-    renamed = am.MeshArrays(points=mesh.points, elements=mesh.elements, facets=mesh.facets,
-                            facet_labels=mesh.facet_labels, boundaries=("south", "east", "north", "west"))
-    with pytest.raises(ValueError, match=r"'bottom', used for contact, does not exist"):
-        am.Hierarchy.from_meshes(problem, [renamed, am.mesh.structured(am.Rectangle(width=1, height=1), 8)])
-    block = am.mesh.structured(am.Box(width=1, depth=1, height=1), 2)
-    with pytest.raises(ValueError, match="3D"):
-        am.Hierarchy.from_meshes(problem, [block, am.mesh.structured(am.Box(width=1, depth=1, height=1), 4)])
-
-
-class Nearest:
-    """Values of the nearest coarse node, of whatever body."""
-
+class Wrong:
     def build(self, coarse, fine):
-        near = np.argmin(np.linalg.norm(fine.points[:, None] - coarse.points, axis=2), axis=1)
-        return sparse.csr_array((np.ones(fine.n_nodes), (np.arange(fine.n_nodes), near)),
-                                shape=(fine.n_nodes, coarse.n_nodes))
+        return sparse.eye_array(3)
 
 
-def test_a_transfer_that_mixes_bodies_is_refused():
+def _with_a_wrong_prolongation(problem):
+    first, second = am.Hierarchy.uniform(problem, divisions=(2, 4)).levels
+    return am.Hierarchy((first, am.Level(second.discrete, second.mesh, sparse.eye_array(3, format="csr"))))
+
+
+@pytest.mark.parametrize(("call", "error", "message"), [
+    (lambda p: am.Hierarchy.uniform(p, divisions=(8, 4)), ValueError, "coarse to fine"),
+    (lambda p: am.Hierarchy.uniform(p, divisions=()), ValueError, "no meshes"),
+    (lambda p: am.Hierarchy.uniform(replace(p, domain=None), divisions=(2, 4)), ValueError, "domain is None"),
+    (lambda p: am.Hierarchy.graded(p, (20e-3, 10e-3), contact_ratio=np.nan), ValueError, "contact_ratio"),
+    (lambda p: am.Hierarchy.graded(p, (20e-3, 10e-3), transfer="interpolation"), TypeError,
+     "transfer must be a transfer, which offers build"),
+    (lambda p: am.Hierarchy(()), ValueError, "levels is empty"),
+    (lambda p: am.Hierarchy.graded(p, (20e-3, 10e-3), transfer=Wrong()), ValueError, "must return a matrix of shape"),
+    (_with_a_wrong_prolongation, ValueError, "prolongation must have shape"),
+    (lambda p: am.Hierarchy.from_meshes(p, RENAMED), ValueError, "'bottom', used for contact, does not exist"),
+    (lambda p: am.Hierarchy.from_meshes(p, BLOCKS), ValueError, "3D"),
     # bodies that touch have nodes at the same places
-    with pytest.raises(ValueError, match=r"lets node \d+ of body '\w+' follow body '\w+': build the rows of each body"):
-        am.Hierarchy.graded(am.cases.dovetail(), sizes=(10e-3, 6e-3), contact_ratio=2, transfer=Nearest())
+    (lambda p: am.Hierarchy.graded(am.cases.dovetail(), (10e-3, 6e-3), contact_ratio=2, transfer=Nearest()), ValueError,
+     r"lets node \d+ of body '\w+' follow body '\w+': build the rows of each body"),
+])
+def test_refusals(problem, call, error, message):
+    with pytest.raises(error, match=message):
+        call(problem)
 
 
 @pytest.mark.parametrize("make", [
@@ -184,14 +155,10 @@ def test_nothing_is_made_that_nobody_asked_for(problem, monkeypatch):
     monkeypatch.undo()
     assert grids.finest.mesh.source is grids.finest.mesh.source and grids.finest.mesh.source.nv == 81
     assert grids.finest.discrete.near_nullspace is grids.finest.discrete.near_nullspace
+    back = pickle.loads(pickle.dumps(am.Hierarchy.uniform(problem, divisions=(2, 4, 8))))
+    np.testing.assert_array_equal(back.finest.discrete.near_nullspace, grids.finest.discrete.near_nullspace)
     assert grids.finest.discrete.near_nullspace.shape == (162, 3) and grids[1].mesh_ratio == pytest.approx(2)
-
-
-def test_levels_nobody_asked_can_be_pickled(problem):
-    grids = am.Hierarchy.uniform(problem, divisions=(2, 4))
-    back = pickle.loads(pickle.dumps(grids))
     assert back[1].mesh_ratio == pytest.approx(2)
-    np.testing.assert_array_equal(back[1].discrete.near_nullspace, grids[1].discrete.near_nullspace)
 
 
 @pytest.mark.parametrize("make", [
