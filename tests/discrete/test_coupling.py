@@ -65,27 +65,6 @@ class TestTransformation:
                                    np.linalg.inv(np.eye(len(T) // dim) - coupling.weights.toarray()),
                                    atol=1e-12 * np.abs(coupling.upward).max() ** 2)
 
-    @pytest.mark.parametrize("dim", [2, 3])
-    def test_two_powers_in_a_chain_of_three(self, dim):
-        # 0 follows 1 and 2 evenly, 1 follows 3 and 4, by a quarter and three quarters
-        weights = sparse.csr_array(([0.5, 0.5, 0.25, 0.75], ([0, 0, 1, 1], [1, 2, 3, 4])), shape=(5, 5))
-        fixed = np.zeros(5 * dim, dtype=bool)
-        fixed[dim] = True  # the first component of node 1 follows nothing
-        u = np.zeros((5, dim))
-        u[2:] = np.arange(3 * dim).reshape(3, dim) ** 2
-        expected = u.copy()
-        expected[1, 1:] = 0.25 * u[3, 1:] + 0.75 * u[4, 1:]
-        expected[0] = 0.5 * expected[1] + 0.5 * u[2]
-        coupling = Coupling(weights, fixed)
-        np.testing.assert_allclose(coupling.physical(u.ravel()).reshape(5, dim), expected)
-        np.testing.assert_allclose(coupling.relative(expected.ravel()).reshape(5, dim), u, atol=1e-13)
-
-    def test_without_followers_nothing_changes(self):
-        coupling = Coupling(sparse.csr_array((3, 3)), np.zeros(6, dtype=bool))
-        w = np.arange(6.0)
-        np.testing.assert_array_equal(coupling.physical(w), w)
-        np.testing.assert_array_equal(coupling.physical_forces(w), w)
-
     @given(seed=SEEDS, links=st.integers(1, 3), dim=st.sampled_from([2, 3]))
     @settings(max_examples=30, deadline=None)
     def test_transformed(self, seed, links, dim):
@@ -103,13 +82,6 @@ class TestTransformation:
         indices = [tuple(pair) for pair in zip(np.repeat(np.arange(n // dim), np.diff(result.indptr)), result.indices,
                                                strict=True)]
         assert len(set(indices)) == len(indices)
-
-    def test_a_matrix_without_duplicates_in_another_format(self):
-        coupling, _ = made(3)
-        A = sparse.eye_array(len(coupling.fixed), format="csr")
-        T = dense(coupling)
-        blocks = sparse.bsr_array(A, blocksize=(2, 2))
-        np.testing.assert_allclose(coupling.transformed(blocks).toarray(), T.T @ T, atol=1e-10 * np.abs(T.T @ T).max())
 
     @given(seed=SEEDS)
     @settings(max_examples=30, deadline=None)
@@ -129,17 +101,13 @@ class TestTransformation:
 
 
 class TestRefusals:
-    def test_circles(self):
-        weights = sparse.csr_array((np.ones(3), ([0, 1, 2], [1, 2, 0])), shape=(4, 4))
+    @pytest.mark.parametrize(("weights", "fixed"), [
+        (sparse.csr_array((np.ones(3), ([0, 1, 2], [1, 2, 0])), shape=(4, 4)), np.zeros(8, dtype=bool)),
+        (sparse.csr_array(np.diag([1.0, 0, 0])), np.zeros(6, dtype=bool)),
+        (sparse.csr_array((np.ones(2), ([0, 1], [1, 0])), shape=(2, 2)), np.ones(4, dtype=bool))])
+    def test_circles(self, weights, fixed):
         with pytest.raises(ValueError, match=r"circle.*exchange slave and master"):
-            Coupling(weights, np.zeros(8, dtype=bool))
-        with pytest.raises(ValueError, match="circle"):
-            Coupling(sparse.csr_array(np.diag([1.0, 0, 0])), np.zeros(6, dtype=bool))
-
-    def test_a_circle_of_fixed_components_is_a_circle(self):
-        weights = sparse.csr_array((np.ones(2), ([0, 1], [1, 0])), shape=(2, 2))
-        with pytest.raises(ValueError, match="circle"):
-            Coupling(weights, np.ones(4, dtype=bool))
+            Coupling(weights, fixed)
 
 
 class TestDiscreteProblem:
