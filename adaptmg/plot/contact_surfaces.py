@@ -1,17 +1,9 @@
-r"""contact: pressure, friction, gap and slip along contact lines; pressure, friction, gap and state on surfaces.
+r"""contact: pressure, friction, gap and slip along contact lines; maps of them and of the states on surfaces.
 
-A contact surface in three dimensions made flat: seen along its normal, or unrolled where it goes around an axis.
-
-A surface is unrolled where its mean normal is short and its normals all lie in one plane: their common perpendicular
-is the axis, and the circle :math:`x = c + r n` fitted to the points across it in least squares gives its centre. The
-coordinates are then angle and length along the axis. Other surfaces are seen along their mean normal; one without any
-(a whole sphere) from above.
-
-Contact nodes of a boundary in two dimensions in order along the line, with a coordinate to draw them against.
-
-A contact surface in three dimensions, made flat: maps of pressure, traction or gap, and the states of the nodes.
-
-Axes for several contact boundaries, each in panels of its own; and what the boundaries are called.
+Lines are drawn against x or y where they are straight, else against the arc length. A surface is seen along its mean
+normal, or unrolled where that is short and the normals lie in one plane: their common perpendicular is the axis, and
+the circle :math:`x = c + r n` fitted to the points across it in least squares gives its centre; the coordinates are
+angle and length along the axis.
 """
 
 from __future__ import annotations
@@ -36,14 +28,13 @@ from adaptmg.plot.style import (
     axis_names,
     new_figure,
     plain,
+    polylines,
     quoted,
     scaled,
     shade,
-    state_colormap,
     state_lines,
     stated_curve,
     styled,
-    walks,
 )
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.contact_result import ContactResult
@@ -56,23 +47,17 @@ __all__ = ["Flat", "Line", "blocks", "cells", "chosen_boundaries", "contact", "d
 def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: object = None) -> Figure:
     r"""Draw pressure, friction, gap and slip on contact boundaries, between two bodies on the slave surface of a pair.
 
-    In 2D, against x or y where the boundary is straight, else against arc length: contact pressure p, MPa; tangential
-    traction t on the body, MPa, within the band :math:`\pm \mu p` (Tresca: plus or minus the limit) that friction
-    allows; gap and slip, micrometres (mm from 0.1 mm on). Curves and backgrounds have the colours of the states. In 3D:
-    maps of pressure, size of the traction and gap, seen along the normal, or unrolled where the surface goes around an
-    axis, and the states.
+    In 2D: contact pressure p, MPa; tangential traction t on the body, MPa, within the band :math:`\pm \mu p` (Tresca:
+    plus or minus the limit) that friction allows; gap and slip, micrometres (mm from 0.1 mm on). Curves and backgrounds
+    have the colours of the states. In 3D: maps of pressure, size of the traction and gap, and the states.
 
     Parameters
     ----------
     result : Result
     axes : sequence of matplotlib Axes, optional
-        To draw one contact boundary into: three in 2D, four in 3D.
+        Axes for one contact boundary: three in 2D, four in 3D.
     boundary : str, Contact or ContactPair, optional
         The contact boundary, of a pair the slave; default all of them.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Notes
     -----
@@ -85,7 +70,7 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     if axes is not None:
         if len(names) != 1:
             raise ValueError(f"axes takes one contact boundary, the result has {len(names)}: choose with boundary=...")
-        panels = [axes_of(axes, 4 if solid else 3, "axes")]
+        panels = [axes_of(axes, 4 if solid else 3)]
     elif solid:
         panels = [cells(part, 4, 2) for part in blocks(len(names), (9.0, 7.0), columns=1)]
     else:
@@ -178,13 +163,12 @@ class Flat:
 
 
 def flattened(result: Result, boundary: str) -> Flat:
-    """The contact nodes of a boundary in the plane."""
+    """Return the contact nodes of a boundary in the plane."""
     c = result.contact
     index = np.flatnonzero(c.boundary == c.names.index(boundary))
     x, normals = c.x[index], c.normal[index]
     if not np.isfinite(x).all():
-        raise ValueError("this result has no coordinates to draw a contact surface in: give the DiscreteProblem its "
-                         "coordinates")
+        raise ValueError("this result has no coordinates: give the DiscreteProblem its coordinates")
     triangles = _triangles(result, boundary, index)
     if np.linalg.norm(normals.mean(axis=0)) < _AROUND and len(index) >= 6:
         _, strength, axes = np.linalg.svd(normals, full_matrices=False)
@@ -258,7 +242,7 @@ class Line:
 
 
 def lines_of(result: Result, boundary: str) -> list[Line]:
-    """The connected stretches of a contact boundary, drawn against x or y where straight, else against arc length."""
+    """Return the connected stretches of a contact boundary."""
     index = np.flatnonzero(result.contact.boundary == result.contact.names.index(boundary))
     x = result.contact.x[index]
     if not np.isfinite(x).all():
@@ -289,16 +273,16 @@ def _stretches(result: Result, boundary: str, index: np.ndarray, factor: float
     points, place = result.mesh.points, np.full(result.mesh.n_nodes, -1)
     place[result.contact.node[index]] = index
     stretches, begin = [], 0.0
-    found = walks(result.mesh.boundary_facets(boundary))
-    for walk in found:
-        steps = np.linalg.norm(np.diff(points[walk], axis=0), axis=1)
+    lines = polylines(result.mesh.boundary_facets(boundary))
+    for line in lines:
+        steps = np.linalg.norm(np.diff(points[line], axis=0), axis=1)
         position = begin + np.concatenate([[0.0], np.cumsum(steps)])
         begin = position[-1]
-        covered = np.flatnonzero(place[walk] >= 0)
+        covered = np.flatnonzero(place[line] >= 0)
         for run in np.split(covered, np.flatnonzero(np.diff(covered) > 1) + 1):
             if len(run):
-                stretches.append((place[walk[run]], factor * position[run]))
-    x0, y0 = factor * points[found[0][0]]
+                stretches.append((place[line[run]], factor * position[run]))
+    x0, y0 = factor * points[lines[0][0]]
     return stretches, f"arc length from ({x0:.4g}, {y0:.4g})"
 
 
@@ -320,12 +304,10 @@ def draw_map(ax: Axes, flat: Flat, values: np.ndarray, label: str, norm: Normali
 
 def draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
     """Draw the nodes in the colours of their states, over the triangles; the legend counts them."""
-    colors, norm = state_colormap()
     if flat.triangles is not None:
         ax.triplot(Triangulation(*flat.points.T, flat.triangles), color="#c9ced5", linewidth=0.4, zorder=1)
     size = float(np.clip(4000 / len(states), 1.5, 40.0))
-    ax.scatter(*flat.points.T, c=states.astype(float), s=size, cmap=colors, norm=norm, zorder=2, edgecolors=INK,
-               linewidths=0.2)
+    ax.scatter(*flat.points.T, c=[STATE_INKS[int(s)] for s in states], s=size, zorder=2, edgecolors=INK, linewidths=0.2)
     counts = np.bincount(states.astype(int), minlength=3)
     ax.legend(handles=[Patch(color=STATE_INKS[s], label=f"{STATE_NAMES[s]} ({counts[int(s)]})")
                        for s in (OPEN, SLIP, STICK)],

@@ -1,4 +1,4 @@
-"""load_history: what a sequence of load steps did - quantities against the load, contact pressure step by step."""
+"""load_history: quantities of a sequence of load steps against the load, and the contact pressure of each step."""
 
 from __future__ import annotations
 
@@ -32,20 +32,15 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     results : sequence of Result
         One a step, in order; all on the same mesh.
     factors : sequence of float
-        Of the steps; they may rise and fall (an arrow shows the way). Any other abscissa will do, say displacements.
+        One a step, rising or falling (arrows show the order); any other abscissa is possible, e.g. displacements.
     quantities : mapping of str to callable
         Label of the axis, with its unit, to a function of a Result that returns a number; one panel each.
     against : str
-        What ``factors`` are, with their unit.
+        The label of ``factors``, with their unit.
     pair : str or ContactPair, optional
         The slave boundary of the pair whose pressure is drawn; by default a row of pictures for each pair.
     steps : int
-        Steps drawn at most a pair, spread evenly, first and last among them; 0 for none. In 2D the pressure is drawn
-        against the same as by :func:`contact`, coloured by state; in 3D as maps on the slave surface.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+        The largest number of steps drawn for each pair, evenly spaced from the first to the last; 0 for none.
 
     Examples
     --------
