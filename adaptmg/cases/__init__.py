@@ -76,6 +76,6 @@ def get(name: str) -> Case:
     0.3
     """
     if name not in CASES:
-        raise ValueError(f"no case {name!r}{checks.suggestion(str(name), CASES)}; the cases are "
+        raise ValueError(f"there is no case {name!r}{checks.suggestion(str(name), CASES)}; the cases are "
                          f"{', '.join(CASES)}")
     return CASES[name]

@@ -1,9 +1,8 @@
 """The report of a parameter study: the number of runs, pictures of the results, all runs, those that failed.
 
 A numeric result is drawn against the parameter that varies most, one line for each value of another parameter. Where
-several runs share a point (repeats, or parameters that are neither on the axis nor a line), the line is their median
-and a band spans the least and the largest, or the middle half where there are many. Where no two runs share a value of
-any parameter (a random design of several parameters), the runs are points without a line.
+several runs share a point, the line is their median and a band spans the least and the largest, or the middle half
+where there are many. Where no two runs share a value of any parameter (a random design), they are points.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from adaptmg.plot.style import CYCLE, plain, styled
 
 __all__ = ["Axis", "axes_of_study", "caption", "curves", "numbers", "study_report"]
 
-#: names of the columns of a study that are neither parameters nor results, and the status that is drawn
+#: columns of a study that are neither parameters nor results, and the status of runs that are drawn
 _STATUS, _ERROR, _DONE = "status", "error", "done"
 #: columns of the table that describes the results of all runs
 _SPREAD = ["result", "runs", "least", "lower quarter", "median", "upper quarter", "largest"]
-#: at most: characters of a text in a table, lines in a picture, marked points in a line, names along an axis
+#: the largest number of characters of a text in a table, lines in a picture, marks in a line, names along an axis
 _LETTERS, _LINES, _MARKED, _NAMES = 300, 7, 60, 40
 #: with this number of runs at a point the band is their middle half, not the least and the largest
 _MANY = 10
@@ -47,13 +46,12 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     Parameters
     ----------
     table : pandas.DataFrame
-        A row for each run, as :meth:`adaptmg.Study.run` returns it. A column ``status`` is counted, and only runs that
-        are 'done' are drawn; a column ``error`` is shown for the others alone.
+        A row for each run, as :meth:`adaptmg.Study.run` returns it. Only runs with the ``status`` 'done' are drawn; a
+        column ``error`` is shown for the others.
     path : path
         The HTML file; it appears complete or not at all.
     parameters : sequence of str
-        Columns that were varied. The pictures have the numeric one with most values along their axis, and a line for
-        each value of another one.
+        Columns that were varied.
     results : sequence of str, optional
         Columns to draw, a picture each; default: the first two numeric columns that vary and are not parameters.
     title, summary : str
@@ -61,19 +59,13 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     units, formats : mapping of column to str, optional
         See :func:`adaptmg.study.as_text`.
     hidden : sequence of str
-        Columns that are neither drawn nor shown (they may be in the CSV file).
+        Columns that are neither drawn nor shown.
     csv : str
         Name of a CSV file of the table next to the report, for a link.
     made : mapping of str to str, optional
-        More to say of how the runs were made: machine, commit, seeds.
-
-    Returns
-    -------
-    pathlib.Path
-        Where it is.
+        Facts on the origin of the runs: machine, commit, seeds.
     """
-    if not isinstance(table, pd.DataFrame):
-        raise TypeError(f"table must be a pandas DataFrame, got {type(table).__name__}")
+    checks.instance("table", table, pd.DataFrame, "a pandas DataFrame")
     parameters, hidden = _columns("parameters", parameters, table), _columns("hidden", hidden, table)
     units, formats = {"seconds": "s"} | dict(units or {}), dict(formats or {})
     done = table[table[_STATUS] == _DONE] if _STATUS in table else table
@@ -161,9 +153,9 @@ def numbers(column: pd.Series) -> pd.Series | None:
 
 
 def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:
-    """Return the axis: of the parameters that vary the numeric one with most values; None if none varies.
+    """Return the axis, the numeric parameter with most values; None if none varies.
 
-    One that is different in every run (a seed) is taken only where all are.
+    A parameter that is different in every run (a seed) is chosen only where all are.
     """
     counts = {name: _keys(table[name]).nunique() for name in parameters}
     varied = [name for name in parameters if counts[name] > 1]
@@ -243,12 +235,12 @@ def _scale(ax: Axes, name: str, values: pd.Series) -> None:
 
 
 def _name(value: str) -> str:
-    """A value as a name in the drawing, cut to the room there is."""
+    """A value as a short name in the drawing."""
     return plain(value if len(value) <= 24 else f"{value[:22]} …")
 
 
 def _keys(column: pd.Series) -> pd.Series:
-    """Values as texts, floats in few digits where that keeps them apart."""
+    """Values as texts, floats in few digits where these differ."""
     texts = column.map(lambda value: f"{value:g}" if isinstance(value, float) else str(value)).astype(object)
     if types.is_numeric_dtype(column) and texts.nunique() < column.nunique():
         texts = column.map(repr).astype(object)

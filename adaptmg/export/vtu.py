@@ -17,9 +17,11 @@ contact boundary: not all readers know the strings of VTK. Control characters in
 from __future__ import annotations
 
 import os
+import stat
 import struct
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -81,8 +83,10 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
             raise ValueError(f"path must be a .pvd file or a folder, got {os.fspath(path)!r}")
         folder_is_new = not target.exists()
         target = target / f"{target.name}.pvd"
-    elif target.is_dir():
-        raise IsADirectoryError(f"path must be a .pvd file, but {str(target)!r} is a folder")
+    with suppress(FileNotFoundError):
+        # a circle of links raises here
+        if stat.S_ISDIR(target.stat().st_mode):
+            raise IsADirectoryError(f"path must be a .pvd file, but {str(target)!r} is a folder")
     names = [f"{target.stem}_{k:04d}.vtu" for k in range(len(results))]
     if folder_is_new:
         target.parent.mkdir()

@@ -1,9 +1,8 @@
-"""The benchmark cases: reference values, closed forms, and the tables of the paper kept as data."""
+"""The benchmark cases: reference values, closed forms, and the tables of the paper in data/."""
 
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,15 +72,12 @@ def test_every_case_discretises_and_stands(name):
 def test_registry():
     assert "greco_bar" in cases.names() and set(cases.names()) == set(cases.CASES)
     assert all(case.description and "\n" not in case.description for case in cases.CASES.values())
-    with pytest.raises(ValueError, match=r"no case 'greko_bar' \(did you mean 'greco_bar'\?\); the cases are"):
+    with pytest.raises(ValueError, match=r"there is no case 'greko_bar' \(did you mean 'greco_bar'\?\); the cases are"):
         cases.get("greko_bar")
-    with pytest.raises(ValueError, match="no case 'zzz'; the cases are greco_bar"):
-        cases.get("zzz")
 
 
 class TestGrecoBar:
-    @pytest.mark.parametrize("diagonal", ["right", "left", "alternating"])
-    @pytest.mark.parametrize("divisions", [2, 8])
+    @pytest.mark.parametrize(("divisions", "diagonal"), [(2, "left"), (8, "right"), (8, "alternating")])
     def test_frictionless_is_a_patch_test(self, divisions, diagonal):
         problem = cases.greco_bar(law=Frictionless())
         mesh = structured(problem.domain, divisions, diagonal)
@@ -115,16 +111,6 @@ class TestGrecoBar:
                         {"young": 2.1e11}):
             assert not cases.greco_bar(**changes).reference
 
-    def test_refuses(self):
-        with pytest.raises(ValueError, match="size must be > 0"):
-            cases.greco_bar(size=0.0)
-        with pytest.raises(ValueError, match="side_pressure must be finite"):
-            cases.greco_bar(side_pressure=float("nan"))
-        with pytest.raises(ValueError, match="poisson must"):
-            cases.greco_bar(poisson=0.5)
-        with pytest.raises(TypeError, match="law must be"):
-            cases.greco_bar(law=1.0)
-
 
 class TestCurvedObstacle:
     def test_17_of_33_nodes_touch(self):
@@ -140,8 +126,6 @@ class TestCurvedObstacle:
         gaps = discretise(problem, structured(problem.domain, 4)).contact.gaps
         np.testing.assert_allclose(gaps, (40e-3 - np.linspace(0, 40e-3, 5))**2 / 4, atol=1e-18)
         assert not problem.reference
-        with pytest.raises(ValueError, match="radius must be > 0"):
-            cases.curved_obstacle(radius=-1.0)
 
 
 def test_upset_block():
@@ -164,12 +148,6 @@ class TestGrecoBlock:
     def test_free_back(self):
         problem = cases.greco_block(plane_strain=False)
         assert [s.boundary for s in problem.supports] == ["right", "front"] and not problem.reference
-        with pytest.raises(TypeError, match="plane_strain must be True or False"):
-            cases.greco_block(plane_strain="no")
-        with pytest.raises(ValueError, match="depth must be > 0"):
-            cases.greco_block(depth=0)
-
-    def test_reference_points_lie_in_the_middle(self):
         assert cases.greco_block(depth=0.02).reference["points"]["B"] == (1.25e-3, 0.01, 0.0)
 
 
@@ -194,7 +172,3 @@ class TestPaper:
         speedup = pd.read_csv(PAPER / "table1_methods.csv", comment="#")
         np.testing.assert_allclose(speedup["speedup"], 43200 / speedup["seconds"], rtol=1e-3)
         assert list(pd.read_csv(PAPER / "table2_smoothing.csv", comment="#")["iterations"]) == [12, 8, 8, 10]
-
-
-def test_cases_are_pure_data():
-    assert replace(cases.greco_bar(), name="other").name == "other"

