@@ -12,7 +12,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg.plot.contact_surfaces import cells, chosen_boundaries, described, draw_map, flattened, keep_open, lines_of
+from adaptmg.plot.contact_surfaces import cells, chosen_boundaries, draw_map, flattened, keep_open, lines_of, pair_name
 from adaptmg.plot.style import BLUE, label_text, new_figure, number, plain, state_lines, stated_curve, styled
 from adaptmg.solver.result import Result
 
@@ -66,7 +66,7 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     for name in names:
         chosen = [(results[k], f"{against} {number(factors[k])}") for k in shown]
         part = next(parts)
-        part.suptitle(described(results[0].contact, name), fontsize=10)
+        part.suptitle(pair_name(results[0].contact, name), fontsize=10)
         (_draw_lines if results[0].dim == 2 else _draw_maps)(part, chosen, name, columns)
     figure.suptitle(plain(results[-1].problem_name), fontsize=11)
     return figure
@@ -133,7 +133,7 @@ def _draw_maps(part: SubFigure, steps: list[tuple[Result, str]], name: str, colu
     pressures = [1e-6 * result.contact.pressure[flat.index] for result, _ in steps]
     norm = Normalize(0.0, max(max(float(p.max()) for p in pressures), np.finfo(float).tiny))
     for k, (ax, (_, title), pressure) in enumerate(zip(axes, steps, pressures, strict=True)):
-        draw_map(ax, flat, pressure, "", norm, bar=False)
+        draw_map(ax, flat, pressure, norm)
         ax.set_title(title, fontsize=9)
         if k % columns:
             ax.set_ylabel("")
