@@ -42,8 +42,7 @@ def along(result: am.Result, name: str) -> tuple[np.ndarray, np.ndarray]:
     return -c.x[mine, 1], c.state[mine]
 
 
-@pytest.mark.parametrize("angle", [42.0, 50.0, 89.0])
-@pytest.mark.parametrize("clearance", [0.0, 30e-6])
+@pytest.mark.parametrize(("angle", "clearance"), [(42.0, 0.0), (50.0, 30e-6), (89.0, 30e-6)])
 def test_flank_and_floor_lie_at_the_clearance(angle, clearance):
     parts = dovetail(angle=angle, clearance=clearance).domain.parts
     tongue, block = np.array(parts["tongue"].vertices), np.array(parts["block"].vertices)
@@ -52,11 +51,8 @@ def test_flank_and_floor_lie_at_the_clearance(angle, clearance):
     assert (tongue[2:4] - tongue[3]) @ normal == pytest.approx(0.0, abs=1e-15)
     assert (block[3:5] - tongue[3]) @ normal == pytest.approx(clearance, abs=1e-15)
     assert tongue[0, 1] - block[5, 1] == pytest.approx(clearance, abs=1e-15)
-
-
-def test_gaps_are_the_clearance():
-    contact = grids_of(dovetail(clearance=30e-6), SIZES[:1]).finest.discrete.contact
-    assert contact.gaps == pytest.approx(30e-6, rel=1e-9)
+    contact = grids_of(dovetail(angle=angle, clearance=clearance), SIZES[:1]).finest.discrete.contact
+    assert contact.gaps == pytest.approx(clearance, rel=1e-9, abs=1e-15)
 
 
 def test_only_the_default_case_has_reference_values():
@@ -81,14 +77,6 @@ def test_contact_carries_the_pull_and_supports_the_clamp(result):
         assert np.abs(slave.force + master.force).max() <= 1e-12 * PULL
         # where the gap is closed both also act along the same line
         assert abs(slave.moment + master.moment) <= 1e-12 * PULL
-
-
-def test_the_solution_satisfies_the_contact_conditions(result):
-    c = result.contact
-    size, force = np.abs(c.u_n).max(), c.force_n.max()
-    assert c.gap.min() >= -1e-9 * size and c.force_n.min() >= 0
-    assert np.abs(c.force_n * c.gap).max() <= 1e-9 * force * size
-    assert (np.abs(c.force_t[:, 0]) <= 0.2 * c.force_n * (1 + 1e-9) + 1e-9 * force).all()
 
 
 def test_pushed_in_the_floor_carries_too():
@@ -121,12 +109,6 @@ def test_lift_and_zones_converge_to_the_reference(grids, result):
         h = depth[k + 1] - depth[k]
         assert depth[k] - h <= end <= depth[k + 1] + h
     assert (along(result, "tongue.bottom")[1] == am.OPEN).all()
-
-
-def test_without_gaps_the_answer_is_proportional_to_the_loads(grids, result):
-    half = am.Hierarchy.from_meshes(dovetail(pull=50e6, clamp=60e6), [level.mesh for level in grids.levels])
-    halved = am.solve(half, am.FullMultigrid(rtol=1e-10))
-    assert 2 * halved.displacement == pytest.approx(result.displacement, abs=1e-8 * np.abs(result.displacement).max())
 
 
 def test_a_clearance_lifts_by_itself_over_the_cosine():
