@@ -10,15 +10,11 @@ problems of the mathematical theory of elasticity, 1953, section 32)
    \sigma_{xx} + \sigma_{yy} &= 4\,\mathrm{Re}\,\varphi',\qquad
    \sigma_{yy} - \sigma_{xx} + 2 i\,\sigma_{xy} = 2 (\bar z \varphi'' + \psi')
 
-equilibrium holds for any a, b. The four conditions
-
-.. math:: u_y = 0,\ \sigma_{xy} + s f \sigma_{yy} = 0 \text{ on } x > 0;\qquad
-   \sigma_{yy} = \sigma_{xy} = 0 \text{ or } u_x = u_y = 0 \text{ on } x < 0
-
-are linear in a and b and have a solution, the null vector of their matrix, if
-:math:`\lambda = 3/2 \pm \arctan(f \beta)/\pi,\ \beta = (1 - 2\nu) / (2 (1 - \nu))`: with slip away from the transition
-or towards it. A rigid shift along the plane, or uniform compression and shear at the limit of friction, is added so
-that all states are admissible.
+equilibrium holds for any a, b. The conditions :math:`u_y = 0,\ \sigma_{xy} + s f \sigma_{yy} = 0` on x > 0 and
+:math:`\sigma_{yy} = \sigma_{xy} = 0` or :math:`u_x = u_y = 0` on x < 0 are linear in a and b and have a solution, the
+null vector of their matrix, if :math:`\lambda = 3/2 \pm \arctan(f \beta)/\pi,\ \beta = (1 - 2\nu) / (2 (1 - \nu))`,
+with slip away from the transition or towards it. A rigid shift along the plane, or uniform compression and shear at the
+limit of friction, is added so that all states are admissible.
 """
 
 from __future__ import annotations
@@ -42,7 +38,7 @@ __all__ = ["DisplacementComponent", "TractionComponent", "TransitionField", "cou
 
 def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign: str = "+",  # noqa: B008
                        pressure: float = 1e8, young: float = 1.3e11, poisson: float = 0.2) -> ContactProblem:
-    """A transition of contact states with its exact solution.
+    """A transition of contact states with its exact solution; plane strain.
 
     Parameters
     ----------

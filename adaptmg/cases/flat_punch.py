@@ -101,18 +101,8 @@ def flat_punch_meshes(problem: ContactProblem, *, finest: float = 1 / 200, level
                       grading: float = 0.08) -> list[MeshArrays]:
     """Independent meshes, coarse to fine, graded towards the edge of the punch.
 
-    Parameters
-    ----------
-    problem : ContactProblem
-        :func:`flat_punch`.
-    finest : float
-        Edge length at the punch's edge over the half-width on the finest mesh, above 0 and at most 0.5.
-    levels : int
-        Number of meshes, >= 1.
-    factor : float
-        By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
-    grading : float
-        Growth of the edge length per distance from the edge on the finest mesh.
+    ``finest`` is the edge length at the edge of the punch over its half-width on the finest mesh, at most 0.5,
+    ``grading`` its growth per distance. From mesh to mesh all edge lengths fall by ``factor``, above 1 and at most 3.
     """
     finest = checks.positive("finest", finest)
     if not finest <= 0.5:

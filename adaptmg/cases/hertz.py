@@ -192,11 +192,9 @@ def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.
     young, poisson : float
         Of both bodies, Pa, and a number.
 
-    Returns
-    -------
-    ContactProblem
-        As of :func:`hertz_cylinder`, ``closed_form`` being a :class:`PointContact`; ``reference`` also holds
-        ``approach`` (m).
+    Notes
+    -----
+    ``reference`` is that of :func:`hertz_cylinder` with a :class:`PointContact`, and ``approach`` (m).
     """
     checks.choice("dim", dim, (2, 3))
     radius, lower_radius = _radii(radius, lower_radius)
@@ -294,18 +292,10 @@ def line_contact_meshes(problem: ContactProblem, *, finest: float | None = None,
 
 
 def pressure_fit(x: np.ndarray, pressure: np.ndarray, half_width: float, share: float = 0.8) -> tuple[float, float]:
-    r"""Return half-width (m) and peak (Pa) of the Hertzian pressure that fits nodal pressures best.
+    r"""Return half-width (m) and peak (Pa) of the Hertzian pressure that fits nodal pressures (n,), Pa, best.
 
-    :math:`p^2 = p_0^2 - (p_0/a)^2 x^2` is a least-squares line in :math:`x^2` through the nodes away from the edge.
-
-    Parameters
-    ----------
-    x, pressure : (n,) arrays
-        Distances from the middle, m, and pressures, Pa.
-    half_width : float
-        The expected a, m.
-    share : float
-        Nodes within this share of ``half_width`` count.
+    :math:`p^2 = p_0^2 - (p_0/a)^2 x^2` is a least-squares line in :math:`x^2` through the nodes at distances ``x``
+    (n,), m, from the middle within a ``share`` of the expected ``half_width``.
     """
     x, pressure = np.asarray(x, dtype=np.float64), np.asarray(pressure, dtype=np.float64)
     inside = np.abs(x) < share * half_width

@@ -54,16 +54,11 @@ def petsc(problem: Hierarchy | DiscreteProblem, directory: str | os.PathLike[str
         A new or empty folder in one that exists, or one that this function wrote before, which is replaced. It appears
         complete or not at all.
 
-    Returns
-    -------
-    pathlib.Path
-        The manifest.
-
     Notes
     -----
-    Unknown ``dim * node + component``. A u - b is zero except at fixed dofs and at contact nodes, where u.n <= g0,
-    p = -r.n >= 0, p (g0 - u.n) = 0, |f_t| <= s + friction p. For several bodies the unknowns at contact nodes are
-    relative to the other body, and ``coupling`` gives displacements.
+    The path of the manifest is returned. Unknowns are ``dim * node + component``. A u - b is zero except at fixed dofs
+    and at contact nodes, where u.n <= g0, p = -r.n >= 0, p (g0 - u.n) = 0, |f_t| <= s + friction p. For several bodies
+    the unknowns at contact nodes are relative to the other body, and ``coupling`` gives displacements.
     """
     if isinstance(problem, DiscreteProblem):
         problem = Hierarchy.single(problem)

@@ -1,7 +1,7 @@
-"""Reports: one self-contained HTML page of sections, tables and pictures, and the page of a parameter study.
+"""Reports: one self-contained HTML page of sections, tables and pictures.
 
-:class:`Report` collects what a page shows; ``report.html.j2`` and ``report.css`` say how it looks. Texts are escaped by
-jinja2; :func:`one_line` removes what HTML cannot hold or what changes the direction of writing.
+:class:`Report` collects the parts of a page; ``report.html.j2`` and ``report.css`` are its layout. jinja2 escapes all
+texts.
 """
 
 from __future__ import annotations
@@ -276,12 +276,6 @@ class Report:
     max_open : int
         The largest number of open tables, those of the first screen included: those with ``open=True``, then the first
         of each section without.
-
-    Examples
-    --------
-    >>> page = Report("Smoothing")
-    >>> page.section("Sweeps", "Two sweeps a cycle are best.")
-    >>> page.table(pd.DataFrame({"sweeps": [1, 2]}), caption="Table 2. GRECO bar, rtol 1e-8.")
     """
 
     def __init__(self, title: str, summary: str = "", *, terms: str = "", max_open: int = 15) -> None:
@@ -327,21 +321,11 @@ class Report:
 
     def table(self, table: pd.DataFrame, caption: str, note: str = "", *, units: Mapping[str, str] | None = None,
               formats: Mapping[str, str] | None = None, open: bool | None = None, csv: str = "") -> None:
-        """Add a table.
+        """Add a table without its index, a caption above and a note below.
 
-        Parameters
-        ----------
-        table : pandas.DataFrame
-            Its index is not shown.
-        caption, note : str
-            Above the table, and below it.
-        units, formats : mapping of column to str
-            See :func:`adaptmg.study.as_text`. A column named as an identifier is written as words, with the unit that
-            it ends in: 'total_s' as 'total [s]'.
-        open : bool, optional
-            Whether it stands open; default: the first table of a section does.
-        csv : str
-            Name of a CSV file of it next to the page, for a link.
+        For ``units`` and ``formats`` by column see :func:`adaptmg.study.as_text`; a column named as an identifier is
+        written as words with a unit, 'total_s' as 'total [s]'. ``open``: whether it stands open; by default the first
+        table of a section does. ``csv`` names a CSV file of the table next to the page, for a link.
         """
         if open is not None:
             checks.flag("open", open)

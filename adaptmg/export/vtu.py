@@ -57,16 +57,10 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     results : sequence of Result
         With meshes, one a step.
     path : path
-        The ``.pvd`` file, or a folder for a ``.pvd`` file of its name; its parent exists. The steps lie next to it:
-        ``run_0000.vtu``, ... for ``run.pvd``. It is removed before its steps are replaced and written last, so that
-        all it lists is there.
+        The ``.pvd`` file, which is returned, or a folder for one of its name; its parent exists. The steps lie next to
+        it (``run_0000.vtu``, ...). It is written last, so that all it lists is there.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ...
-
-    Returns
-    -------
-    pathlib.Path
-        The ``.pvd`` file.
     """
     results = list(results)
     if not results:

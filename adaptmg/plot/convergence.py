@@ -108,12 +108,7 @@ class _Stop:
 def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
     """Draw the cycle diagram, level against step (as Fig. 1 of the paper): smoothing, coarse solves and transfers.
 
-    Parameters
-    ----------
-    result : Result
-    ax : matplotlib Axes, optional
-    steps : int
-        The largest number of points, from the start; the picture says how many are left out.
+    At most ``steps`` points are drawn, from the start; the picture says how many there are.
     """
     checks.integer("steps", steps, 2)
     stops = _stops(checks.instance("result", result, Result).path)

@@ -78,11 +78,6 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
         Direction of view in 3D, degrees; default (22, -58).
     ax : matplotlib Axes, optional
         In 3D with ``projection="3d"``.
-
-    Raises
-    ------
-    ValueError
-        Without a mesh, without materials for the stress, for an empty window or unknown bodies.
     """
     if checks.instance("result", result, Result).mesh is None:
         raise ValueError("this result has no mesh to draw (it comes from a bare DiscreteProblem)")

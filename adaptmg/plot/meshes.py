@@ -42,15 +42,9 @@ __all__ = ["adaptation", "grids", "mesh"]
 
 @styled
 def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = ()) -> Figure:
-    """Draw a mesh; several bodies in different colours.
+    """Draw a mesh, several bodies in different colours, with the boundaries ``contact`` marked.
 
-    Parameters
-    ----------
-    drawn : MeshArrays
-    ax : matplotlib Axes, optional
-        In 3D with ``projection="3d"``.
-    contact : sequence of str
-        Boundaries to mark.
+    In 3D ``ax`` is made with ``projection="3d"``.
     """
     checks.instance("drawn", drawn, MeshArrays, "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or "
                     "adaptmg.mesh.read.as_mesh)")
@@ -64,17 +58,7 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
 def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     """Draw the grids of a hierarchy side by side, coarsest first, with their numbers of nodes.
 
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-        Made of meshes.
-    axes : sequence of matplotlib Axes, optional
-        One a level; in 3D with ``projection="3d"``.
-
-    Raises
-    ------
-    ValueError
-        If a level has no mesh.
+    ``axes`` holds one for each level, in 3D with ``projection="3d"``. ValueError if a level has no mesh.
     """
     levels = checks.instance("hierarchy", hierarchy, Hierarchy).levels
     without = [k for k, level in enumerate(levels) if level.mesh is None]
@@ -132,16 +116,9 @@ _DECADES = 4
 def adaptation(steps: Sequence[Step]) -> Figure:
     """Draw an adaptive loop: three of its meshes with contact states, a map of the indicator, and how the error falls.
 
-    Parameters
-    ----------
-    steps : sequence of Step
-        Of :func:`adaptmg.adapt`, at least one.
-
-    Notes
-    -----
-    Above are the first mesh, one in the middle and the last; below the square root of each element's part of the
-    estimate on the last mesh, and the relative estimate against nodes and against seconds (meshes included), with the
-    rate of smooth solutions.
+    ``steps`` are those of :func:`adaptmg.adapt`. Above are the first mesh, one in the middle and the last; below the
+    square root of each element's part of the estimate on the last mesh, and the relative estimate against nodes and
+    against seconds (meshes included), with the rate of smooth solutions.
     """
     steps = checks.items("steps", steps, Step, "Steps of am.adapt")
     if not steps:

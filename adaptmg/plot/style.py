@@ -80,10 +80,10 @@ def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
 
 def axes_of(axes: Sequence[Axes], count: int) -> list[Axes]:
     """Return ``axes`` as a list of ``count``."""
-    found = list(np.ravel(np.asarray(axes, dtype=object)))
-    if len(found) != count or not all(isinstance(a, Axes) for a in found):
+    flat = list(np.ravel(np.asarray(axes, dtype=object)))
+    if len(flat) != count or not all(isinstance(ax, Axes) for ax in flat):
         raise ValueError(f"axes must hold {count} matplotlib axes, got {axes!r}")
-    return found
+    return flat
 
 
 def axis_names(result: Result) -> str:
