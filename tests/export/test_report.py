@@ -13,15 +13,14 @@ import pytest
 from nasty_texts import NASTY
 from pages import Page
 
-from adaptmg._text import printable
 from adaptmg.export import Report
-from adaptmg.export.report import DENSE, LONGEST, columns_of, lead, worded
+from adaptmg.export.report import DENSE, LONGEST, columns_of, lead, one_line, worded
 
 FRAME = pd.DataFrame({"n<": [1], "t": ["<script>alert(1)</script>"]})
 
 
 def drawing(count: int = 2, label: str = ""):
-    """A figure with a line of so many points, markers and a clip path."""
+    """A figure with a line of ``count`` points, markers and a clip path."""
     figure, ax = plt.subplots(figsize=(4, 3))
     ax.plot(np.arange(count), np.random.default_rng(0).random(count), marker="o", label=label)
     ax.set_xlabel(label)
@@ -81,7 +80,7 @@ def test_a_report_escapes_everything(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:Glyph")
-@pytest.mark.parametrize("name", NASTY, ids=ascii)
+@pytest.mark.parametrize("name", (*NASTY, "r\u202ex"), ids=ascii)
 def test_any_text_gives_a_sound_report(tmp_path, name):
     report = Report(f"t{name}", name)
     # pandas' own texts hold nothing else than UTF-8 where pyarrow is installed
@@ -96,11 +95,11 @@ def test_any_text_gives_a_sound_report(tmp_path, name):
     report.figure(figure, f"g{name}")
     report.made(said=f"m{name}")
     text = report.write(tmp_path / "r.html").read_text(encoding="utf-8")
-    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\ufffe\uffff]", text)
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\ufffe\uffff]", text)
     page = Page(text)
-    assert page.text("title") == printable(" ".join(f"t{name}".split()))
+    assert page.text("title") == one_line(f"t{name}")
     if name.strip():
-        assert printable(" ".join(name.split())) in page.text("th")
+        assert one_line(name) in page.text("th")
 
 
 def test_first_tables_of_sections_stand_open_as_far_as_there_is_room(tmp_path):
@@ -153,18 +152,6 @@ def test_numbers_are_marked_and_long_tables_cut(tmp_path):
     page, _ = made(tmp_path, lambda r: r.table(pd.DataFrame({"a": range(LONGEST + 7)}), "t"))
     assert len(page.all("tr")) == LONGEST + 1 and f"of {LONGEST + 7} rows" in page.text("p")
     assert page.all("div", "tall")
-
-
-def test_marks_that_turn_texts_around_are_codes(tmp_path):
-    def fill(report):
-        report.section("s\u202e")
-        report.table(pd.DataFrame({"r\u202ex": ["a\u202db", "c"]}), "t\u202ev")
-        report.figure(drawing(), "g\u202eh")
-
-    page, text = made(tmp_path, fill)
-    assert not re.search("[\u202a-\u202e]", text)
-    shown = page.text("th", "figcaption")
-    assert all(code in shown for code in ("r\\u202ex", "a\\u202db", "g\\u202eh"))
 
 
 def test_a_long_text_shows_its_first_sentences_and_folds_the_rest(tmp_path):

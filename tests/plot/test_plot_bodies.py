@@ -1,4 +1,4 @@
-"""Pictures of several bodies: what is drawn is what the result says, body by body and pair by pair."""
+"""Pictures of several bodies show the result, body by body and pair by pair."""
 
 from __future__ import annotations
 
@@ -93,26 +93,16 @@ def test_deformation_refuses_what_it_cannot_draw(result, options, message):
         plot.deformation(result, **options)
 
 
-def area(path) -> float:
-    """Area within a compound path; holes, which run clockwise, count as negative."""
-    total, begins = 0.0, [*np.flatnonzero(path.codes == path.MOVETO), len(path.codes)]
-    for a, b in pairwise(begins):
-        (x, y), (x2, y2) = path.vertices[a:b].T, np.roll(path.vertices[a:b], -1, axis=0).T
-        total += 0.5 * np.sum(x * y2 - x2 * y)
-    return total
-
-
-def test_large_meshes_are_filled_without_lines_holes_left_out():
+def test_large_meshes_are_filled_without_lines_and_holes_left_out():
     result = two_bodies(n=6)
     inner = np.abs(result.mesh.points[result.mesh.elements].mean(axis=1) - [0.02, 0.02]).max(axis=1) < 0.01
-    keep = ~inner
-    mesh = dataclasses.replace(result.mesh, elements=result.mesh.elements[keep],
-                               element_body=result.mesh.element_body[keep])
-    (ax,) = plot.deformation(dataclasses.replace(result, mesh=mesh), 1, lines=False).axes
-    paths = [p.get_path() for p in ax.patches if isinstance(p, PathPatch)]
-    wanted = [1e6 * np.linalg.det(np.diff((mesh.points + result.displacement)[mesh.elements[mesh.element_body == k]],
-                                          axis=1)).sum() / 2 for k in (1, 0)]
-    np.testing.assert_allclose([area(path) for path in paths], wanted)
+    mesh = dataclasses.replace(result.mesh, elements=result.mesh.elements[~inner],
+                               element_body=result.mesh.element_body[~inner])
+    (ax,) = plot.deformation(dataclasses.replace(result, mesh=mesh), 0, lines=False).axes
+    # signed areas: holes run clockwise
+    areas = [sum(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) for x, y in (ring.T for ring in path.to_polygons()))
+             for path in (patch.get_path() for patch in ax.patches if isinstance(patch, PathPatch))]
+    np.testing.assert_allclose(areas, [1e6 * mesh.volumes[mesh.element_body == k].sum() for k in (1, 0)])
     assert not any(isinstance(c, PolyCollection) for c in ax.collections)
     many = plot.deformation(two_bodies(n=70, m=4)).axes[0]
     assert not any(isinstance(c, PolyCollection) for c in many.collections)
@@ -158,15 +148,6 @@ def test_stress_is_that_of_each_body_in_megapascal(result):
         assert np.abs(surface.colors[~lower].mean(axis=(0, 1)) - surface.colors[lower].mean(axis=(0, 1))).max() > 0.3
 
 
-def test_axes_of_axisymmetric_problems_are_r_and_z():
-    moved = dataclasses.replace(PLANE.mesh, points=PLANE.mesh.points + np.array([1.0, 0.0]))
-    data = StressData.of(moved, am.Axisymmetric(**STEEL))
-    result = dataclasses.replace(PLANE, mesh=moved, stress_data=data)
-    (ax,) = plot.deformation(result).axes
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("r [mm]", "z [mm]")
-    assert plot.contact(result).axes[2].get_xlabel() == "r [mm]"
-
-
 def stated(ax) -> np.ndarray:
     """Points of the curve coloured by state."""
     (marks,) = [c for c in ax.collections if isinstance(c, PathCollection)]
@@ -193,6 +174,15 @@ def test_contact_draws_pressure_friction_gap_and_slip():
     assert "gap, slip\n[mm]" in words(plot.contact(wide))
     assert "frictionless" in words(plot.contact(dataclasses.replace(
         PLANE, contact=dataclasses.replace(c, limit=0 * c.limit, force_t=0 * c.force_t))))
+
+
+def test_axes_of_axisymmetric_problems_are_r_and_z():
+    moved = dataclasses.replace(PLANE.mesh, points=PLANE.mesh.points + np.array([1.0, 0.0]))
+    data = StressData.of(moved, am.Axisymmetric(**STEEL))
+    result = dataclasses.replace(PLANE, mesh=moved, stress_data=data)
+    (ax,) = plot.deformation(result).axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("r [mm]", "z [mm]")
+    assert plot.contact(result).axes[2].get_xlabel() == "r [mm]"
 
 
 def test_contact_draws_each_pair_or_one():
@@ -239,13 +229,6 @@ def test_parts_without_contact_nodes_interrupt_the_arc():
     np.testing.assert_allclose(second.position, 4.0 * np.arange(6, 11))
 
 
-def test_contact_maps_the_slave_surface_of_solids():
-    shown = words(plot.contact(SOLID))
-    for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "friction traction |t| [MPa]",
-                 "gap [µm]", "stick (", "x [mm]"):
-        assert text in shown
-
-
 def around_a_cylinder(radius: float) -> Result:
     """Contact nodes on the wall of a hole about the line x = 0.1, y = 0.2 along z; pressure falls with z."""
     angle, z = (part.ravel() for part in np.meshgrid(np.arange(-170, 180, 20.0), np.linspace(0.0, 0.03, 5)))
@@ -260,7 +243,7 @@ def around_a_cylinder(radius: float) -> Result:
     return dataclasses.replace(SOLID, mesh=None, contact=contact)
 
 
-def test_a_hole_is_unrolled_about_its_axis():
+def test_surfaces_are_drawn_flat_and_a_hole_is_unrolled_about_its_axis():
     result = around_a_cylinder(0.015)
     flat = flattened(result, "upper.bottom")
     offset = result.contact.x - [0.1, 0.2, 0]
@@ -268,6 +251,10 @@ def test_a_hole_is_unrolled_about_its_axis():
     np.testing.assert_allclose(flat.points[:, 1], 1e3 * offset[:, 2])
     assert flat.labels == ("angle around z [°]", "z [mm]") and not flat.equal
     assert "angle around z [°]" in words(plot.contact(result))
+    shown = words(plot.contact(SOLID))
+    for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "friction traction |t| [MPa]",
+                 "gap [µm]", "stick (", "x [mm]"):
+        assert text in shown
 
 
 FACTORS = (0.25, 0.5, 1.0, 0.5)
@@ -292,9 +279,7 @@ def test_load_history_draws_the_quantities_and_the_pressure_of_each_step():
         assert ax.get_title() == f"load factor {factor:g}"
     shown = words(figure)
     assert "'upper.bottom' on 'lower.top'" in shown and "pressure [MPa]" in shown
-
-
-def test_load_history_shows_as_many_steps_as_asked_for_first_and_last_among_them():
+    # as many steps as requested, the first and the last among them
     titles = [ax.get_title() for ax in plot.load_history(steps_of(PLANE), FACTORS, {}, steps=2).axes]
     assert titles == ["load factor 0.25", "load factor 0.5"]
     assert len(plot.load_history(steps_of(PLANE), FACTORS, QUANTITIES, steps=0).axes) == 2
