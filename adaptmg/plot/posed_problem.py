@@ -125,7 +125,7 @@ def _draw_plane(posed: ContactProblem, ax: Axes) -> None:
                         ha=("left", "center", "right")[round(normal[0]) + 1],
                         va=("bottom", "center", "top")[round(normal[1]) + 1], zorder=6)
     names = "rzθ" if posed.axisymmetric else "xyz"
-    ax.set(aspect="equal", xlabel=f"{names[0]} [{unit}]", ylabel=f"{names[1]} [{unit}]")
+    ax.set(aspect="equal", anchor="W", xlabel=f"{names[0]} [{unit}]", ylabel=f"{names[1]} [{unit}]")
     ax.margins(0.06)
     ax.autoscale_view()
     _legend(posed, ax, list(polygons), fills, names, places, edges, enlarged)
