@@ -96,12 +96,11 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
                   for name in marks]
         page.table(pd.DataFrame(spread, columns=_SPREAD, dtype=object), "Results of all runs that are done", open=True)
     add(table.drop(columns=[c for c in {_ERROR, *hidden} if c in table]), "All runs", csv=csv, open=True)
-    if _ERROR in table:
-        failed = table.loc[table.index.difference(done.index, sort=False), [*parameters, _ERROR]]
-        failed = failed[failed[_ERROR].fillna("").astype(str) != ""]
-        if len(failed):
-            page.section("Runs that failed")
-            add(failed, "Errors", csv=csv if len(failed) > LONGEST else "")
+    failed = table.loc[table.index.difference(done.index, sort=False)]
+    failed = failed[failed[_ERROR].fillna("").astype(str) != ""] if _ERROR in table else failed.head(0)
+    if len(failed):
+        page.section("Runs that failed")
+        add(failed[[*parameters, _ERROR]], "Errors", csv=csv if len(failed) > LONGEST else "")
     if fixed := table.attrs.get("fixed"):
         page.made(fixed_parameters=", ".join(f"{key} = {value}" for key, value in fixed.items()))
     page.made(**{str(key): str(value) or "-" for key, value in (made or {}).items()})
@@ -119,12 +118,9 @@ def _columns(name: str, given: Sequence[str], table: pd.DataFrame) -> list[str]:
 
 def _counted(table: pd.DataFrame) -> str:
     """The number of runs, by status."""
-    if not len(table):
-        return "No runs."
-    if _STATUS not in table:
-        return f"{count(len(table))} runs."
-    by_status = table[_STATUS].astype(str).value_counts()
-    return f"{count(len(table))} runs: " + ", ".join(f"{count(n)} {s}" for s, n in by_status.items()) + "."
+    by_status = table[_STATUS].astype(str).value_counts() if _STATUS in table and len(table) else {}
+    states = ", ".join(f"{count(n)} {status}" for status, n in by_status.items())
+    return f"{count(len(table))} runs{f': {states}' if states else ''}." if len(table) else "No runs."
 
 
 def _cut(value: object) -> object:
@@ -180,10 +176,17 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     data = pd.DataFrame({"x": position.to_numpy(), "y": numbers(table[result]).to_numpy(),
                          "line": _keys(table[axis.lines]).to_numpy() if axis.lines else ""})
     data = data[np.isfinite(data["x"]) & np.isfinite(data["y"])]
-    band = (0.25, 0.75) if _many(table, axis) else (0.0, 1.0)
+    band, joined = (0.25, 0.75) if _many(table, axis) else (0.0, 1.0), axis.joined and names is None
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
-        _line(ax, part, band, axis.joined and names is None, color=CYCLE[k % len(CYCLE)],
-              label=f"{plain(worded(axis.lines)[0])} = {_name(line)}")
+        color, values = CYCLE[k % len(CYCLE)], part.groupby("x")["y"]
+        median, low, high = values.median(), values.quantile(band[0]), values.quantile(band[1])
+        ax.plot(median.index, median, color=color, linestyle="-" if joined else "",
+                label=f"{plain(worded(axis.lines)[0])} = {_name(line)}",
+                marker="o" if len(median) <= _MARKED else "" if joined else ".")
+        if len(part) > len(median) and joined:
+            ax.fill_between(median.index, low, high, color=color, alpha=0.18, linewidth=0)
+        elif len(part) > len(median):
+            ax.vlines(median.index, low, high, color=color, alpha=0.5)
     ax.set(xlabel=plain(label(axis.along, along_unit)), ylabel=plain(label(result, unit)))
     ax.grid(True)
     if names is None:
@@ -209,17 +212,6 @@ def _many(table: pd.DataFrame, axis: Axis) -> bool:
     """Whether points are shared by many runs."""
     points = pd.concat([_keys(table[name]) for name in (axis.along, axis.lines) if name], axis=1)
     return len(table) > 0 and len(table) >= _MANY * len(points.drop_duplicates())
-
-
-def _line(ax: Axes, part: pd.DataFrame, band: tuple[float, float], joined: bool, color: str, label: str) -> None:
-    values = part.groupby("x")["y"]
-    median, low, high = values.median(), values.quantile(band[0]), values.quantile(band[1])
-    marker = "o" if len(median) <= _MARKED else "" if joined else "."
-    ax.plot(median.index, median, color=color, label=label, linestyle="-" if joined else "", marker=marker)
-    if len(part) > len(median) and joined:
-        ax.fill_between(median.index, low, high, color=color, alpha=0.18, linewidth=0)
-    elif len(part) > len(median):
-        ax.vlines(median.index, low, high, color=color, alpha=0.5)
 
 
 def _scale(ax: Axes, name: str, values: pd.Series) -> None:
