@@ -73,12 +73,7 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
     ContactProblem
         Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons,
         or their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the
-        tangential one) on the interface, Pa. For meshes see :func:`patch_mesh`.
-
-    Raises
-    ------
-    ValueError
-        If the law cannot bear the uniform stress.
+        tangential one) on the interface, Pa, which the law must bear. For meshes see :func:`patch_mesh`.
     """
     checks.choice("dim", dim, (2, 3))
     slope, size = checks.nonnegative("slope", slope), checks.quantity("size", size, positive=True)

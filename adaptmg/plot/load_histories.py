@@ -41,11 +41,6 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
         The slave boundary of the pair whose pressure is drawn; by default a row of pictures for each pair.
     steps : int
         The largest number of steps drawn for each pair, evenly spaced from the first to the last; 0 for none.
-
-    Examples
-    --------
-    >>> am.plot.load_history(results, factors, {"force [kN]": lambda r: 1e-3 * r.resultant("contact").force[1],
-    ...                                         "slip [µm]": lambda r: 1e6 * abs(r.contact.slip).max()})
     """
     results, factors = _checked(results, factors)
     against = label_text(checks.instance("against", against, str))

@@ -100,7 +100,7 @@ def test_error_transition_and_effectivity_under_refinement(kind, sign):
         residual.append(am.Residual().indicate(part, result).total / error.absolute)
         recovery.append(am.Recovery().indicate(part, result).total / error.absolute)
     assert all(1.9 < a / b < 2.1 for a, b in pairwise(errors))
-    # measured: 3.2-3.4 and 3.5-3.6 beside an open zone, 4.0-4.1 and 3.9-4.0 beside sticking
+    # measured: 3.2-3.4 and 3.5-3.6 next to an open zone, 4.0-4.1 and 3.9-4.0 next to sticking
     assert max(residual) < 1.1 * min(residual) and min(residual) > 3.0 and max(residual) < 4.3
     assert min(recovery) > 0.95 and max(recovery) < 1.02 and abs(recovery[-1] - 1) < 0.005
 
