@@ -1,7 +1,4 @@
-"""Benchmark problems as functions that return a ContactProblem, with their reference values and sources.
-
-The cases by name, for the command line and for studies.
-"""
+"""Benchmark problems: functions that return a ContactProblem with reference values and their sources."""
 
 from __future__ import annotations
 
@@ -43,15 +40,7 @@ __all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointConta
 
 @dataclass(frozen=True)
 class Case:
-    """A benchmark case.
-
-    Parameters
-    ----------
-    function : callable
-        Keyword arguments, all with defaults, -> ContactProblem.
-    description : str
-        One line.
-    """
+    """A benchmark case: a function with defaults for all arguments, and its description in one line."""
 
     function: Callable[..., ContactProblem]
     description: str
@@ -76,15 +65,13 @@ CASES: Mapping[str, Case] = MappingProxyType({
 
 
 def names() -> tuple[str, ...]:
-    """Names of all cases."""
+    """Return the names of all cases."""
     return tuple(CASES)
 
 
 def get(name: str) -> Case:
-    """The case of that name; ValueError lists the names if there is none.
+    """Return the case of a name; ValueError lists the names.
 
-    Examples
-    --------
     >>> get("greco_bar").function(poisson=0.3).material.poisson
     0.3
     """

@@ -1,38 +1,22 @@
-r"""Two blocks pressed on each other: the patch test of contact, flat or with a sloping interface, in 2D and 3D.
+r"""Blocks with known contact forces: the patch test of two blocks, a block on an incline, and a leaning strut.
 
-Under a pressure p on the head and q on the sides both blocks have the uniform stress
-:math:`\sigma = -\mathrm{diag}(q, p)` (in 3D :math:`-\mathrm{diag}(q, q, p)`, with q also on the depth), whatever the
-meshes: on an interface whose slope is theta,
+Under a pressure p on the head and q on the sides two blocks on each other have the uniform stress
+:math:`\sigma = -\mathrm{diag}(q, p)` (in 3D :math:`-\mathrm{diag}(q, q, p)`, with q also on the depth) on every mesh;
+on an interface of slope theta
 
 .. math:: p_n = p\cos^2\theta + q\sin^2\theta,\qquad t = (p - q)\sin\theta\cos\theta,
 
 which P1 elements and a mortar method reproduce to rounding if friction can bear it: :math:`|t| \le \mu p_n`.
-
-A block on an incline, held by friction alone.
-
-A block of weight W on a plane tilted by an angle alpha presses on it with :math:`W\cos\alpha` and pulls down it with
-:math:`W\sin\alpha`: it rests if and only if :math:`\tan\alpha \le \mu`, and does not tip if :math:`\tan\alpha` is below
-its width over its height. An elastic block slips in part before it slides as a whole.
-
-Both bodies are drawn as they lie, the gravity points down; the plane is an elastic slab, held at its underside.
-
-A leaning strut: with Coulomb friction the same load has three equilibria.
-
-A strut clamped at its head leans by an angle :math:`\theta` to the normal of the plane before its foot, which is so
-curved that one node touches. Along its axis it is stiff, across it soft, so that a force that would push the foot along
-the plane also presses it on: for :math:`\mu > \tan\theta`, about, the foot may stick, slip or have lifted off, each in
-exact equilibrium. Friction without uniqueness is no defect of a solver: which solution is found depends on the start.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh import MeshArrays
 from adaptmg.problem import (
     Assembly,
     BodyForce,
@@ -56,6 +40,9 @@ from adaptmg.problem import (
     Tresca,
 )
 
+if TYPE_CHECKING:
+    from adaptmg.mesh.arrays import MeshArrays
+
 __all__ = ["incline", "leaning_strut", "patch_mesh", "two_block_patch"]
 
 _STEEPEST = 30.0
@@ -64,7 +51,7 @@ _STEEPEST = 30.0
 def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0, pressure: float = 1e8,  # noqa: B008
                     side_pressure: float = 0.0, young: float = 2.1e11, poisson: float = 0.3, size: float = 0.1
                     ) -> ContactProblem:
-    """Two blocks of one material, one on the other; the stress is uniform.
+    """Two blocks of one material, one on the other, under uniform stress: the patch test of contact.
 
     Parameters
     ----------
@@ -86,19 +73,9 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
     ContactProblem
         Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons,
         or their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the
-        tangential one) on the interface, Pa.
-
-    Raises
-    ------
-    ValueError
-        If the law cannot bear the uniform stress: without friction a slope wants ``side_pressure`` = ``pressure``.
-
-    See Also
-    --------
-    patch_mesh : a mesh whose nodes match along the interface, or do not.
+        tangential one) on the interface, Pa, which the law must bear. For meshes see :func:`patch_mesh`.
     """
-    if dim not in (2, 3):
-        raise ValueError(f"dim must be 2 or 3, got {dim!r}")
+    checks.choice("dim", dim, (2, 3))
     slope, size = checks.nonnegative("slope", slope), checks.quantity("size", size, positive=True)
     if not slope <= _STEEPEST:
         raise ValueError(f"slope must be at most {_STEEPEST:g} degrees, got {slope!r}")
@@ -109,10 +86,9 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
     tangential = abs(pressure - side_pressure) * math.sin(turn) * math.cos(turn)
     most = _bound(law, normal)
     if not tangential <= most * (1 + 1e-12):
-        raise ValueError(f"the interface would have to bear a tangential traction of {tangential:.6g} Pa, the law "
-                         f"allows {most:.6g} Pa at the pressure {normal:.6g} Pa: take less slope, more friction, or "
-                         "side_pressure = pressure")
-    reference: dict[str, Any] = {"quantity": "pressure and tangential traction on the interface, Pa",
+        raise ValueError(f"the interface has to bear a tangential traction of {tangential:.6g} Pa, the law allows "
+                         f"{most:.6g} Pa at the pressure {normal:.6g} Pa: take side_pressure = pressure, for example")
+    reference = {"quantity": "pressure and tangential traction on the interface, Pa",
                                  "pressure": normal, "traction": tangential,
                                  "sources": {"pressure": "uniform stress (patch test), exact on every mesh"}}
     parts = _sloping(dim, math.tan(turn), size) if slope else _flat(dim, size)
@@ -124,13 +100,12 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
 
 
 def _bound(law: Law, normal: float) -> float:
-    """What a law allows at a pressure; infinity where its parameters vary in space."""
-    if isinstance(law, Frictionless):
-        return 0.0
-    value = law.friction if isinstance(law, Coulomb) else law.limit if isinstance(law, Tresca) else np.inf
+    """The largest tangential traction at a pressure; infinity where the parameters of the law vary in space."""
+    value = (0.0 if isinstance(law, Frictionless) else law.friction if isinstance(law, Coulomb) else
+             law.limit if isinstance(law, Tresca) else np.inf)
     if callable(value) or np.ndim(value):
         return np.inf
-    return float(value) * normal if isinstance(law, Coulomb) else float(value)
+    return float(value) * (normal if isinstance(law, Coulomb) else 1.0)
 
 
 def _flat(dim: int, size: float) -> dict[str, Domain]:
@@ -142,7 +117,7 @@ def _flat(dim: int, size: float) -> dict[str, Domain]:
 
 
 def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
-    """Profiles whose interface goes through the middle (size / 2, 0); the walls x = 0 are held away from it only."""
+    """Profiles with an interface through (size / 2, 0); the walls x = 0 are held at a distance from it."""
     left, right = -0.5 * tangent * size, 0.5 * tangent * size
     lower = Polygon(vertices=((0.0, -size), (size, -size), (size, right), (0.0, left), (0.0, -0.6 * size)),
                     boundaries=("foot", "right", "interface", "shoulder", "left"))
@@ -154,7 +129,6 @@ def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
 
 
 def _held(dim: int, sloping: bool, pressure: float, side: float) -> tuple[list[Pressure], list[Support]]:
-    """Loads and supports; a held wall near a sloping interface would have no business with its normals."""
     if sloping:
         walls, head, foot, depth = ("right", "shoulder"), "upper.head", Support("lower.foot", y=0.0), ("bottom", "top")
     elif dim == 2:
@@ -172,28 +146,20 @@ def _held(dim: int, sloping: bool, pressure: float, side: float) -> tuple[list[P
 
 
 def patch_mesh(problem: ContactProblem, cells: int = 4, *, matching: bool = False) -> MeshArrays:
-    """A mesh of :func:`two_block_patch`.
+    """Return a mesh of :func:`two_block_patch` with ``cells`` >= 1 along the width of the upper block.
 
-    Parameters
-    ----------
-    problem : ContactProblem
-    cells : int
-        Along the width of the upper block, >= 1.
-    matching : bool
-        Whether the nodes of both blocks meet on the interface (by default the lower block has other cells). On flat
-        blocks only.
+    With ``matching``, for flat blocks only, the nodes of both blocks meet on the interface.
     """
     from adaptmg.mesh import graded, structured
 
     cells = checks.integer("cells", cells, 1)
-    if not isinstance(matching, bool):
-        raise TypeError(f"matching must be True or False, got {matching!r}")
+    checks.flag("matching", matching)
     domain = problem.domain
     other = cells if matching else cells + 1 + cells // 3
     if isinstance(domain.parts["upper"], Rectangle | Box):
         return structured(domain, {"upper": cells, "lower": other})
     if matching:
-        raise ValueError("matching=True is for flat blocks: nodes of independent meshes of sloping ones do not meet")
+        raise ValueError("matching=True is for flat blocks")
     width = float(domain.upper[0] - domain.lower[0])
     return graded(domain, {"upper": width / cells, "lower": width / other})
 
@@ -203,7 +169,10 @@ _GRAVITY = 9.80665
 
 def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1, height: float = 0.05,  # noqa: B008
             density: float = 2000.0, young: float = 1e9, poisson: float = 0.3) -> ContactProblem:
-    """A block on a tilted slab under its own weight; plane strain.
+    """A block on a tilted elastic slab under its own weight; plane strain.
+
+    The block of weight W presses on the slab with W cos(angle) and pulls down it with W sin(angle): it rests if and
+    only if tan(angle) <= mu. The gravity points down; the slab is held at its underside.
 
     Parameters
     ----------
@@ -222,13 +191,8 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
     -------
     ContactProblem
         Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t`` (resultants
-        normal to the slab and along it, N/m), ``points`` and, with a constant coefficient of friction, ``holds``:
-        where it is False, :func:`adaptmg.solve` refuses the problem.
-
-    Raises
-    ------
-    ValueError
-        If the block would tip over.
+        normal to the slab and along it, N/m) and, with a constant coefficient of friction, ``holds``: where it is
+        False, :func:`adaptmg.solve` refuses the problem.
     """
     angle = checks.nonnegative("angle", angle)
     width, height = checks.quantity("width", width, positive=True), checks.quantity("height", height, positive=True)
@@ -237,10 +201,10 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
         raise ValueError(f"angle must be below 90 degrees, got {angle!r}")
     slope = math.tan(math.radians(angle))
     if not slope < width / height:
-        raise ValueError(f"at {angle!r} degrees a block {width:g} m wide and {height:g} m high tips over: its width "
-                         f"over its height must be above tan(angle) = {slope:.3g}")
+        raise ValueError(f"width over height must be above tan(angle) = {slope:.3g}, got {width / height:.3g}: the "
+                         "block tips over")
     weight = density * _GRAVITY * width * height
-    reference: dict[str, Any] = {
+    reference = {
         "quantity": "resultant contact force on the block, N/m", "weight": weight,
         "force_n": weight * math.cos(math.radians(angle)), "force_t": weight * math.sin(math.radians(angle)),
         "sources": {"force_n": "equilibrium", "force_t": "equilibrium"}}
@@ -272,7 +236,11 @@ _LENGTH, _WIDTH = 0.1, 0.02
 
 def leaning_strut(*, law: Law = Coulomb(0.6), angle: float = 20.0, traction: float = 3e6,  # noqa: B008
                   direction: float = 4.5, young: float = 2e11, poisson: float = 0.3) -> ContactProblem:
-    """A strut 100 mm long and 20 mm thick on a rigid plane; plane strain.
+    """A strut, 100 mm long and 20 mm thick, that leans on a rigid plane: the same load has three equilibria.
+
+    Its foot is so curved that one node touches. Along its axis it is stiff, across it soft, so that a force along the
+    plane also presses the foot on: for friction above tan(angle), about, the foot may stick, slip or have lifted off,
+    each in exact equilibrium. The start decides which of them a solver finds.
 
     Parameters
     ----------
@@ -284,11 +252,6 @@ def leaning_strut(*, law: Law = Coulomb(0.6), angle: float = 20.0, traction: flo
         Size (Pa) and direction (rad, from x to y) of the load on the right side.
     young, poisson : float
         Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        With the defaults one node open, slipping and sticking are all solutions.
     """
     angle = checks.positive("angle", angle)
     if not angle < 45:

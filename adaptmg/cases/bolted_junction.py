@@ -1,34 +1,17 @@
 r"""Bolted junction of two vessels under internal pressure (after Example 3 of the paper): a reconstruction.
 
 The paper gives neither dimensions nor loads; these are ours. Two flanged pipes touch along the plane z = 0 with
-Coulomb friction, n bolts on a circle of radius :math:`r_b` press them together, and the internal pressure p acts on the
-bores and, through the ends of the closed vessel, as the thrust :math:`p\pi r_i^2` on the upper pipe. The lower pipe is
-held axially at its end. Pressure does not creep into the joint where it opens. With the bolt force F the joint carries
-
-.. math:: N = F - p\,\pi r_i^2 .
-
-The bolts are shortened by :math:`\delta` (an initial strain :math:`-\delta/l` over the clamped length l) and load the
-joint through their heads,
+Coulomb friction, n bolts on a circle press them together, and the internal pressure p acts on the bores and, through
+the ends of the closed vessel, as the thrust :math:`p\pi r_i^2` on the upper pipe. The lower pipe is held axially at its
+end; no pressure acts in the joint. The joint carries the bolt force F less the thrust. The bolts are shortened by
+:math:`\delta` (an initial strain :math:`-\delta/l` over the clamped length l),
 
 .. math:: F = \frac{\delta}{c_b + c_m},\qquad c_b = \frac{l}{E\,n A},\qquad c_m = \frac{l}{E\,A_m},
 
-:math:`A_m` being the effective section of flanges, heads and seats, found once from the default geometry.
-
-In axisymmetry (dim = 2) the bolts are an equivalent ring of I-shaped section that lies over the flanges without sharing
-nodes: only the undersides of its heads touch them. The section of its shank is that of the n bolts, and so are axial
-stiffness and stress. Its Poisson number is 0: a ring under tension would shrink towards the axis of the vessels, which
-bolts do not. It also resists hoop strain, which single bolts do not; without friction under the heads (the default in
-2D) that does not reach the flanges.
-
-Flanges with their bolts: dimensions, sections and solids of the bolted junction.
-
-The joint is the plane z = 0, the axis of the vessels the z axis. Sections are polygons in r and z.
-
-What an engineer reads off a solved bolted junction: bolt force, opening, tightness; and its load path.
-
-The fluid is not followed into the joint. An axisymmetric joint is called tight as long as somewhere between the bore
-and the bolt holes the contact pressure exceeds that of the fluid: :func:`sealing_pressure` > p. At a higher pressure it
-is open as far as the bolts: :func:`open_to` reaches the bolt circle.
+:math:`A_m` being the effective section of flanges, heads and seats. In axisymmetry the bolts are an equivalent ring of
+I-shaped section, the section of its shank that of the n bolts; only the undersides of its heads touch the flanges. Its
+Poisson's ratio is 0, because a ring under tension would shrink towards the axis of the vessels. It also resists hoop
+strain, which without friction under the heads (the default in 2D) does not reach the flanges.
 """
 
 from __future__ import annotations
@@ -36,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -60,20 +43,18 @@ from adaptmg.problem import (
     Traction,
 )
 from adaptmg.problem.solid_domains import Cut, Cylinder, Fuse, Revolution, SolidDomain
-from adaptmg.smoother.system import OPEN
-from adaptmg.solver.contact_result import ContactResult
-from adaptmg.solver.result import Result
 
-__all__ = ["BOLTS", "Flanges", "bolt_force", "bolt_places", "bolt_solid", "bolted_junction", "drilled",
-           "flange_section", "joint_opening", "junction_path", "mirrored", "open_to", "ring_section",
-           "sealing_pressure"]
+if TYPE_CHECKING:
+    from adaptmg.solver.contact_result import ContactResult
+    from adaptmg.solver.result import Result
 
-BOLTS = ("ring", "traction", "solid")
+__all__ = ["Flanges", "bolt_force", "bolted_junction", "joint_opening", "junction_path", "open_to", "sealing_pressure"]
+
 _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
            "nothing published stands behind them.")
 
-# with the default parameters; see the docstring of the case
-_VALUES: Mapping[str, Mapping[str, float]] = {
+# with the default parameters
+_VALUES = {
     "ring": {"open_to": 0.2249, "slip_to": 0.2342, "gap": 8.88e-6, "peak": 33.5e6, "peak_at": 0.245,
              "joint_force": 1.985e6, "bolt_force": 2.488e6},
     "traction": {"open_to": 0.2250, "slip_to": 0.2343, "gap": 8.93e-6, "peak": 33.5e6, "peak_at": 0.246,
@@ -83,7 +64,7 @@ _VALUES: Mapping[str, Mapping[str, float]] = {
 
 @dataclass(frozen=True)
 class _Friction:
-    """Friction of the joint near z = 0, of the bolts' heads elsewhere; a class, so that problems can be pickled."""
+    """Friction of the joint near z = 0, of the heads elsewhere; a class, so that problems can be pickled."""
 
     joint: float
     heads: float
@@ -103,7 +84,7 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
     dim : {2, 3}
         Axisymmetric, or a sector of 90 degrees between the planes of symmetry y = 0 and x = 0.
     bolt : {"ring", "traction", "solid"}, optional
-        The bolts as an equivalent ring (default in 2D), as a given traction on both flanges, or as they are (3D).
+        An equivalent ring (default in 2D), a given traction on both flanges, or solid bolts (3D).
     preload : float
         Force of all bolts together without pressure, N: exact as traction, otherwise about.
     shortening : float, optional
@@ -115,38 +96,24 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
     head_friction : float, optional
         Under the heads; default 0 in 2D, 0.2 in 3D, where nothing else holds the bolts.
     flanges : Flanges, optional
-        Dimensions; by default 16 bolts of 24 mm, in 3D 8 bolts of the same section, far enough apart for the joint to
-        open between them.
+        Dimensions; by default 16 bolts of 24 mm, in 3D 8 bolts of the same section.
     young, poisson : float
         Pa, and a number.
 
     Returns
     -------
     ContactProblem
-        Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. Boundaries of
-        the flanges: ``joint``, ``rim``, ``face``, ``seat``, ``wall``, ``pipe``, ``bore``; of the bolts ``upper_head``
-        and ``lower_head`` (undersides), ``side`` and ``tip``. The first contact pair is the joint.
-
-        ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N); with the default parameters
-        in 2D also ``values`` found by mesh convergence: ``open_to``, ``slip_to``, ``peak_at`` (radii, m), ``gap`` (at
-        the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N; this one of the ring).
-
-    See Also
-    --------
-    adaptmg.cases.bolted_junction : the load path, bolt force, opening, tightness.
-
-    Notes
-    -----
-    Tightening first and the pressure afterwards (:func:`~adaptmg.cases.bolted_junction.junction_path`), or both at
-    once: with the default parameters the answer is the same to the digits of ``values``.
+        Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first
+        contact pair is the joint. ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N);
+        with the default parameters in 2D also ``values`` by mesh convergence: ``open_to``, ``slip_to``, ``peak_at``
+        (radii, m), ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N; of the ring).
     """
     checks.choice("dim", dim, (2, 3))
-    bolt = {2: "ring", 3: "solid"}[dim] if bolt is None else bolt
-    checks.choice("bolt", bolt, BOLTS[:2] if dim == 2 else BOLTS[2:])
+    bolts = ("ring", "traction") if dim == 2 else ("solid",)
+    bolt = checks.choice("bolt", bolts[0] if bolt is None else bolt, bolts)
     if flanges is None:
         flanges = Flanges() if dim == 2 else Flanges(n_bolts=8, diameter=0.034)
-    elif not isinstance(flanges, Flanges):
-        raise TypeError(f"flanges must be Flanges, got {flanges!r}")
+    checks.instance("flanges", flanges, Flanges)
     preload, pressure = checks.quantity("preload", preload, positive=True), checks.quantity("pressure", pressure)
     material = (Axisymmetric if dim == 2 else Solid)(young=young, poisson=poisson)
     usual = shortening is None and not head_friction and (
@@ -188,13 +155,12 @@ def _law(friction: float, head_friction: float | None, model: _Model) -> Law:
     return Coulomb(_Friction(friction, heads, 0.5 * min(model.flanges.upper, model.flanges.lower)))
 
 
-def _reference(flanges: Flanges, pressure: float, values: Mapping[str, float] | None) -> Mapping[str, Any]:
-    reference: dict[str, Any] = {"remark": _REMARK, "flanges": flanges, "pressure": pressure,
-                                 "thrust": flanges.thrust(pressure)}
-    if values is not None:
-        reference["values"] = dict(values)
-        reference["sources"] = {"values": "mesh convergence of this case: contact edges of 1, 0.5 and 0.25 mm"}
-    return reference
+def _reference(flanges: Flanges, pressure: float, values: Mapping[str, float] | None) -> dict[str, object]:
+    reference = {"remark": _REMARK, "flanges": flanges, "pressure": pressure, "thrust": flanges.thrust(pressure)}
+    if values is None:
+        return reference
+    return reference | {"values": dict(values), "sources": {
+        "values": "mesh convergence of this case: contact edges of 1, 0.5 and 0.25 mm"}}
 
 
 @dataclass(frozen=True)
@@ -210,14 +176,14 @@ class _Model:
 
     def __post_init__(self) -> None:
         f = self.flanges
-        upper, lower = flange_section(f, f.upper, self.bolt), mirrored(flange_section(f, f.lower, self.bolt))
+        upper, lower = _flange_section(f, f.upper, self.bolt), _mirrored(_flange_section(f, f.lower, self.bolt))
         parts: dict[str, Polygon | SolidDomain] = {"upper": upper, "lower": lower}
         if self.bolt == "ring":
-            parts["bolt"] = ring_section(f)
+            parts["bolt"] = _ring_section(f)
         elif self.bolt == "solid":
-            places = bolt_places(f)
-            parts = {name: drilled(part, f, places) for name, part in parts.items()}
-            parts |= {f"bolt{k}": bolt_solid(f, place) for k, place in enumerate(places)}
+            places = _bolt_places(f)
+            parts = {name: _drilled(part, f, places) for name, part in parts.items()}
+            parts |= {f"bolt{k}": _bolt_solid(f, place) for k, place in enumerate(places)}
         object.__setattr__(self, "parts", parts)
 
     @property
@@ -265,39 +231,18 @@ _CLAMPED = {2: 0.0341, 3: 0.0124}
 
 @dataclass(frozen=True, kw_only=True)
 class Flanges:
-    """Dimensions of the junction, m.
+    """Dimensions of the junction, m. Heads are 1.6 times as wide and 0.7 times as high as bolts, holes 1.1 times."""
 
-    Parameters
-    ----------
-    bore : float
-        Inner radius of the vessels.
-    wall : float
-        Thickness of their walls.
-    length : float
-        From the joint to the end of each pipe.
-    outer : float
-        Outer radius of the flanges.
-    upper, lower : float
-        Thickness of the flanges.
-    bolt_circle : float
-        Radius on which the bolts stand.
-    n_bolts : int
-    diameter : float
-        Of a bolt's shank. Heads are 1.6 times as wide and 0.7 times as high, holes 1.1 times as wide.
-    seat : float
-        Radial width of the equivalent ring's heads, and of the ring on which bolts act as a traction.
-    """
-
-    bore: float = 0.200
-    wall: float = 0.012
-    length: float = 0.120
-    outer: float = 0.270
-    upper: float = 0.040
-    lower: float = 0.050
-    bolt_circle: float = 0.240
+    bore: float = 0.200  # inner radius of the vessels
+    wall: float = 0.012  # thickness of their walls
+    length: float = 0.120  # from the joint to the end of each pipe
+    outer: float = 0.270  # outer radius of the flanges
+    upper: float = 0.040  # thickness of the upper flange
+    lower: float = 0.050  # thickness of the lower flange
+    bolt_circle: float = 0.240  # radius on which the bolts stand
     n_bolts: int = 16
-    diameter: float = 0.024
-    seat: float = 0.020
+    diameter: float = 0.024  # of the shank of a bolt
+    seat: float = 0.020  # radial width of the heads of the equivalent ring, and of the ring of a bolt traction
 
     def __post_init__(self) -> None:
         for name in ("bore", "wall", "length", "outer", "upper", "lower", "bolt_circle", "diameter", "seat"):
@@ -305,25 +250,24 @@ class Flanges:
         checks.integer("n_bolts", self.n_bolts, 1)
         wide = 0.5 * max(1.2 * self.seat, self.head_diameter)
         if not self.bore + self.wall < self.bolt_circle - wide < self.bolt_circle + wide < self.outer:
-            raise ValueError(f"bolt_circle must leave room for heads and seats, {wide:g} m to each side, between the "
-                             f"wall (r = {self.bore + self.wall:g}) and outer (r = {self.outer:g}), "
-                             f"got {self.bolt_circle!r}")
+            raise ValueError(f"bolt_circle must leave room for heads and seats, {wide:g} m to each side, between "
+                             f"{self.bore + self.wall:g} and {self.outer:g}, got {self.bolt_circle!r}")
         if not max(self.upper, self.lower) < self.length:
             raise ValueError(f"length must exceed the thickness of the flanges, got {self.length!r}")
         if not self.shank < 0.8 * self.seat:
-            raise ValueError(f"seat must be wider than 1.25 times the shank of a ring of the bolts' section, "
-                             f"{self.shank:g} m, got {self.seat!r}")
+            raise ValueError(f"seat must be wider than 1.25 times the shank of the ring, {self.shank:g} m, "
+                             f"got {self.seat!r}")
         if not self.n_bolts * self.head_diameter < 2 * math.pi * self.bolt_circle:
             raise ValueError(f"n_bolts: {self.n_bolts} heads of {self.head_diameter:g} m do not fit on the bolt circle")
 
     @property
     def head_diameter(self) -> float:
-        """m."""
+        """Of a bolt, m."""
         return 1.6 * self.diameter
 
     @property
     def head_height(self) -> float:
-        """m."""
+        """Of a bolt, m."""
         return 0.7 * self.diameter
 
     @property
@@ -348,38 +292,22 @@ class Flanges:
 
     @property
     def inside_bolts(self) -> float:
-        """Radius of the circle that touches the bolt holes from inside, m: a joint that lets the fluid get there
-        leaks through them."""
+        """Radius of the circle that touches the bolt holes from inside, m."""
         return self.bolt_circle - self.hole
 
     def thrust(self, pressure: float) -> float:
-        """Force of the closed ends, N, under a pressure in Pa."""
+        """Return the force of the closed ends, N, under a pressure in Pa."""
         return pressure * math.pi * self.bore**2
 
     def shortening(self, preload: float, young: float, dim: int) -> float:
-        r"""Shortening of the bolts without pressure.
-
-        Parameters
-        ----------
-        preload : float
-            Force F of all bolts, N.
-        young : float
-            Pa.
-        dim : {2, 3}
-            The equivalent ring, or bolts.
-
-        Returns
-        -------
-        float
-            :math:`\delta = F (c_b + c_m)`, m, with the compliances of :mod:`adaptmg.cases.bolted_junction`.
-        """
+        """Return the shortening, m, for a force of all bolts, N, without pressure; of the ring for dim 2."""
         return preload * self.clamped / young * (1 / self.bolt_area + 1 / _CLAMPED[dim])
 
 
-def flange_section(flanges: Flanges, thickness: float, bolt: str) -> Polygon:
-    """Section of the upper flange, the joint at z = 0."""
+def _flange_section(flanges: Flanges, thickness: float, bolt: str) -> Polygon:
+    """The upper flange, the joint at z = 0."""
     f, wall = flanges, flanges.bore + flanges.wall
-    # the seat of a ring that is a body of its own is a little wider than its heads
+    # the seat of a ring is a little wider than its heads
     half = 0.5 * f.seat * (1.0 if bolt == "traction" else 1.2)
     seat = [] if bolt == "solid" else [((f.bolt_circle + half, thickness), "seat"),
                                        ((f.bolt_circle - half, thickness), "face")]
@@ -388,14 +316,14 @@ def flange_section(flanges: Flanges, thickness: float, bolt: str) -> Polygon:
     return Polygon(vertices=tuple(point for point, _ in corners), boundaries=tuple(name for _, name in corners))
 
 
-def mirrored(profile: Polygon) -> Polygon:
+def _mirrored(profile: Polygon) -> Polygon:
     """The section on the other side of z = 0, counter-clockwise again."""
     vertices = tuple((r, -z) for r, z in reversed(profile.vertices))
     names = tuple(reversed(profile.boundaries))
     return Polygon(vertices=vertices, boundaries=names[1:] + names[:1])
 
 
-def ring_section(flanges: Flanges) -> Polygon:
+def _ring_section(flanges: Flanges) -> Polygon:
     """I-shaped section of the equivalent ring."""
     f, head, shank = flanges, 0.5 * flanges.seat, 0.5 * flanges.shank
     tip, top, low, end = f.upper + f.head_height, f.upper, -f.lower, -f.lower - f.head_height
@@ -407,7 +335,7 @@ def ring_section(flanges: Flanges) -> Polygon:
                    boundaries=tuple(name for _, name in corners))
 
 
-def bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
+def _bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
     """Axes of the bolts in the sector of 90 degrees, m."""
     n = flanges.n_bolts
     if n % 4:
@@ -416,7 +344,7 @@ def bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
     return [(flanges.bolt_circle * math.cos(a), flanges.bolt_circle * math.sin(a)) for a in angles]
 
 
-def drilled(profile: Polygon, flanges: Flanges, places: list[tuple[float, float]]) -> SolidDomain:
+def _drilled(profile: Polygon, flanges: Flanges, places: list[tuple[float, float]]) -> SolidDomain:
     """A flange as a solid with its holes."""
     solid: SolidDomain = Revolution(profile, angle=90.0)
     reach = 2 * flanges.clamped
@@ -425,7 +353,7 @@ def drilled(profile: Polygon, flanges: Flanges, places: list[tuple[float, float]
     return solid
 
 
-def bolt_solid(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
+def _bolt_solid(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
     """A bolt: the shank reaches half into both heads, so that their undersides stay whole."""
     f, (x, y) = flanges, place
     inside = 0.5 * f.head_height
@@ -438,65 +366,49 @@ def bolt_solid(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
 
 _JOINT = "upper.joint"
 _HEAD = ".upper_head"
-# of a sector of 90 degrees in a whole
+# number of modelled sectors in the whole
 _SECTORS = {2: 1, 3: 4}
 # nodes whose radii differ by less than this share of the largest lie on one circle
 _CIRCLE = 1e-6
 
 
 def junction_path(problem: ContactProblem, pressures: Sequence[float]) -> LoadPath:
-    """The load history of a junction: the bolts are tightened in the first step, then the pressure changes.
+    """Return the load history: the bolts are tightened in the first step, then follow internal ``pressures`` (Pa).
 
-    Parameters
-    ----------
-    problem : ContactProblem
-        From :func:`~adaptmg.cases.bolted_junction.bolted_junction`, with a pressure other than zero.
-    pressures : sequence of float
-        Internal pressure of each step after the first, Pa.
-
-    Returns
-    -------
-    LoadPath
-        Of ``len(pressures) + 1`` steps.
-
-    Examples
-    --------
     >>> am.solve_path(grids, am.cases.junction_path(problem, [1e6, 2e6, 4e6]))
     """
     full = problem.reference.get("pressure") if isinstance(problem, ContactProblem) else None
     if full is None:
         raise TypeError(f"problem must be one from bolted_junction, got {problem!r}")
     if full == 0:
-        raise ValueError("problem has no pressure that a path could scale: give bolted_junction one other than 0")
+        raise ValueError("problem has no pressure to scale: give bolted_junction one other than 0")
     values = np.append(0.0, check_arrays.vector("pressures", pressures)) / full
     return LoadPath(dict.fromkeys(("upper.bore", "lower.bore", "upper.pipe"), values))
 
 
 def bolt_force(result: Result) -> float:
-    """Force of all bolts around the circumference, N: what their upper heads press on the flange.
-
-    ValueError if the bolts are given as a traction.
-    """
+    """Return the force of all bolts around the circumference, N: that of their upper heads on the flange."""
     c = _contact(result)
     heads = [k for k, name in enumerate(c.names) if name.endswith(_HEAD)]
     if not heads:
-        raise ValueError("this junction has no bolts (bolt='traction'): their force is what was given as preload")
+        raise ValueError("this junction has no bolts (bolt='traction'): their force is preload")
     return _SECTORS[result.dim] * float(c.force_n[np.isin(c.boundary, heads)].sum())
 
 
 def joint_opening(result: Result) -> float:
-    """Opening of the joint at the bore, m: the mean normal gap of the contact nodes there."""
+    """Return the opening of the joint at the bore, m: the mean normal gap of the contact nodes there."""
     radii, joint = _joint(result)
     at_bore = radii <= radii.min() + _CIRCLE * radii.max()
     return float(result.contact.gap[joint][at_bore].mean())
 
 
 def open_to(result: Result) -> float:
-    """Radius up to which an axisymmetric joint is open, m.
+    """Return the radius up to which an axisymmetric joint is open, m, half-way between two nodes.
 
-    It lies half-way between the innermost node that touches and the next node further in; it is the bore's where the
-    joint is closed there, and that of the rim where nothing touches.
+    It is that of the bore where the joint is closed there, and that of the rim where nothing touches.
     """
+    from adaptmg.smoother.system import OPEN
+
     radii, joint = _joint(result, axisymmetric="open_to")
     touching = radii[result.contact.state[joint] != OPEN]
     if not touching.size:
@@ -507,16 +419,19 @@ def open_to(result: Result) -> float:
 
 
 def sealing_pressure(result: Result, flanges: Flanges) -> float:
-    """Largest contact pressure of an axisymmetric joint between the bore and the bolt holes, Pa."""
+    """Return the largest contact pressure of an axisymmetric joint between the bore and the bolt holes, Pa.
+
+    The joint is tight as long as it exceeds the pressure of the fluid.
+    """
     radii, joint = _joint(result, axisymmetric="sealing_pressure")
     inside = joint[radii <= flanges.inside_bolts]
     return float(result.contact.pressure[inside].max())
 
 
 def _contact(result: Result) -> ContactResult:
-    if not isinstance(result, Result):
-        raise TypeError(f"result must be a Result, got {type(result).__name__}")
-    if _JOINT not in result.contact.names:
+    from adaptmg.solver.result import Result
+
+    if _JOINT not in checks.instance("result", result, Result).contact.names:
         raise ValueError(f"result is not one of a bolted junction: its contact boundaries are {result.contact.names}")
     return result.contact
 

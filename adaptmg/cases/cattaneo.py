@@ -16,14 +16,12 @@ in y and carries the tangential load, the block is guided between vertical walls
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.cases.hertz import MASTER_REACH, SLAVE_REACH, LineContact, closed_form, hertz_reference
+from adaptmg.cases.hertz import SLAVE_REACH, LineContact, block_contact, on_circle
 from adaptmg.problem import (
     Assembly,
     ContactPair,
@@ -44,21 +42,11 @@ __all__ = ["PartialSlip", "cattaneo", "cattaneo_path"]
 
 @dataclass(frozen=True, kw_only=True)
 class PartialSlip:
-    """The closed form of Cattaneo.
+    """The closed form of Cattaneo."""
 
-    Parameters
-    ----------
-    normal : LineContact
-        The normal contact.
-    friction : float
-        Coefficient, > 0.
-    tangential : float
-        Q, N/m, 0 <= Q < friction * P.
-    """
-
-    normal: LineContact
-    friction: float
-    tangential: float
+    normal: LineContact  # the normal contact
+    friction: float  # coefficient, > 0
+    tangential: float  # Q, N/m, 0 <= Q < friction * P
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "friction", checks.positive("friction", self.friction))
@@ -74,7 +62,7 @@ class PartialSlip:
         return self.normal.half_width * math.sqrt(1 - self.tangential / (self.friction * self.normal.load))
 
     def traction(self, x: np.ndarray) -> np.ndarray:
-        """Size of the tangential traction at x, Pa."""
+        """Return the size of the tangential traction at x, Pa."""
         c, a = self.stick, self.normal.half_width
         inner = np.sqrt(np.maximum(0.0, 1 - (np.asarray(x) / c)**2))
         return self.friction * (self.normal.pressure(x) - self.normal.peak * (c / a) * inner)
@@ -100,31 +88,24 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
     Returns
     -------
     ContactProblem
-        Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds that of
-        :func:`~adaptmg.cases.hertz.hertz_cylinder` and, with a constant coefficient of friction, ``stick``
-        (c, m) and ``partial_slip`` (:class:`PartialSlip`).
-
-    See Also
-    --------
-    cattaneo_path : the load history, first P, then Q.
-    adaptmg.cases.hertz.line_contact_meshes : meshes.
+        Bodies and meshes are those of :func:`~adaptmg.cases.hertz.hertz_cylinder`; ``reference`` also holds, with a
+        constant coefficient of friction, ``stick`` (c, m) and ``partial_slip`` (:class:`PartialSlip`).
 
     Notes
     -----
-    Solved in one step under both loads the answer is the same to rounding as along :func:`cattaneo_path`: what little
-    the normal load alone slips at the edges slips on under the tangential one, and never turns back.
-    Bodies of finite size are strained along the surface by the loads, unlike half-planes, by stresses of the order of
-    P/R: against the largest traction mu p0 this is of the order of a / (mu R), and it moves the strip that sticks.
+    Solved in one step under both loads the answer is the same to rounding as along :func:`cattaneo_path`: the slip
+    under the normal load alone continues under the tangential one. Bodies of finite size are strained along the surface
+    by stresses of the order of P/R, a / (mu R) of the largest traction, which moves the strip that sticks.
     """
     radius = checks.quantity("radius", radius, positive=True)
     material = PlaneStrain(young=young, poisson=poisson)
-    form = closed_form(load, radius, None, material)
+    form = LineContact.of(load, radius, None, material)
     tangential = checks.nonnegative("tangential", tangential)
-    reference: Mapping[str, Any] = hertz_reference(form)
+    reference = form.reference()
     if isinstance(law, Coulomb) and not callable(law.friction) and np.ndim(law.friction) == 0:
         slip = PartialSlip(normal=form, friction=float(law.friction), tangential=tangential)
         sources = {**reference["sources"], "partial_slip": "Cattaneo; Johnson, Contact Mechanics, section 7.2"}
-        reference = {**reference, "stick": slip.stick, "partial_slip": slip, "sources": sources}
+        reference |= {"stick": slip.stick, "partial_slip": slip, "sources": sources}
     return ContactProblem(
         name="Cattaneo",
         material=material,
@@ -140,28 +121,20 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
 
 
 def cattaneo_path(steps: int = 1) -> LoadPath:
-    """The load history: P in one step, then Q in equal steps.
-
-    Parameters
-    ----------
-    steps : int
-        Of the tangential load, >= 1.
-    """
+    """Return the load history: P in one step, then Q in ``steps`` equal steps."""
     steps = checks.integer("steps", steps, 1)
     return LoadPath({"lower.bottom": 1.0, "upper.top": np.arange(steps + 1) / steps})
 
 
 def _half_cylinder(radius: float, a: float) -> Outline:
     """Flat at its middle plane y = radius."""
-    turn = math.asin(min(SLAVE_REACH * a / radius, math.sqrt(0.5)))
-    x, y = radius * math.sin(turn), 2 * radius * math.sin(0.5 * turn)**2
-    center = (0.0, radius)
+    (x, y), center = on_circle(radius, SLAVE_REACH * a), (0.0, radius)
     return Outline(vertices=((-radius, radius), (-x, y), (0.0, 0.0), (x, y), (radius, radius)),
                    boundaries=("side", "contact", "contact", "side", "top"),
-                   arcs={0: center, 1: center, 2: center, 3: center})
+                   arcs=dict.fromkeys(range(4), center))
 
 
 def _whole_block(size: float, a: float) -> Polygon:
-    edge = min(MASTER_REACH * a, 0.75 * size)
+    edge = block_contact(size, a)
     return Polygon(vertices=((-size, -size), (size, -size), (size, 0.0), (edge, 0.0), (-edge, 0.0), (-size, 0.0)),
                    boundaries=("bottom", "right", "top", "contact", "top", "left"))

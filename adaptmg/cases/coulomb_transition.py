@@ -1,65 +1,51 @@
-r"""The end of a slip zone under Coulomb friction, with its exact solution: slip beside an open zone or sticking.
+r"""The end of a slip zone under Coulomb friction next to an open zone or sticking, with its exact plane-strain field.
 
-Rectangle (-1, 1) x (0, 1) m in plane strain on the rigid plane y = 0: slip at x > 0, open or stick at x < 0, and
-around x = 0 a field :math:`r^\lambda`, :math:`\lambda = 3/2 \pm \arctan(f \beta)/\pi`
-(:mod:`adaptmg.cases.coulomb_transition`). The top has the exact displacement. So have the sides along x; along y they
-have
-the exact shear traction, because a support may not fix the normal displacement of the contact nodes at which they end.
-The energy error of linear elements falls like h on uniform meshes, and the discrete transition lies within one cell of
-x = 0.
-
-Exact plane-strain fields at the end of a slip zone under Coulomb friction, in a half plane.
-
-Body y > 0, contact along y = 0 with a rigid plane, slip in the direction s on x > 0, open or stick on x < 0. With the
-complex potentials :math:`\varphi = a z^\lambda,\ \psi = b z^\lambda,\ z = x + i y,\ \kappa = 3 - 4\nu` (N. I.
-Muskhelishvili, Some basic problems of the mathematical theory of elasticity, 1953, section 32)
+Rectangle (-1, 1) x (0, 1) m on the rigid plane y = 0, slip in the direction s on x > 0, open or stick on x < 0. The top
+has the exact displacement, the sides have it along x; along y they have the exact shear traction, because a support may
+not fix the normal displacement of the contact nodes at which they end. With the complex potentials
+:math:`\varphi = a z^\lambda,\ \psi = b z^\lambda,\ z = x + i y,\ \kappa = 3 - 4\nu` (N. I. Muskhelishvili, Some basic
+problems of the mathematical theory of elasticity, 1953, section 32)
 
 .. math:: 2\mu (u_x + i u_y) &= \kappa\varphi - z \overline{\varphi'} - \overline{\psi},\\
    \sigma_{xx} + \sigma_{yy} &= 4\,\mathrm{Re}\,\varphi',\qquad
    \sigma_{yy} - \sigma_{xx} + 2 i\,\sigma_{xy} = 2 (\bar z \varphi'' + \psi')
 
-equilibrium holds for any a, b. The four conditions
-
-.. math:: u_y = 0,\ \sigma_{xy} + s f \sigma_{yy} = 0 \text{ on } x > 0;\qquad
-   \sigma_{yy} = \sigma_{xy} = 0 \text{ or } u_x = u_y = 0 \text{ on } x < 0
-
-are linear and homogeneous in the real and imaginary parts of a and b, and have a solution if
-
-.. math:: \lambda = \frac32 \pm \frac1\pi \arctan(f \beta),\qquad \beta = \frac{1 - 2\nu}{2 (1 - \nu)} ,
-
-found here as the null vector of their matrix. Both signs belong to f > 0: with slip away from the transition or
-towards it (:math:`\lambda > 1` rules the singular roots out). To it come a rigid shift along the plane, so that an open
-zone's neighbour slips in the direction s all along, or uniform compression and shear at the limit of friction, so that
-sticking is pressed.
+equilibrium holds for any a, b. The conditions :math:`u_y = 0,\ \sigma_{xy} + s f \sigma_{yy} = 0` on x > 0 and
+:math:`\sigma_{yy} = \sigma_{xy} = 0` or :math:`u_x = u_y = 0` on x < 0 are linear in a and b and have a solution, the
+null vector of their matrix, if :math:`\lambda = 3/2 \pm \arctan(f \beta)/\pi,\ \beta = (1 - 2\nu) / (2 (1 - \nu))`,
+with slip away from the transition or towards it. A rigid shift along the plane, or uniform compression and shear at the
+limit of friction, is added so that all states are admissible.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.stress import element_strain
-from adaptmg.estimate.reference_error import EnergyError
-from adaptmg.geometry.quadrature import quadrature_points, simplex_rule
 from adaptmg.problem import Contact, ContactProblem, Coulomb, Plane, PlaneStrain, Rectangle, Support, Traction
-from adaptmg.solver.result import Result
+
+if TYPE_CHECKING:
+    from adaptmg.estimate.reference_error import EnergyError
+    from adaptmg.solver.result import Result
 
 __all__ = ["DisplacementComponent", "TractionComponent", "TransitionField", "coulomb_transition", "transition_exponent",
            "transition_mode"]
 
+
 def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign: str = "+",  # noqa: B008
                        pressure: float = 1e8, young: float = 1.3e11, poisson: float = 0.2) -> ContactProblem:
-    """A transition of contact states with its exact solution.
+    """A transition of contact states with its exact solution; plane strain.
 
     Parameters
     ----------
     law : Coulomb
         A constant coefficient, above 0 and at most 2.
     kind : {"open", "stick"}
-        What lies beside the slip zone.
+        The state next to the slip zone.
     sign : {"+", "-"}
         Of lambda: "+" where the body slips away from the transition, "-" where it slips towards it.
     pressure : float
@@ -70,15 +56,14 @@ def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign:
     Returns
     -------
     ContactProblem
-        ``reference`` holds ``field`` (:class:`~adaptmg.cases.coulomb_transition.TransitionField`: ``displacement``,
-        ``gradient``, ``stress``, ``energy_error(result)``), ``exponent``, ``transition`` (0.0, m) and ``uniform_rate``
-        (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).
+        ``reference`` holds ``field`` (:class:`TransitionField`), ``exponent``, ``transition`` (0.0, m) and
+        ``uniform_rate`` (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).
     """
     checks.choice("kind", kind, ("open", "stick"))
     checks.choice("sign", sign, ("+", "-"))
     if not isinstance(law, Coulomb) or callable(law.friction) or np.ndim(law.friction) or not 0 < law.friction <= 2:
-        raise ValueError("law must be Coulomb(f) with one coefficient f above 0 and at most 2: the exact field is that "
-                         f"of friction, got {checks.described(law)}")
+        raise ValueError("law must be Coulomb(f) with a constant f above 0 and at most 2, got "
+                         f"{checks.described(law)}")
     pressure = checks.quantity("pressure", pressure, positive=True)
     field = _field(kind, sign == "+", float(law.friction), pressure, PlaneStrain(young=young, poisson=poisson))
     moved = [DisplacementComponent(field, k) for k in (0, 1)]
@@ -97,7 +82,7 @@ def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign:
 
 
 def _field(kind: str, away: bool, friction: float, pressure: float, material: PlaneStrain) -> TransitionField:
-    """The mode with the sign and size, and the uniform part, that make all states admissible."""
+    """The mode with a sign, a size and a uniform part that make all states admissible."""
     a, b, _ = transition_mode(kind, friction, material.poisson, away)
     exponent, direction = transition_exponent(friction, material.poisson, away), 1.0 if away else -1.0
     mode = TransitionField(material=material, exponent=exponent, a=a, b=b)
@@ -108,23 +93,21 @@ def _field(kind: str, away: bool, friction: float, pressure: float, material: Pl
         # the tangential traction at x < 0 must stay below the limit, which the uniform part reaches
         excess = direction * left[2] + friction * left[1]
         scale, uniform, shear = -friction * pressure / excess, pressure, direction * friction * pressure
-    made = TransitionField(material=material, exponent=exponent, a=scale * a, b=scale * b, pressure=uniform,
-                           shear=shear)
+    field = replace(mode, a=scale * a, b=scale * b, pressure=uniform, shear=shear)
     if kind == "stick":
-        return made
-    slip = abs(float(made.displacement(np.array([[1.0, 0.0]]))[0, 0]))
-    return TransitionField(material=material, exponent=exponent, a=made.a, b=made.b,
-                           shift=direction * math.ceil(2e6 * slip) * 1e-6)
+        return field
+    slip = abs(float(field.displacement(np.array([[1.0, 0.0]]))[0, 0]))
+    return replace(field, shift=direction * math.ceil(2e6 * slip) * 1e-6)
 
 
 def transition_exponent(friction: float, poisson: float, away: bool) -> float:
-    """Lambda: 3/2 plus (slip away from the transition) or minus atan(f beta) / pi."""
+    """Return lambda: 3/2 plus (slip away from the transition) or minus atan(f beta) / pi."""
     beta = (1 - 2 * poisson) / (2 * (1 - poisson))
     return 1.5 + (1 if away else -1) * math.atan(friction * beta) / math.pi
 
 
 def transition_mode(kind: str, friction: float, poisson: float, away: bool) -> tuple[complex, complex, float]:
-    """The mode of the conditions at r = 1."""
+    """Return a and b of the mode, and the smallest over the largest singular value of the conditions."""
     exponent, sign = transition_exponent(friction, poisson, away), 1.0 if away else -1.0
     ends = np.array([1.0 + 0.0j, -1.0 + 0.0j])
     columns = []
@@ -140,38 +123,25 @@ def transition_mode(kind: str, friction: float, poisson: float, away: bool) -> t
 
 @dataclass(frozen=True, kw_only=True)
 class TransitionField:
-    """Displacement, its gradient and stress of one field; functions of position (n, 2), m, y >= 0.
-
-    Parameters
-    ----------
-    material : PlaneStrain
-    exponent : float
-        Lambda.
-    a, b : complex
-        Coefficients of the potentials, Pa m^(1 - lambda).
-    shift : float
-        Rigid displacement along x, m.
-    pressure, shear : float
-        Uniform compression -sigma_yy and shear sigma_xy with no strain along x, Pa.
-    """
+    """Displacement, its gradient and stress of one field; functions of position (n, 2), m, y >= 0."""
 
     material: PlaneStrain
-    exponent: float
-    a: complex
+    exponent: float  # lambda
+    a: complex  # coefficients of the potentials, Pa m^(1 - lambda)
     b: complex
-    shift: float = 0.0
-    pressure: float = 0.0
-    shear: float = 0.0
+    shift: float = 0.0  # rigid displacement along x, m
+    pressure: float = 0.0  # uniform compression -sigma_yy without strain along x, Pa
+    shear: float = 0.0  # uniform sigma_xy, Pa
 
     def displacement(self, points: np.ndarray) -> np.ndarray:
-        """u (n, 2), m."""
+        """Return u (n, 2), m."""
         z, mu = _complex(points), self.material.shear_modulus
         u = _displacement(z, self.exponent, self.a, self.b, self.material.poisson) / (2 * mu)
         stretch = -self.pressure / (self.material.lame + 2 * mu)
         return np.column_stack([u.real + self.shift + self.shear / mu * z.imag, u.imag + stretch * z.imag])
 
     def gradient(self, points: np.ndarray) -> np.ndarray:
-        """d u_i / d x_j (n, 2, 2)."""
+        """Return d u_i / d x_j (n, 2, 2)."""
         z, mu = _complex(points), self.material.shear_modulus
         kappa = 3 - 4 * self.material.poisson
         first, second, other = _derivatives(z, self.exponent, self.a, self.b)
@@ -186,21 +156,17 @@ class TransitionField:
         return result
 
     def stress(self, points: np.ndarray) -> np.ndarray:
-        """xx, yy, xy (n, 3), Pa."""
+        """Return xx, yy, xy (n, 3), Pa."""
         result = _stress(_complex(points), self.exponent, self.a, self.b)
         lame, mu = self.material.lame, self.material.shear_modulus
         return result + np.array([-self.pressure * lame / (lame + 2 * mu), -self.pressure, self.shear])
 
     def energy_error(self, result: Result, points: int = 6) -> EnergyError:
-        """The exact error of a discrete solution in the energy norm.
+        """Return the exact error of a solution of the case in the energy norm, with ``points**2`` points an element."""
+        from adaptmg.discrete.stress import element_strain
+        from adaptmg.estimate.reference_error import EnergyError
+        from adaptmg.geometry.quadrature import quadrature_points, simplex_rule
 
-        Parameters
-        ----------
-        result : Result
-            Of the case with this field.
-        points : int
-            Of the quadrature along each direction of an element; the strain varies like r^(lambda - 1).
-        """
         mesh = result.mesh
         if mesh is None:
             raise ValueError("result has no mesh: solve on a Hierarchy of the case")
@@ -228,7 +194,7 @@ class DisplacementComponent:
     component: int
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Values (n,), m."""
+        """Return values (n,), m."""
         return self.field.displacement(points)[:, self.component]
 
 
@@ -241,12 +207,12 @@ class TractionComponent:
     component: int
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Values (n,), Pa."""
+        """Return values (n,), Pa."""
         return self.normal * self.field.stress(points)[:, (0, 2)[self.component]]
 
 
 def _complex(points: np.ndarray) -> np.ndarray:
-    """Z (n,); what lies below the plane by rounding lies on it: the fields have their cut there."""
+    """Complex coordinates (n,); points below the plane by rounding are moved onto it, where the fields have a cut."""
     points = np.asarray(points, dtype=np.float64)
     return points[:, 0] + 1j * np.maximum(points[:, 1], 0.0)
 

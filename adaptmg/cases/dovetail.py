@@ -16,15 +16,13 @@ strain, lengths in mm (``angle`` is that of the flanks from the horizontal)::
 
 The flank opens at the mouth, slips, sticks in its middle and slips to its lower end, where the corner of the chamfer
 makes an edge singularity; the floor opens. A clearance c moves the notch's flank and floor away from the tongue by c
-along their normals: before the flanks carry anything the tongue rises by :math:`c / \cos(\text{angle})`, but for what
-friction and elasticity do.
+along their normals: before the flanks carry a load the tongue rises by :math:`c / \cos(\text{angle})`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from adaptmg import _checks as checks
 from adaptmg.problem import (
@@ -45,7 +43,7 @@ __all__ = ["dovetail"]
 _MM = 1e-3
 _NECK, _RISE, _DEPTH, _CHAMFER = 12.0, 24.0, 16.0, 3.0
 _SIDE, _BOTTOM = 36.0, 40.0
-# what must be left of the block beside the notch
+# the least width of the block next to the notch
 _LEAST_WALL = 6.0
 
 _DEFAULTS = {"angle": 50.0, "clearance": 0.0, "pull": 100e6, "clamp": 120e6, "young": 2.1e11, "poisson": 0.3}
@@ -60,8 +58,7 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
     law : Law
         On flank and floor.
     angle : float
-        Of the flanks from the horizontal, degrees, below 90; small angles widen the notch towards the side of the
-        block, of which 6 mm must be left.
+        Of the flanks from the horizontal, degrees, below 90.
     clearance : float
         Normal distance of flank and floor from the tongue before loading, m, >= 0.
     pull : float
@@ -74,25 +71,18 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
     Returns
     -------
     ContactProblem
-        Bodies "tongue" (slave: it lies inside the notch) and "block". For the default parameters ``reference`` holds
-        ``points`` (name -> position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state ->
-        ranges of depth below the mouth, m), ``tolerances`` (what ``values`` and ``zones`` are certain to, m),
-        ``sources`` and ``remark``; otherwise only ``remark``.
-
-    Raises
-    ------
-    ValueError
-        For a negative clearance: an interference fit needs gaps below zero, which a pair allows explicitly.
+        Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name ->
+        position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state -> ranges of depth
+        below the mouth, m), ``tolerances`` of both (m), ``sources`` and ``remark``; otherwise only ``remark``.
     """
     parameters = {"angle": angle, "clearance": clearance, "pull": pull, "clamp": clamp, "young": young,
                   "poisson": poisson}
     angle = _checked_angle(angle)
     if not checks.quantity("clearance", clearance) >= 0:
-        raise ValueError(f"clearance must be >= 0, got {clearance!r}: a negative one is an interference fit, which "
-                         "wants pairs with ContactPair(..., allow_interference=True); replace the contact of this "
-                         "problem, with gap=..., to pose it")
+        raise ValueError(f"clearance must be >= 0, got {clearance!r}: pose an interference fit by pairs with "
+                         "ContactPair(..., gap=..., allow_interference=True)")
     pull, clamp = checks.quantity("pull", pull), checks.quantity("clamp", clamp)
-    reference: Mapping[str, Any] = {"remark": _REMARK}
+    reference: Mapping[str, object] = {"remark": _REMARK}
     if parameters == _DEFAULTS and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 0.2:
         reference = _REFERENCE
     return ContactProblem(
@@ -109,24 +99,21 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
 
 
 def _checked_angle(angle: float) -> float:
-    """In radians."""
     angle = checks.number("angle", angle)
     least = math.degrees(math.atan2(_DEPTH, _SIDE - _LEAST_WALL - _NECK))
     if not least <= angle < 90:
-        raise ValueError(f"angle must be at least {least:.1f} degrees from the horizontal (the notch would come within "
-                         f"{_LEAST_WALL:g} mm of the block's side) and below 90, got {angle!r}")
+        raise ValueError(f"angle must be at least {least:.1f} degrees from the horizontal and below 90, got {angle!r}")
     return math.radians(angle)
 
 
 def _tongue(angle: float) -> Polygon:
-    """The inner part; corners from the bottom on the axis, counter-clockwise."""
     foot = _NECK + (_DEPTH - _CHAMFER) / math.tan(angle)
     return _polygon([(0.0, -_DEPTH), (foot - _CHAMFER, -_DEPTH), (foot, _CHAMFER - _DEPTH), (_NECK, 0.0),
                      (_NECK, _RISE), (0.0, _RISE)], ("bottom", "chamfer", "flank", "neck", "top", "symmetry"))
 
 
 def _block(angle: float, clearance: float) -> Polygon:
-    """The outer part; flank and floor moved along their normals by ``clearance``, mm."""
+    """The outer part, its flank and floor moved along their normals by ``clearance``, mm."""
     mouth = _NECK + clearance / math.sin(angle)
     floor = _DEPTH + clearance
     root = mouth + floor / math.tan(angle)

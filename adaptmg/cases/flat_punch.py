@@ -1,20 +1,13 @@
-r"""A flat rigid punch without friction on an elastic half-plane.
+r"""A flat rigid punch without friction on an elastic half-plane, and meshes refined towards points.
 
-The punch is modelled as a rigid plane that ends: only the part |x| < a of the block's top is called "contact" and lies
-against the plane y = 0. The punch stays, and the block, guided at its plane of symmetry, is pressed up against it from
-below by the load P per length; what the punch feels is the same. For the half-plane
+The punch is a rigid plane that ends: only the part |x| < a of the block's top is called "contact" and lies against the
+plane y = 0. The block, guided at its plane of symmetry, is pressed up against it from below by the load P per length.
+For the half-plane
 
 .. math:: p(x) = \frac{P}{\pi\sqrt{a^2 - x^2}}
 
 (K. L. Johnson, Contact Mechanics, 1985, section 2.8), singular at the edge: u ~ r^(1/2), so that uniform meshes
-converge like N^(-1/4) in the energy norm, and meshes graded towards the edge pay.
-
-Families of independent meshes around a point where bodies touch or a punch ends.
-
-On the finest mesh the edges have the length s within a radius of the point and grow by g per distance beyond, up to
-.65 g times the largest extent of a body; on the mesh l levels below all of this is multiplied by :math:`f^l`. The
-growth is not cut off before it reaches 1, because a coarse mesh that is nowhere finer than the next one is what a
-hierarchy of independent meshes needs: where it is not, some coarse functions are seen by no fine node.
+converge like N^(-1/4) in the energy norm.
 """
 
 from __future__ import annotations
@@ -22,11 +15,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh import MeshArrays, SizeNear
 from adaptmg.problem import (
     Assembly,
     Contact,
@@ -41,6 +34,9 @@ from adaptmg.problem import (
     Support,
 )
 
+if TYPE_CHECKING:
+    from adaptmg.mesh.arrays import MeshArrays
+
 __all__ = ["PunchPressure", "flat_punch", "flat_punch_meshes", "point_meshes"]
 
 # depth and half the width of the block, in half-widths of the punch
@@ -49,18 +45,10 @@ _SIZE = 40.0
 
 @dataclass(frozen=True, kw_only=True)
 class PunchPressure:
-    """The pressure P / (pi sqrt(a^2 - x^2)) under a flat rigid punch.
+    """The pressure P / (pi sqrt(a^2 - x^2)) under a flat rigid punch."""
 
-    Parameters
-    ----------
-    load : float
-        P, N/m.
-    half_width : float
-        a, m.
-    """
-
-    load: float
-    half_width: float
+    load: float  # P, N/m
+    half_width: float  # a, m
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Pressure at |x| < a, Pa."""
@@ -86,11 +74,7 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
     -------
     ContactProblem
         ``reference`` holds, without friction, ``pressure`` (:class:`PunchPressure`, of x in m), ``exponent`` (of the
-        singularity at the edge) and ``sources``.
-
-    See Also
-    --------
-    flat_punch_meshes : meshes graded towards the edge.
+        singularity at the edge) and ``sources``. For meshes see :func:`flat_punch_meshes`.
     """
     a, load = checks.quantity("half_width", half_width, positive=True), checks.quantity("load", load, positive=True)
     reference = {}
@@ -117,31 +101,20 @@ def flat_punch_meshes(problem: ContactProblem, *, finest: float = 1 / 200, level
                       grading: float = 0.08) -> list[MeshArrays]:
     """Independent meshes, coarse to fine, graded towards the edge of the punch.
 
-    Parameters
-    ----------
-    problem : ContactProblem
-        :func:`flat_punch`.
-    finest : float
-        Edge length at the punch's edge over the half-width on the finest mesh, above 0 and at most 0.5.
-    levels : int
-        Number of meshes, >= 1.
-    factor : float
-        By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
-    grading : float
-        Growth of the edge length per distance from the edge on the finest mesh; ``factor`` times as much on each
-        coarser one, up to 1 on the coarsest.
+    ``finest`` is the edge length at the edge of the punch over its half-width on the finest mesh, at most 0.5,
+    ``grading`` its growth per distance. From mesh to mesh all edge lengths fall by ``factor``, above 1 and at most 3.
     """
     finest = checks.positive("finest", finest)
     if not finest <= 0.5:
         raise ValueError(f"finest must be at most 0.5 of the half-width, got {finest!r}")
     if not isinstance(problem.domain, Polygon) or "free" not in problem.domain.boundaries:
-        raise ValueError(f"problem {problem.name!r} is no flat punch")
+        raise ValueError(f"problem must be a flat punch, got {problem.name!r}")
     a = problem.domain.vertices[3][0]
     return point_meshes(problem.domain, [(a, 0.0)], size=finest * a, radius=0.0, levels=levels, factor=factor,
                         grading=grading)
 
 
-# rounds of Netgen on the finest mesh beyond those that reach its smallest size, and the most on coarser ones
+# the least number of rounds of Netgen on the finest mesh beyond those that reach its smallest size, and the largest
 _CLOSER, _MOST = 1, 8
 # largest edge over grading and extent
 _LARGEST = 0.65
@@ -149,8 +122,14 @@ _LARGEST = 0.65
 
 def point_meshes(domain: Domain, points: Sequence[Sequence[float]], *, size: float, radius: float, levels: int,
                  factor: float, grading: float) -> list[MeshArrays]:
-    """Meshes of a domain, coarse to fine."""
-    from adaptmg.mesh import sized
+    """Return independent meshes of a domain, coarse to fine.
+
+    On the finest the edges have the length ``size`` within ``radius`` of the points and grow by ``grading`` per
+    distance beyond, up to .65 ``grading`` times the largest extent of a body; on each coarser one all of this is
+    multiplied by ``factor``. The growth is limited by 1 only, so that a coarse mesh is nowhere finer than the next:
+    else some coarse functions would be seen by no fine node.
+    """
+    from adaptmg.mesh import SizeNear, sized
 
     grading = checks.positive("grading", grading)
     levels, factor = checks.integer("levels", levels, 1), checks.number("factor", factor)
@@ -158,9 +137,8 @@ def point_meshes(domain: Domain, points: Sequence[Sequence[float]], *, size: flo
         raise ValueError(f"factor must be above 1 and at most 3, got {factor!r}")
     steepest = grading * factor**(levels - 1)
     if not steepest <= 1 + 1e-9:
-        raise ValueError(f"grading {grading:g} times factor {factor:g} to the number of coarser meshes is "
-                         f"{steepest:.3g}, more than 1: no mesh can grow so fast; take fewer levels or a smaller "
-                         "grading")
+        raise ValueError(f"grading * factor**(levels - 1) must be at most 1, got {steepest:.3g}: take fewer levels or "
+                         "a smaller grading")
     parts = domain.parts.values() if isinstance(domain, Assembly) else (domain,)
     extent = float(max(np.max(part.upper - part.lower) for part in parts))
     meshes = []
@@ -169,7 +147,7 @@ def point_meshes(domain: Domain, points: Sequence[Sequence[float]], *, size: flo
         steep = min(1.0, grading * scale)
         near, most = size * scale, _LARGEST * steep * extent
         deep = max(0, math.ceil(math.log(most / near / 16, 8)))
-        # rounds on coarse meshes cost next to nothing, and their few elements follow the field less closely
+        # rounds on coarse meshes cost little, and their few elements follow the field less closely
         rounds = min(2 + deep + _CLOSER + 2 * level, max(_MOST, 2 + deep))
         meshes.append(sized(domain, SizeNear(points, size=near, radius=radius, grading=steep), most, rounds,
                             grading=steep))

@@ -1,42 +1,20 @@
-r"""The GRECO bar: a square pressed on a rigid plane and pushed along it (Example 1 of the paper).
+r"""The GRECO bar: a square pressed on a rigid plane and pushed along it (Example 1 of the paper), and its variants.
 
 Half of a long bar of 80 x 40 mm in plane strain: u_x = 0 on the plane of symmetry x = a ('right'), a rigid plane with
 Coulomb friction at y = 0 ('bottom'), pressure on the top, and a larger one on x = 0 ('left') that pushes in +x. The
-contact opens near x = 0, slips, and sticks towards the plane of symmetry.
-
-Sources of the reference values: Code_Aster test SSNV128 (V6.04.128), after Raous, Chabrand and Lebon, 'Numerical
-methods for frictional contact problems and applications', J. Mec. Theor. Appl. 7 (1988); and a P2 computation on fine
-meshes, in which two independent codes agree to 2e-7.
-
+contact opens near x = 0, slips, and sticks towards the plane of symmetry. Reference values: Code_Aster test SSNV128
+(V6.04.128), after Raous, Chabrand and Lebon, J. Mec. Theor. Appl. 7 (1988), and a P2 computation on fine meshes.
 Without friction the case is a patch test: full contact under the uniform stress
-:math:`\sigma_{xx} = -p_{side},\ \sigma_{yy} = -p_{top}`, so that P1 elements are exact on every mesh, with
+:math:`\sigma_{xx} = -p_{side},\ \sigma_{yy} = -p_{top}`, with
 
 .. math:: u_x = -(a - x)\,\varepsilon_{xx},\quad u_y = y\,\varepsilon_{yy},\quad
    E\,\varepsilon_{xx} = (1-\nu^2)\,\sigma_{xx} - \nu(1+\nu)\,\sigma_{yy}.
-
-The GRECO bar in three dimensions: a box pressed on the plane z = 0 and pushed along x.
-
-With u_y = 0 on the front and the back the solution tends to that of the bar in plane strain; with a free back face the
-front is a plane of symmetry and the body, 2 x depth thick, bulges in y too.
-
-The square of the GRECO bar in front of a curved obstacle: a frictionless case in which the contact zone is unknown.
-
-The gap under the bottom is (a - x)^2 / (2 R), the parabola of a cylinder of radius R that touches at x = a. With the
-default parameters the right half of the bottom comes into contact (17 of the 33 contact nodes of the uniform mesh of
-32 x 32 cells), unlike in the frictionless GRECO bar, which is a patch test.
-
-The upset block: the GRECO bar without its side pressure, friction 0.5.
-
-The block is squeezed against the plane and bulges outwards; friction holds its foot, so that sticking contact meets
-the free 90 degree corner at x = 0. There u ~ r^lambda with lambda < 1 and uniform meshes converge at a reduced rate:
-this is where adaptive meshes pay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -93,8 +71,8 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
     -------
     ContactProblem
         ``reference`` holds ``quantity``, ``points`` (name -> position, m), ``values`` (source -> point -> m),
-        ``sources``, ``remark`` and ``zones`` (state -> range of x, m) for the default parameters; without friction
-        the closed form, for any parameters with ``top_pressure`` > 0; otherwise it is empty.
+        ``sources``, ``remark`` and ``zones`` (state -> range of x, m) for the default parameters, without friction for
+        all with ``top_pressure`` > 0; otherwise it is empty.
     """
     parameters = {"top_pressure": top_pressure, "side_pressure": side_pressure, "young": young, "poisson": poisson,
                   "size": size}
@@ -102,7 +80,7 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
     material = PlaneStrain(young=young, poisson=poisson)
     top_pressure = checks.quantity("top_pressure", top_pressure)
     side_pressure = checks.quantity("side_pressure", side_pressure)
-    reference: Mapping[str, Any] = {}
+    reference: Mapping[str, object] = {}
     if isinstance(law, Frictionless) and top_pressure > 0:
         reference = _patch_test(material, top_pressure, side_pressure, size)
     elif parameters == _DEFAULTS and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 1.0:
@@ -119,7 +97,7 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
     )
 
 
-def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float, size: float) -> dict[str, Any]:
+def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float, size: float) -> dict[str, object]:
     """The closed form without friction."""
     nu = material.poisson
     strain = (-(1 - nu**2) * side_pressure + nu * (1 + nu) * top_pressure) / material.young
@@ -139,7 +117,7 @@ def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float
 def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
                 young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3, depth: float = 40e-3,
                 plane_strain: bool = True) -> ContactProblem:
-    """The GRECO bar as a solid.
+    """The GRECO bar as a solid: a box pressed on the plane z = 0 and pushed along x.
 
     Parameters
     ----------
@@ -149,16 +127,9 @@ def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pres
     depth : float
         Length along y, m.
     plane_strain : bool
-        Fix u_y on front and back (True), or on the front only and leave the back free (False).
-
-    Returns
-    -------
-    ContactProblem
-        With ``plane_strain``, ``reference`` holds that of :func:`~adaptmg.cases.greco.greco_bar` with points
-        (x, depth / 2, 0) and the remark that these are values of the plane problem.
+        Fix u_y on front and back (True), where ``reference`` holds the values of the plane bar, or on the front only.
     """
-    if not isinstance(plane_strain, bool):
-        raise TypeError(f"plane_strain must be True or False, got {plane_strain!r}")
+    checks.flag("plane_strain", plane_strain)
     depth = checks.quantity("depth", depth, positive=True)
     bar = greco_bar(law=law, top_pressure=top_pressure, side_pressure=side_pressure, young=young, poisson=poisson,
                     size=size)
@@ -195,7 +166,9 @@ class ParabolicGap:
 def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pressure: float = 5e7,  # noqa: B008
                     side_pressure: float = 15e7, young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3
                     ) -> ContactProblem:
-    """The GRECO bar's body, loads and supports in front of a curved obstacle.
+    """The GRECO bar in front of a curved obstacle: the contact zone is unknown.
+
+    The gap under the bottom is (size - x)^2 / (2 radius).
 
     Parameters
     ----------
@@ -209,8 +182,7 @@ def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pres
     Returns
     -------
     ContactProblem
-        ``reference`` holds, for the default parameters, ``touching``: contact nodes that touch, by divisions of the
-        uniform mesh.
+        By default ``reference["touching"]`` is the number of touching nodes, by divisions of the uniform mesh.
     """
     bar = greco_bar(law=law, top_pressure=top_pressure, side_pressure=side_pressure, young=young, poisson=poisson,
                     size=size)
@@ -221,12 +193,16 @@ def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pres
     return replace(bar, name="curved obstacle", contact=Contact("bottom", GapFunction(gap)), reference=reference)
 
 
+#: lambda at the clamped-free corner by Poisson's ratio
 _EXPONENTS = {0.2: 0.781, 0.3: 0.711}
 
 
 def upset_block(*, law: Law = Coulomb(0.5), top_pressure: float = 5e7, young: float = 1.3e11,  # noqa: B008
                 poisson: float = 0.2, size: float = 40e-3) -> ContactProblem:
-    """The upset block.
+    """The GRECO bar without side pressure, friction 0.5.
+
+    Friction holds the foot, so that sticking contact meets the free 90 degree corner at x = 0: there u ~ r^lambda with
+    lambda < 1.
 
     Parameters
     ----------
@@ -239,8 +215,7 @@ def upset_block(*, law: Law = Coulomb(0.5), top_pressure: float = 5e7, young: fl
     -------
     ContactProblem
         ``reference`` holds, for friction 0.5 and Poisson's ratio 0.2 or 0.3, ``exponent`` (lambda) and
-        ``uniform_rate``: the energy error falls like N^-uniform_rate on uniform meshes of N nodes, N^-1/2 on
-        adapted ones.
+        ``uniform_rate``: the energy error falls like N^-uniform_rate on uniform meshes of N nodes.
     """
     problem = greco_bar(law=law, top_pressure=top_pressure, side_pressure=0.0, young=young, poisson=poisson, size=size)
     exponent = _EXPONENTS.get(poisson)

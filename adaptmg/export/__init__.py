@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from adaptmg.export.petsc_files import petsc
@@ -16,7 +16,7 @@ _WHERE = {"Report": "adaptmg.export.report", "petsc": "adaptmg.export.petsc_file
 __all__ = ["Report", "petsc", "study_report", "vtk", "vtk_series"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _WHERE:
         import importlib
 

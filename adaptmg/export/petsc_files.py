@@ -1,7 +1,8 @@
-r"""PETSc's binary format: matrices, vectors and index sets as bytes.
+"""petsc: a hierarchy or a discrete problem as a folder of files that PETSc loads (MatLoad, VecLoad, ISLoad).
 
-All numbers are big-endian, integers of 32 bits, reals of 64, as PETSc reads and writes them where it was configured
-without 64-bit indices and with real scalars in double precision (its default; PETSc manual, MatLoad, VecLoad, ISLoad):
+``manifest.json`` describes every file with unit, size and block size to programs, ``README.txt`` to people. Files of
+level k begin with ``levelK_``; level 0 is the coarsest. All numbers are big-endian, integers of 32 bits, reals of 64,
+as in a PETSc of default configuration (PETSc manual, MatLoad, VecLoad, ISLoad):
 
 ==========  ==========================================================================================================
 matrix      1211216, rows, columns, nonzeros; nonzeros of each row; column of each nonzero, row by row; value of each
@@ -9,19 +10,8 @@ vector      1211214, length; values
 index set   1211218, length; indices
 ==========  ==========================================================================================================
 
-Entries of a matrix that are stored are written, zeros too: blocks stay whole, so that the file can also be loaded as
-BAIJ, with its block size from the ``.info`` file beside it.
-
-petsc: a discrete problem, with its hierarchy, as a folder of files that PETSc loads (MatLoad, VecLoad, ISLoad).
-
-The folder appears complete or not at all. ``manifest.json`` says what every file is, in words, with unit, size and
-block size; ``README.txt`` says the same to people, and how to load it.
-
-What of a hierarchy goes into files for PETSc: names, meanings, units, contents.
-
-Each part is a matrix, a vector or an index set. Those of level k begin with ``levelK_``; level 0 is the coarsest.
-
-README.txt of an export for PETSc: what the files are, and how they are loaded.
+Stored zeros of a matrix are written: blocks stay whole, so that the file can be loaded as BAIJ, with the block size
+from the ``.info`` file next to it.
 """
 
 from __future__ import annotations
@@ -44,81 +34,11 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
 from adaptmg.solver.result import versions
 
-__all__ = ["LARGEST", "Part", "index_set", "matrix", "options", "parts_of_level", "petsc", "readme", "vector"]
+__all__ = ["LARGEST", "matrix", "petsc"]
 
 MATRIX, VECTOR, INDEX_SET = 1211216, 1211214, 1211218
 #: the largest integer of a PETSc with 32-bit indices
 LARGEST = 2**31 - 1
-
-
-def matrix(name: str, values: sparse.sparray) -> bytes:
-    """A sparse matrix, BSR or CSR, in the rows of its dofs; columns of a row in increasing order."""
-    rows, columns = values.shape
-    _check(name, "nonzeros", values.nnz)
-    _check(name, "rows or columns", max(rows, columns))
-    counts, indices, data = _rows(values)
-    head = struct.pack(">4i", MATRIX, rows, columns, len(data))
-    return b"".join((head, counts.astype(">i4").tobytes(), indices.astype(">i4").tobytes(),
-                     data.astype(">f8").tobytes()))
-
-
-def vector(name: str, values: np.ndarray) -> bytes:
-    """An array of reals, flattened row by row."""
-    flat = np.asarray(values, dtype=np.float64).reshape(-1)
-    _check(name, "values", len(flat))
-    return struct.pack(">2i", VECTOR, len(flat)) + flat.astype(">f8").tobytes()
-
-
-def index_set(name: str, values: np.ndarray) -> bytes:
-    """An array of integers."""
-    flat = np.asarray(values).reshape(-1)
-    _check(name, "indices", len(flat))
-    if len(flat):
-        _check(name, "as an index", int(flat.max()))
-    return struct.pack(">2i", INDEX_SET, len(flat)) + flat.astype(">i4").tobytes()
-
-
-def options(kind: str, block: int) -> bytes:
-    """The ``.info`` file: options that PETSc reads before it loads; ``kind`` is "mat" or "vec"."""
-    return f"-{kind}load_block_size {block}\n".encode()
-
-
-def _rows(values: sparse.sparray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nonzeros of each row, columns and values row by row, columns sorted."""
-    if values.format != "bsr":
-        # a copy, as sorting and summing change the matrix in place
-        found = sparse.csr_array(values, dtype=np.float64, copy=True)
-        found.sum_duplicates()
-        return np.diff(found.indptr), found.indices, found.data
-    found = values.copy() if not values.has_canonical_format else values
-    found.sum_duplicates()
-    high, wide = found.blocksize
-    per_block_row = np.diff(found.indptr)
-    columns = (wide * found.indices[:, None] + np.arange(wide)).reshape(-1)
-    # the rows of the blocks of a block row, one after another: (row in the block, block, column in the block)
-    order = _row_by_row(found.indptr, high)
-    return (np.repeat(per_block_row * wide, high), columns.reshape(-1, wide)[order // high].reshape(-1),
-            found.data.reshape(-1, wide)[order].reshape(-1))
-
-
-def _row_by_row(indptr: np.ndarray, high: int) -> np.ndarray:
-    """Rows of blocks, numbered block by block (``high * block + row``), in the order of the rows of the matrix."""
-    counts = np.diff(indptr)
-    block = np.arange(indptr[-1], dtype=np.int64)
-    # within its block row a block stands at position ``at``; row r of it comes after r times the blocks of the row
-    at, start, width = block - np.repeat(indptr[:-1], counts), np.repeat(indptr[:-1], counts), np.repeat(counts, counts)
-    place = high * start[:, None] + np.arange(high) * width[:, None] + at[:, None]
-    order = np.empty(high * len(block), dtype=np.int64)
-    order[place.reshape(-1)] = (high * block[:, None] + np.arange(high)).reshape(-1)
-    return order
-
-
-def _check(name: str, what: str, size: int) -> None:
-    if size > LARGEST:
-        raise ValueError(f"{name} has {size} {what}, more than the {LARGEST} that PETSc counts with its default "
-                         "32-bit indices: export a coarser hierarchy, or a single level of it")
-
-
 _MANIFEST, _README = "manifest.json", "README.txt"
 _FORMAT = "adaptmg for PETSc, 1"
 
@@ -131,55 +51,36 @@ def petsc(problem: Hierarchy | DiscreteProblem, directory: str | os.PathLike[str
     problem : Hierarchy or DiscreteProblem
         Of a hierarchy every level is written, ``level0_...`` the coarsest.
     directory : path
-        Made here; its parent must exist. One that this function wrote before is replaced; another must be empty.
-
-    Returns
-    -------
-    pathlib.Path
-        The manifest: what every file holds.
-
-    Raises
-    ------
-    ValueError
-        If a matrix has more than 2^31 - 1 nonzeros, which PETSc's default 32-bit indices cannot count; nothing is
-        written then.
-    OSError
-        If the directory holds other files, is a file, or cannot be written.
+        A new or empty folder in one that exists, or one that this function wrote before, which is replaced. It appears
+        complete or not at all.
 
     Notes
     -----
-    Unknown ``dim * node + component``. A u - b is zero but at fixed dofs and at contact nodes, where u.n <= g0,
-    p = -r.n >= 0, p (g0 - u.n) = 0, |f_t| <= s + friction p. For several bodies the unknowns at contact nodes are
-    relative to the other body, and ``coupling`` gives displacements.
+    The path of the manifest is returned. Unknowns are ``dim * node + component``. A u - b is zero except at fixed dofs
+    and at contact nodes, where u.n <= g0, p = -r.n >= 0, p (g0 - u.n) = 0, |f_t| <= s + friction p. For several bodies
+    the unknowns at contact nodes are relative to the other body, and ``coupling`` gives displacements.
     """
     if isinstance(problem, DiscreteProblem):
         problem = Hierarchy.single(problem)
     checks.instance("problem", problem, Hierarchy, "a Hierarchy or a DiscreteProblem")
     target = Path(os.path.realpath(checks.file_path("directory", directory)))
     _check_target(target)
-    parts = [part for number, level in enumerate(problem.levels) for part in parts_of_level(number, level)]
-    manifest = _manifest(problem, parts)
+    parts = [part for number, level in enumerate(problem.levels) for part in _parts_of_level(number, level)]
     with waiting_folder(target.parent) as waiting:
-        made = waiting / "new"
-        made.mkdir()
+        new = waiting / "new"
+        new.mkdir()
         for part in parts:
-            write_bytes(made / f"{part.name}.petsc", part.content())
-            if (info := part.info()) is not None:
-                write_bytes(made / f"{part.name}.petsc.info", info)
-        write_bytes(made / _README, readme(problem, parts).encode())
-        write_bytes(made / _MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False).encode())
+            write_bytes(new / f"{part.name}.petsc", part.content())
+            if part.kind != "IS":
+                # without blocks too: PETSc applies a block size that it read for one file to those read later
+                info = f"-{part.kind.lower()}load_block_size {part.block}\n"
+                write_bytes(new / f"{part.name}.petsc.info", info.encode())
+        write_bytes(new / _README, _readme(problem, parts).encode())
+        write_bytes(new / _MANIFEST, json.dumps(_manifest(problem, parts), indent=1, ensure_ascii=False).encode())
         if target.exists():
             os.replace(target, waiting / "old")
-        os.replace(made, target)
+        os.replace(new, target)
     return target / _MANIFEST
-
-
-def _manifest(problem: Hierarchy, parts: Sequence[Part]) -> dict[str, object]:
-    finest = problem.finest.discrete
-    return {"format": _FORMAT, "problem": printable(finest.name), "dim": finest.dim, "levels": len(problem),
-            "scalars": "real, 64 bits, big-endian", "integers": "32 bits, big-endian",
-            "contact_boundaries": [printable(name) for name in finest.contact.names],
-            "versions": versions(), "files": [part.described() for part in parts]}
 
 
 def _check_target(target: Path) -> None:
@@ -190,19 +91,23 @@ def _check_target(target: Path) -> None:
         return
     if not target.is_dir():
         raise NotADirectoryError(f"directory must be a folder, but {str(target)!r} is a file")
-    foreign = sorted({entry.name for entry in target.iterdir()} - _written(target))
+    try:
+        manifest = json.loads((target / _MANIFEST).read_text(encoding="utf-8"))
+        files = [entry["file"] for entry in manifest["files"]] if manifest["format"].startswith(_FORMAT[:17]) else []
+        written = {*files, *(f"{name}.info" for name in files), _README, _MANIFEST}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        written = set()
+    foreign = sorted({entry.name for entry in target.iterdir()} - written)
     if foreign:
         raise FileExistsError(f"directory {str(target)!r} holds other files, {foreign[0]!r} for one: give a new folder")
 
 
-def _written(target: Path) -> set[str]:
-    """Names of the files of an older export; empty where there is none."""
-    try:
-        manifest = json.loads((target / _MANIFEST).read_text(encoding="utf-8"))
-        files = [entry["file"] for entry in manifest["files"]] if manifest["format"].startswith(_FORMAT[:17]) else []
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return set()
-    return {*files, *(f"{name}.info" for name in files), _README, _MANIFEST}
+def _manifest(problem: Hierarchy, parts: Sequence[Part]) -> dict[str, object]:
+    finest = problem.finest.discrete
+    return {"format": _FORMAT, "problem": printable(finest.name), "dim": finest.dim, "levels": len(problem),
+            "scalars": "real, 64 bits, big-endian", "integers": "32 bits, big-endian",
+            "contact_boundaries": [printable(name) for name in finest.contact.names],
+            "versions": versions(), "files": [part.entry() for part in parts]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,33 +115,25 @@ class Part:
     """One file."""
 
     name: str  # of the file, without its suffix
-    kind: str
+    kind: str  # Mat, Vec or IS
     meaning: str
     unit: str
     values: sparse.sparray | np.ndarray
-    block: int = 1  # block size, 1 for none
+    block: int = 1
 
     def content(self) -> bytes:
-        """The file."""
-        write = {"Mat": matrix, "Vec": vector, "IS": index_set}[self.kind]
-        return write(self.name, self.values)
+        """Return the file."""
+        return {"Mat": matrix, "Vec": _vector, "IS": _index_set}[self.kind](self.name, self.values)
 
-    def info(self) -> bytes | None:
-        """The file beside it that tells PETSc the block size; None for an index set.
-
-        Where there are no blocks too: PETSc takes a size that it read for one file for those read later as well.
-        """
-        return None if self.kind == "IS" else options(self.kind.lower(), self.block)
-
-    def described(self) -> dict[str, object]:
-        """Its entry in the manifest."""
+    def entry(self) -> dict[str, object]:
+        """Return the entry in the manifest."""
         shape = list(self.values.shape) if self.kind == "Mat" else int(np.size(self.values))
         entry = {"file": f"{self.name}.petsc", "kind": self.kind, "meaning": self.meaning, "unit": self.unit,
                  "size": shape, "block_size": self.block}
         return entry | ({"nonzeros": int(self.values.nnz)} if self.kind == "Mat" else {})
 
 
-def parts_of_level(number: int, level: Level) -> Iterator[Part]:
+def _parts_of_level(number: int, level: Level) -> Iterator[Part]:
     """All of one level."""
     prefix = f"level{number}_"
     if level.discrete is None:
@@ -296,6 +193,38 @@ def _contact(prefix: str, discrete: DiscreteProblem) -> Iterator[Part]:
     yield Part(f"{prefix}boundary", "IS", "index of the contact boundary of each contact node", "", contact.boundary)
 
 
+def matrix(name: str, values: sparse.sparray) -> bytes:
+    """Return the file of a sparse matrix: rows of its dofs, columns of a row in increasing order."""
+    rows, columns = values.shape
+    _check(name, "nonzeros", values.nnz)
+    _check(name, "rows or columns", max(rows, columns))
+    # sorting and summing change a matrix in place; blocks keep their zeros
+    csr = values.copy() if values.format == "csr" else values.tocsr()
+    csr.sum_duplicates()
+    return b"".join((struct.pack(">4i", MATRIX, rows, columns, csr.nnz), np.diff(csr.indptr).astype(">i4").tobytes(),
+                     csr.indices.astype(">i4").tobytes(), csr.data.astype(">f8").tobytes()))
+
+
+def _vector(name: str, values: np.ndarray) -> bytes:
+    """The file of an array of reals, flattened row by row."""
+    flat = np.asarray(values, dtype=np.float64).reshape(-1)
+    _check(name, "values", len(flat))
+    return struct.pack(">2i", VECTOR, len(flat)) + flat.astype(">f8").tobytes()
+
+
+def _index_set(name: str, values: np.ndarray) -> bytes:
+    """The file of an array of integers."""
+    flat = np.asarray(values).reshape(-1)
+    _check(name, "as an index", int(flat.max(initial=len(flat))))
+    return struct.pack(">2i", INDEX_SET, len(flat)) + flat.astype(">i4").tobytes()
+
+
+def _check(name: str, what: str, size: int) -> None:
+    if size > LARGEST:
+        raise ValueError(f"{name} has {size} {what}, more than the {LARGEST} that PETSc counts with its default "
+                         "32-bit indices: export a coarser hierarchy, or a single level of it")
+
+
 _TEXT = """\
 {name}: {levels} for PETSc, written by adaptmg
 
@@ -334,20 +263,17 @@ In C
 """
 
 
-def readme(problem: Hierarchy, parts: Sequence[Part]) -> str:
-    """The whole text."""
-    finest = problem.finest.discrete
+def _readme(problem: Hierarchy, parts: Sequence[Part]) -> str:
+    """README.txt."""
+    finest, several = problem.finest.discrete, len(problem) > 1
     prefix = f"level{len(problem) - 1}_"
-    several = len(problem) > 1
     coupling = ("\nSeveral bodies: the unknowns w at contact nodes are relative to the other body; A, b and the\n"
                 "contact conditions are in these, and the displacement is u = T w, T in the files 'coupling'."
                 if finest.coupling is not None else "")
     widest = max(len(part.name) for part in parts)
     files = "\n".join(f"  {part.name.ljust(widest)}  {part.kind.ljust(3)}  {part.meaning}"
                       f"{f' [{part.unit}]' if part.unit else ''}" for part in parts)
-    prolongation = ""
-    if several:
-        prolongation = (f'    P = load(PETSc.Mat(), "{prefix}prolongation")   # PC of type mg: '
-                        f"pc.setMGInterpolation({len(problem) - 1}, P)\n")
+    prolongation = (f'    P = load(PETSc.Mat(), "{prefix}prolongation")   # PC of type mg: '
+                    f"pc.setMGInterpolation({len(problem) - 1}, P)\n" if several else "")
     return _TEXT.format(name=printable(finest.name), levels=f"{len(problem)} level{'s' if several else ''}",
                         dim=finest.dim, coupling=coupling, files=files, finest=prefix, prolongation=prolongation)

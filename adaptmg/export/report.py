@@ -1,7 +1,7 @@
-"""Reports: one self-contained HTML page of sections, tables and pictures, and the page of a parameter study.
+"""Reports: one self-contained HTML page of sections, tables and pictures.
 
-:class:`Report` collects what a page shows; ``report.html.j2`` and ``report.css`` say how it looks. Texts are escaped by
-jinja2; :func:`one_line` removes what HTML cannot hold or what changes the direction of writing.
+:class:`Report` collects the parts of a page; ``report.html.j2`` and ``report.css`` are its layout. jinja2 escapes all
+texts.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 import platform
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
@@ -37,7 +38,7 @@ __all__ = ["DENSE", "LONGEST", "Column", "Picture", "Report", "columns_of", "cou
            "picture_of", "small_png", "worded"]
 
 _BLANK = re.compile(r"[ \t\n\v\f\r]+")
-#: embeddings and overrides of the direction of writing
+#: marks that override the direction of writing
 _TURNS = re.compile("[\u202a-\u202e]")
 #: a number such as 1e-6, which browsers break after the minus
 _SMALL = re.compile(r"[\d.]+e-\d+")
@@ -51,14 +52,13 @@ _UNITS = {"s": "s", "ms": "ms", "us": "µs", "min": "min", "m": "m", "mm": "mm",
 
 
 def _text(name: str, value: str, empty: bool = True) -> str:
-    checks.instance(name, value, str, "a string")
-    if not value.strip() and not empty:
+    if not checks.instance(name, value, str, "a string").strip() and not empty:
         raise ValueError(f"{name} must not be empty")
     return value
 
 
 def one_line(text: object) -> str:
-    """Return a text in one line; control characters and marks that change the direction of writing become codes."""
+    """Return a text in one line; control characters and marks that override the direction become codes."""
     return _TURNS.sub(lambda match: f"\\u{ord(match[0]):04x}", printable(_BLANK.sub(" ", str(text)).strip()))
 
 
@@ -90,13 +90,13 @@ def label(name: object, unit: str | None = None) -> str:
 
 
 def count(number: int) -> str:
-    """Return a whole number with its thousands separated."""
+    """Return a whole number with separated thousands."""
     return str(number) if number < 10_000 else f"{number:,}".replace(",", "\u202f")
 
 
-#: rows that are shown at most
+#: the largest number of rows that are shown
 LONGEST = 200
-#: a table with more columns states once what is the same in every row
+#: a table with more columns states a column of equal values once
 _WIDE = 6
 #: the default format of floats, see :func:`adaptmg.study.as_text`
 _DEFAULT = ".4g"
@@ -116,7 +116,7 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """A table as the template takes it; ``same`` holds columns that are stated once instead of shown."""
+    """A table as the template takes it; ``same`` holds columns of equal values, which are stated once."""
 
     caption: str
     columns: list[Column]
@@ -136,12 +136,14 @@ def columns_of(frame: pd.DataFrame, units: Mapping[str, str] | None = None,
                formats: Mapping[str, str] | None = None) -> list[Column]:
     """Return the columns of a table; ValueError where units or formats name others.
 
-    A format such as ``.4g`` drops trailing zeros. They stay in a column of measured numbers: .0534 above .0150.
+    A format such as ``.4g`` drops trailing zeros; a column with more digits than are shown keeps them.
     """
     units, formats = dict(units or {}), dict(formats or {})
-    general = {name: formats.get(name) or _DEFAULT for name, kind in frame.dtypes.items() if kind.kind == "f"}
-    measured = {name: f"#{spec}" for name, spec in general.items()
-                if _GENERAL.fullmatch(spec) and _is_measured(frame[name], spec)}
+    measured = {}
+    for name, column in frame.select_dtypes("float").items():
+        spec, values = formats.get(name) or _DEFAULT, column.dropna().to_numpy(float)
+        if _GENERAL.fullmatch(spec) and any(float(format(v, spec)) != v for v in values[np.isfinite(values)]):
+            measured[name] = f"#{spec}"
     cells, numeric = shown_cells(frame, units=units, formats=formats | measured)
     result = []
     for name, texts, is_number in zip(frame.columns, cells, numeric, strict=True):
@@ -151,29 +153,22 @@ def columns_of(frame: pd.DataFrame, units: Mapping[str, str] | None = None,
     return result
 
 
-def _is_measured(column: pd.Series, spec: str) -> bool:
-    """Whether a number has more digits than are shown; a chosen one such as 0.1 has not."""
-    values = column.dropna().to_numpy(float)
-    return any(float(format(value, spec)) != value for value in values[np.isfinite(values)])
-
-
 def _table(frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None, formats: Mapping[str, str] | None,
            **options: str | bool | None) -> _Table:
-    if not isinstance(frame, pd.DataFrame):
-        raise TypeError(f"table must be a pandas DataFrame, got {type(frame).__name__}")
+    checks.instance("table", frame, pd.DataFrame, "a pandas DataFrame")
     return _Table(_text("caption", caption, empty=False), columns_of(frame.head(LONGEST), units, formats), len(frame),
                   **options)
 
 
 #: a drawing of more bytes as SVG becomes a PNG
 DENSE = 60_000
-#: pixels of a PNG across at most
+#: the largest width of a PNG in pixels
 _ACROSS = 1200
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture: a data URI, its caption, and the width in CSS pixels that it takes where there is room."""
+    """A picture: a data URI, its caption, and its preferred width in CSS pixels."""
 
     source: str
     caption: str
@@ -182,8 +177,7 @@ class Picture:
 
 def picture_of(figure: Figure, caption: str) -> Picture:
     """Return a figure in its present state as a picture; pyplot then drops it (an open figure costs memory)."""
-    if not isinstance(figure, Figure):
-        raise TypeError(f"figure must be a matplotlib Figure, got {type(figure).__name__}")
+    checks.instance("figure", figure, Figure, "a matplotlib Figure")
     _text("caption", caption, empty=False)
     kind, data, across = "svg+xml", _svg(figure), figure.get_size_inches()[0]
     if len(data) > DENSE:
@@ -208,7 +202,7 @@ def small_png(figure: Figure, dpi: float = 130) -> bytes:
     return small.getvalue()
 
 
-#: characters of a text and of a card's text that are in sight
+#: characters of a text, a card and a note before they fold
 _IN_SIGHT, _IN_CARD, _IN_NOTE = 420, 220, 240
 
 
@@ -226,7 +220,7 @@ def _paragraphs(text: str) -> list[str]:
 
 
 def _folding(text: str, limit: int) -> tuple[str, list[str]]:
-    """The sentences in sight, and the paragraphs behind them."""
+    """The visible sentences, and the folded paragraphs."""
     first, *others = _paragraphs(text) or [""]
     seen, rest = lead(one_line(first), limit)
     return seen, [rest] * bool(rest) + others
@@ -253,44 +247,35 @@ _PAGES.globals |= {"LONGEST": LONGEST, "IN_SIGHT": _IN_SIGHT, "IN_CARD": _IN_CAR
 def _machine() -> str:
     """Processor, cores, memory and system in a line."""
     name, memory = platform.processor() or platform.machine(), ""
-    try:
+    with suppress(OSError, ValueError, AttributeError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         name = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), name)
         memory = f", {os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.0f} GiB"
-    except (OSError, ValueError, AttributeError):
-        pass
     return f"{name}, {os.cpu_count()} cores{memory}, {platform.system()} {platform.release()}"
 
 
 def _made() -> dict[str, str]:
-    """What every report says of how it was made."""
+    """Facts of every report."""
     packages = {"Python": platform.python_version(), **versions()}
     return {"Written": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}",
             "Versions": ", ".join(f"{name} {version}" for name, version in packages.items()), "Machine": _machine()}
 
 
 class Report:
-    """An HTML page in the making; what is added appears in order.
+    """An HTML page; what is added appears in order.
 
     All text is escaped; a blank line in a text begins a new paragraph, and a long text folds behind its first
     sentences. Tables sort by their headers, where the reader's browser runs scripts.
 
     Parameters
     ----------
-    title : str
-    summary : str
-        Below the title, in sight.
+    title, summary : str
+        The summary stands below the title.
     terms : str
-        What words mean throughout; folded, below the first screen.
+        Definitions of words; folded, below the first screen.
     max_open : int
-        The largest number of open tables, those of the first screen included; the others are folded. The first table
-        of each section is open as long as there is room, unless tables of it say themselves whether they are open.
-
-    Examples
-    --------
-    >>> page = Report("Smoothing")
-    >>> page.section("Sweeps", "Two sweeps a cycle are best.")
-    >>> page.table(pd.DataFrame({"sweeps": [1, 2]}), caption="Table 2. GRECO bar, rtol 1e-8.")
+        The largest number of open tables, those of the first screen included: those with ``open=True``, then the first
+        of each section without.
     """
 
     def __init__(self, title: str, summary: str = "", *, terms: str = "", max_open: int = 15) -> None:
@@ -303,21 +288,10 @@ class Report:
     def card(self, title: str, text: str = "", *, to: str = "", table: pd.DataFrame | None = None,
              figure: Figure | None = None, units: Mapping[str, str] | None = None,
              formats: Mapping[str, str] | None = None) -> None:
-        """Add an answer to the first screen: a small table, or a picture (wider), with a sentence.
+        """Add a small table or a picture with a sentence to the first screen, and a link to the section of key ``to``.
 
-        Parameters
-        ----------
-        title, text : str
-        to : str
-            Key of the section that has more.
-        table : pandas.DataFrame, optional
-        figure : matplotlib.figure.Figure, optional
-        units, formats : mapping of column to str, optional
-            Of the table; see :func:`adaptmg.study.as_text`.
-
-        Notes
-        -----
-        A card with neither table nor figure says that there is no result: ``text`` should say how to get it.
+        For ``units`` and ``formats`` see :func:`adaptmg.study.as_text`. A card with neither table nor figure says that
+        there is no result: ``text`` should say how to get it.
         """
         _text("title", title, empty=False)
         if table is not None and figure is not None:
@@ -327,58 +301,37 @@ class Report:
                             "picture": None if figure is None else picture_of(figure, title)})
 
     def section(self, title: str, text: str = "", *, summary: str = "", key: str = "") -> None:
-        """Begin a section; it is listed in the table of contents.
+        """Begin a section with a summary, which is not folded, and a text.
 
-        Parameters
-        ----------
-        title : str
-        text : str
-            Its first sentences are in sight, the rest is folded.
-        summary : str
-            The question and the answer, in sight.
-        key : str
-            Its name in links (letters, digits, - and _); default ``section-1`` and so on.
+        ``key`` is its name in links (letters, digits, - and _); default ``section-1`` and so on.
         """
         _text("title", title, empty=False)
         key = _text("key", key) or f"section-{len(self._sections)}"
-        if not _KEY.fullmatch(key) or key in ("contents", "made"):
-            raise ValueError("key must begin with a letter, have only letters, digits, - and _, and not be 'contents' "
-                             f"or 'made', got {checks.shown(key)}")
-        if any(key == section.key for section in self._sections):
+        if not _KEY.fullmatch(key):
+            raise ValueError(f"key must begin with a letter and have letters, digits, - and _, got {checks.shown(key)}")
+        if key in ("contents", "made", *(section.key for section in self._sections)):
             raise ValueError(f"key {key!r} is that of another section")
         self._sections.append(_Section(title, key))
         self._add("summary", _text("summary", summary))
         self.text(text)
 
     def text(self, text: str) -> None:
-        """Add paragraphs; what goes beyond some sentences is folded."""
+        """Add paragraphs; a long text folds behind its first sentences."""
         self._add("text", _text("text", text))
 
     def table(self, table: pd.DataFrame, caption: str, note: str = "", *, units: Mapping[str, str] | None = None,
               formats: Mapping[str, str] | None = None, open: bool | None = None, csv: str = "") -> None:
-        """Add a table.
+        """Add a table without its index, a caption above and a note below.
 
-        Parameters
-        ----------
-        table : pandas.DataFrame
-            Its index is not shown.
-        caption : str
-            What it shows; say the grid, the norm and the tolerance.
-        note : str
-            Below it: sources, what differs from a reference. Folds behind its first sentences.
-        units, formats : mapping of column to str
-            See :func:`adaptmg.study.as_text`. A column named as an identifier is written in words, with the unit that
-            it ends in: 'total_s' as 'total [s]'.
-        open : bool, optional
-            Whether it stands open; default: the first table of a section does.
-        csv : str
-            Name of a CSV file of it next to the page, for a link.
+        For ``units`` and ``formats`` by column see :func:`adaptmg.study.as_text`; a column named as an identifier is
+        written as words with a unit, 'total_s' as 'total [s]'. ``open``: whether it stands open; by default the first
+        table of a section does. ``csv`` names a CSV file of the table next to the page, for a link.
         """
         if open is not None:
             checks.flag("open", open)
         file = PurePosixPath(_text("csv", csv))
         if file.is_absolute() or ".." in file.parts or ":" in csv or "\\" in csv:
-            raise ValueError(f"csv must name a file beside the page, got {checks.shown(csv)}")
+            raise ValueError(f"csv must name a file next to the page, got {checks.shown(csv)}")
         made = _table(table, caption, units, formats, note=_text("note", note), open=open, csv=csv)
         if len(made.columns) > _WIDE and 3 <= made.rows <= LONGEST:
             same = tuple(column for column in made.columns[1:] if len(set(column.texts)) == 1)
@@ -388,8 +341,8 @@ class Report:
     def figure(self, figure: Figure | Picture, caption: str) -> None:
         """Add a figure in its present state; pyplot then drops it (an open figure costs memory).
 
-        Drawings become SVG, dense ones (meshes) PNG, both inside the page. A picture that was made in another process
-        by :func:`adaptmg.export.report.picture_of` is taken unchanged.
+        Drawings become SVG, dense ones (meshes) PNG, both inside the page. A picture of
+        :func:`adaptmg.export.report.picture_of` is taken unchanged.
         """
         picture = figure if isinstance(figure, Picture) else picture_of(figure, caption)
         parts = self._sections[-1].parts
@@ -399,7 +352,7 @@ class Report:
             parts.append(("pictures", [picture]))
 
     def made(self, **facts: str) -> None:
-        """Say more of how the page was made (seeds, command), next to versions, machine and time."""
+        """Add facts on the origin of the page (seeds, command) next to versions, machine and time."""
         for name, fact in facts.items():
             self._made[name.replace("_", " ").capitalize()] = _text(name, fact, empty=False)
 
@@ -420,7 +373,7 @@ class Report:
             self._sections[-1].parts.append((kind, part))
 
     def _opened(self) -> list[_Table]:
-        """The tables that stand open: first those that ask for it, then the first of each section."""
+        """The open tables: those with ``open=True``, then the first of each section without."""
         tables = [[part for _, part in section.parts if isinstance(part, _Table)] for section in self._sections]
         asked = [table for each in tables for table in each if table.open]
         firsts = [each[0] for each in tables if each and each[0].open is None and not any(t.open for t in each)]

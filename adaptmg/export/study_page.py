@@ -1,9 +1,8 @@
 """The report of a parameter study: the number of runs, pictures of the results, all runs, those that failed.
 
 A numeric result is drawn against the parameter that varies most, one line for each value of another parameter. Where
-several runs share a point (repeats, or parameters that are neither on the axis nor a line), the line is their median
-and a band spans the least and the largest, or the middle half where there are many. Where no two runs share a value of
-any parameter (a random design of several parameters), the runs are points without a line.
+several runs share a point, the line is their median and a band spans the least and the largest, or the middle half
+where there are many. Where no two runs share a value of any parameter (a random design), they are points.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from adaptmg.plot.style import CYCLE, plain, styled
 
 __all__ = ["Axis", "axes_of_study", "caption", "curves", "numbers", "study_report"]
 
-#: names of the columns of a study that are neither parameters nor results, and the status that is drawn
+#: columns of a study that are neither parameters nor results, and the status of runs that are drawn
 _STATUS, _ERROR, _DONE = "status", "error", "done"
 #: columns of the table that describes the results of all runs
 _SPREAD = ["result", "runs", "least", "lower quarter", "median", "upper quarter", "largest"]
-#: at most: characters of a text in a table, lines in a picture, marked points in a line, names along an axis
+#: the largest number of characters of a text in a table, lines in a picture, marks in a line, names along an axis
 _LETTERS, _LINES, _MARKED, _NAMES = 300, 7, 60, 40
 #: with this number of runs at a point the band is their middle half, not the least and the largest
 _MANY = 10
@@ -47,13 +46,12 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     Parameters
     ----------
     table : pandas.DataFrame
-        A row for each run, as :meth:`adaptmg.Study.run` returns it. A column ``status`` is counted, and only runs that
-        are 'done' are drawn; a column ``error`` is shown for the others alone.
+        A row for each run, as :meth:`adaptmg.Study.run` returns it. Only runs with the ``status`` 'done' are drawn; a
+        column ``error`` is shown for the others.
     path : path
         The HTML file; it appears complete or not at all.
     parameters : sequence of str
-        Columns that were varied. The pictures have the numeric one with most values along their axis, and a line for
-        each value of another one.
+        Columns that were varied.
     results : sequence of str, optional
         Columns to draw, a picture each; default: the first two numeric columns that vary and are not parameters.
     title, summary : str
@@ -61,19 +59,13 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     units, formats : mapping of column to str, optional
         See :func:`adaptmg.study.as_text`.
     hidden : sequence of str
-        Columns that are neither drawn nor shown (they may be in the CSV file).
+        Columns that are neither drawn nor shown.
     csv : str
         Name of a CSV file of the table next to the report, for a link.
     made : mapping of str to str, optional
-        More to say of how the runs were made: machine, commit, seeds.
-
-    Returns
-    -------
-    pathlib.Path
-        Where it is.
+        Facts on the origin of the runs: machine, commit, seeds.
     """
-    if not isinstance(table, pd.DataFrame):
-        raise TypeError(f"table must be a pandas DataFrame, got {type(table).__name__}")
+    checks.instance("table", table, pd.DataFrame, "a pandas DataFrame")
     parameters, hidden = _columns("parameters", parameters, table), _columns("hidden", hidden, table)
     units, formats = {"seconds": "s"} | dict(units or {}), dict(formats or {})
     done = table[table[_STATUS] == _DONE] if _STATUS in table else table
@@ -104,12 +96,11 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
                   for name in marks]
         page.table(pd.DataFrame(spread, columns=_SPREAD, dtype=object), "Results of all runs that are done", open=True)
     add(table.drop(columns=[c for c in {_ERROR, *hidden} if c in table]), "All runs", csv=csv, open=True)
-    if _ERROR in table:
-        failed = table.loc[table.index.difference(done.index, sort=False), [*parameters, _ERROR]]
-        failed = failed[failed[_ERROR].fillna("").astype(str) != ""]
-        if len(failed):
-            page.section("Runs that failed")
-            add(failed, "Errors", csv=csv if len(failed) > LONGEST else "")
+    failed = table.loc[table.index.difference(done.index, sort=False)]
+    failed = failed[failed[_ERROR].fillna("").astype(str) != ""] if _ERROR in table else failed.head(0)
+    if len(failed):
+        page.section("Runs that failed")
+        add(failed[[*parameters, _ERROR]], "Errors", csv=csv if len(failed) > LONGEST else "")
     if fixed := table.attrs.get("fixed"):
         page.made(fixed_parameters=", ".join(f"{key} = {value}" for key, value in fixed.items()))
     page.made(**{str(key): str(value) or "-" for key, value in (made or {}).items()})
@@ -127,12 +118,9 @@ def _columns(name: str, given: Sequence[str], table: pd.DataFrame) -> list[str]:
 
 def _counted(table: pd.DataFrame) -> str:
     """The number of runs, by status."""
-    if not len(table):
-        return "No runs."
-    if _STATUS not in table:
-        return f"{count(len(table))} runs."
-    by_status = table[_STATUS].astype(str).value_counts()
-    return f"{count(len(table))} runs: " + ", ".join(f"{count(n)} {s}" for s, n in by_status.items()) + "."
+    by_status = table[_STATUS].astype(str).value_counts() if _STATUS in table and len(table) else {}
+    states = ", ".join(f"{count(n)} {status}" for status, n in by_status.items())
+    return f"{count(len(table))} runs{f': {states}' if states else ''}." if len(table) else "No runs."
 
 
 def _cut(value: object) -> object:
@@ -161,9 +149,9 @@ def numbers(column: pd.Series) -> pd.Series | None:
 
 
 def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:
-    """Return the axis: of the parameters that vary the numeric one with most values; None if none varies.
+    """Return the axis, the numeric parameter with most values; None if none varies.
 
-    One that is different in every run (a seed) is taken only where all are.
+    A parameter that is different in every run (a seed) is chosen only where all are.
     """
     counts = {name: _keys(table[name]).nunique() for name in parameters}
     varied = [name for name in parameters if counts[name] > 1]
@@ -188,10 +176,17 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     data = pd.DataFrame({"x": position.to_numpy(), "y": numbers(table[result]).to_numpy(),
                          "line": _keys(table[axis.lines]).to_numpy() if axis.lines else ""})
     data = data[np.isfinite(data["x"]) & np.isfinite(data["y"])]
-    band = (0.25, 0.75) if _many(table, axis) else (0.0, 1.0)
+    band, joined = (0.25, 0.75) if _many(table, axis) else (0.0, 1.0), axis.joined and names is None
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
-        _line(ax, part, band, axis.joined and names is None, color=CYCLE[k % len(CYCLE)],
-              label=f"{plain(worded(axis.lines)[0])} = {_name(line)}")
+        color, values = CYCLE[k % len(CYCLE)], part.groupby("x")["y"]
+        median, low, high = values.median(), values.quantile(band[0]), values.quantile(band[1])
+        ax.plot(median.index, median, color=color, linestyle="-" if joined else "",
+                label=f"{plain(worded(axis.lines)[0])} = {_name(line)}",
+                marker="o" if len(median) <= _MARKED else "" if joined else ".")
+        if len(part) > len(median) and joined:
+            ax.fill_between(median.index, low, high, color=color, alpha=0.18, linewidth=0)
+        elif len(part) > len(median):
+            ax.vlines(median.index, low, high, color=color, alpha=0.5)
     ax.set(xlabel=plain(label(axis.along, along_unit)), ylabel=plain(label(result, unit)))
     ax.grid(True)
     if names is None:
@@ -219,17 +214,6 @@ def _many(table: pd.DataFrame, axis: Axis) -> bool:
     return len(table) > 0 and len(table) >= _MANY * len(points.drop_duplicates())
 
 
-def _line(ax: Axes, part: pd.DataFrame, band: tuple[float, float], joined: bool, color: str, label: str) -> None:
-    values = part.groupby("x")["y"]
-    median, low, high = values.median(), values.quantile(band[0]), values.quantile(band[1])
-    marker = "o" if len(median) <= _MARKED else "" if joined else "."
-    ax.plot(median.index, median, color=color, label=label, linestyle="-" if joined else "", marker=marker)
-    if len(part) > len(median) and joined:
-        ax.fill_between(median.index, low, high, color=color, alpha=0.18, linewidth=0)
-    elif len(part) > len(median):
-        ax.vlines(median.index, low, high, color=color, alpha=0.5)
-
-
 def _scale(ax: Axes, name: str, values: pd.Series) -> None:
     """Choose a logarithmic scale where values span much; on x, ticks at the values where these are few integers."""
     axis, single = getattr(ax, f"{name}axis"), np.unique(values)
@@ -243,12 +227,12 @@ def _scale(ax: Axes, name: str, values: pd.Series) -> None:
 
 
 def _name(value: str) -> str:
-    """A value as a name in the drawing, cut to the room there is."""
+    """A value as a short name in the drawing."""
     return plain(value if len(value) <= 24 else f"{value[:22]} …")
 
 
 def _keys(column: pd.Series) -> pd.Series:
-    """Values as texts, floats in few digits where that keeps them apart."""
+    """Values as texts, floats in few digits where these differ."""
     texts = column.map(lambda value: f"{value:g}" if isinstance(value, float) else str(value)).astype(object)
     if types.is_numeric_dtype(column) and texts.nunique() < column.nunique():
         texts = column.map(repr).astype(object)

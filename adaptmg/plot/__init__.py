@@ -1,15 +1,13 @@
-"""Pictures with matplotlib: what is posed, the grids, the solution, the contact surfaces, the way the solver went,
-adaptive loops.
+"""Pictures with matplotlib: problems, grids, solutions, contact surfaces, cycle diagrams, histories, adaptive loops.
 
-Each function draws into a new figure or into given axes and returns the Figure; nothing is saved. Notebooks show it.
-pyplot does not keep it: in a script ``plt.figure(figure)`` (matplotlib 3.11) gives it to pyplot for ``plt.show()``.
-Names of problems, bodies and boundaries are shown as they are; labels given to a function may hold matplotlib's math
-text.
+Each function draws into a new figure or into the given axes and returns the Figure; nothing is saved. Notebooks show
+it. pyplot does not keep it: in a script ``plt.figure(figure)`` (matplotlib 3.11) gives it to pyplot for ``plt.show()``.
+Names of problems, bodies and boundaries are shown unchanged; labels given to a function may hold math text.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from adaptmg.plot.contact_surfaces import contact
@@ -26,7 +24,7 @@ _WHERE = {"adaptation": "meshes", "contact": "contact_surfaces", "deformation": 
 __all__ = ["adaptation", "contact", "deformation", "grids", "history", "load_history", "mesh", "path", "problem"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _WHERE:
         import importlib
 

@@ -1,17 +1,9 @@
-r"""contact: pressure, friction, gap and slip along contact lines; pressure, friction, gap and state on surfaces.
+r"""contact: pressure, friction, gap and slip along contact lines; maps of them and of the states on surfaces.
 
-A contact surface in three dimensions made flat: seen along its normal, or unrolled where it goes around an axis.
-
-A surface is unrolled where its mean normal is short and its normals all lie in one plane: their common perpendicular
-is the axis, and the circle :math:`x = c + r n` fitted to the points across it in least squares gives its centre. The
-coordinates are then angle and length along the axis. Other surfaces are seen along their mean normal; one without any
-(a whole sphere) from above.
-
-Contact nodes of a boundary in two dimensions in order along the line, with a coordinate to draw them against.
-
-A contact surface in three dimensions, made flat: maps of pressure, traction or gap, and the states of the nodes.
-
-Axes for several contact boundaries, each in panels of its own; and what the boundaries are called.
+Lines are drawn against x or y where they are straight, else against the arc length. A surface is seen along its mean
+normal, or unrolled where that is short and the normals lie in one plane: their common perpendicular is the axis, and
+the circle :math:`x = c + r n` fitted to the points across it in least squares gives its centre; the coordinates are
+angle and length along the axis.
 """
 
 from __future__ import annotations
@@ -21,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
@@ -36,43 +29,39 @@ from adaptmg.plot.style import (
     axis_names,
     new_figure,
     plain,
+    polylines,
     quoted,
     scaled,
     shade,
-    state_colormap,
     state_lines,
     stated_curve,
     styled,
-    walks,
 )
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
 
-__all__ = ["Flat", "Line", "blocks", "cells", "chosen_boundaries", "contact", "described", "draw_map", "draw_states",
-           "flattened", "keep_open", "lines_of"]
+__all__ = ["Flat", "Line", "cells", "chosen_boundaries", "contact", "draw_map", "flattened", "keep_open", "lines_of",
+           "pair_name"]
+
+#: length of the mean of the unit normals below which a surface is taken to bend around an axis
+_AROUND = 0.5
 
 @styled
 def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: object = None) -> Figure:
     r"""Draw pressure, friction, gap and slip on contact boundaries, between two bodies on the slave surface of a pair.
 
-    In 2D, against x or y where the boundary is straight, else against arc length: contact pressure p, MPa; tangential
-    traction t on the body, MPa, within the band :math:`\pm \mu p` (Tresca: plus or minus the limit) that friction
-    allows; gap and slip, micrometres (mm from 0.1 mm on). Curves and backgrounds have the colours of the states. In 3D:
-    maps of pressure, size of the traction and gap, seen along the normal, or unrolled where the surface goes around an
-    axis, and the states.
+    In 2D: contact pressure p, MPa; tangential traction t on the body, MPa, within the band :math:`\pm \mu p` (Tresca:
+    plus or minus the limit) that friction allows; gap and slip, micrometres (mm from 0.1 mm on). Curves and backgrounds
+    have the colours of the states. In 3D: maps of pressure, size of the traction and gap, and the states.
 
     Parameters
     ----------
     result : Result
     axes : sequence of matplotlib Axes, optional
-        To draw one contact boundary into: three in 2D, four in 3D.
+        Axes for one contact boundary: three in 2D, four in 3D.
     boundary : str, Contact or ContactPair, optional
         The contact boundary, of a pair the slave; default all of them.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     Notes
     -----
@@ -85,14 +74,15 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     if axes is not None:
         if len(names) != 1:
             raise ValueError(f"axes takes one contact boundary, the result has {len(names)}: choose with boundary=...")
-        panels = [axes_of(axes, 4 if solid else 3, "axes")]
-    elif solid:
-        panels = [cells(part, 4, 2) for part in blocks(len(names), (9.0, 7.0), columns=1)]
+        panels = [axes_of(axes, 4 if solid else 3)]
     else:
-        panels = [part.subplots(3, sharex=True) for part in blocks(len(names), (6.2, 6.8), columns=3)]
+        (width, height), columns = ((9.0, 7.0), 1) if solid else ((6.2, 6.8), min(len(names), 3))
+        rows = -(-len(names) // columns)
+        parts = new_figure((width * columns, height * rows)).subfigures(rows, columns, squeeze=False).ravel()
+        panels = [cells(part, 4, 2) if solid else part.subplots(3, sharex=True) for part in parts[:len(names)]]
     for name, drawn in zip(names, panels, strict=True):
         (_draw_surface if solid else _draw_lines)(result, name, drawn)
-        title = described(result.contact, name)
+        title = pair_name(result.contact, name)
         if len(names) == 1:
             title = f"{plain(result.problem_name)}: {title}"
         drawn[0].set_title(title, pad=8 if solid else 22)
@@ -112,38 +102,30 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     c, lines = result.contact, lines_of(result, name)
     nodes = np.concatenate([line.index for line in lines])
     scale, unit = _length_unit(c.gap[nodes], c.slip[nodes])
-    bound = 1e-6 * c.limit / c.weights
+    bound, largest = 1e-6 * c.limit / c.weights, 1e-6 * float(c.pressure.max())
+    friction = bound[nodes].any()
     for line in lines:
         at, s, first = line.index, line.position, line is lines[0]
-        for ax in axes:
+        for ax, values in zip(axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], scale * c.gap), strict=True):
             shade(ax, s, c.state[at])
-        if bound[nodes].any():
+            stated_curve(ax, s, values[at], c.state[at])
+        if friction:
             axes[1].fill_between(s, -bound[at], bound[at], facecolor="#c9ced5", edgecolor="#9aa0a8", linewidth=0.8,
                                  alpha=0.55, zorder=1, label="friction bound" if first else None)
         axes[2].plot(s, scale * c.slip[at, 0], color=GREEN, linestyle="--", label="slip" if first else None)
-        for ax, values in zip(axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], scale * c.gap), strict=True):
-            stated_curve(ax, s, values[at], c.state[at])
-    _finish_lines(result, lines, nodes, axes)
     for ax, label in zip(axes, ("pressure p\n[MPa]", "friction t\n[MPa]", f"gap, slip\n[{unit}]"), strict=True):
-        ax.set_ylabel(label)
-
-
-def _finish_lines(result: Result, lines: list[Line], nodes: np.ndarray, axes: Sequence[Axes]) -> None:
-    """Limits of the axes and legends."""
-    c, bound = result.contact, 1e-6 * result.contact.limit / result.contact.weights
-    for ax in axes:
         ax.axhline(0.0, color="#5b626b", linewidth=0.8, zorder=1)
         ax.margins(x=0.0)
+        ax.set_ylabel(label)
     axes[0].set_ylim(bottom=0.0)
-    largest = 1e-6 * float(c.pressure.max())
     keep_open(axes[0], 1e-6 * c.pressure[nodes], largest)
     keep_open(axes[1], np.concatenate([-bound[nodes], 1e-6 * c.traction[nodes, 0]]), largest)
-    if not bound[nodes].any():
+    if not friction:
         axes[1].text(0.5, 0.9, "frictionless", transform=axes[1].transAxes, ha="center", va="top", color="#5b626b")
-    for ax in axes[1:] if bound[nodes].any() else axes[2:]:
+    for ax in axes[1:] if friction else axes[2:]:
         ax.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
     low, high = axes[2].get_ylim()
-    # closed and stuck everywhere: rounding is not to fill the axes
+    # closed and stuck everywhere: the axes do not magnify rounding
     axes[2].set_ylim(min(low, -0.05), max(high, 0.5))
     axes[2].set_xlabel(lines[0].label)
     axes[0].legend(handles=state_lines(c.state[nodes]), loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=3)
@@ -151,19 +133,18 @@ def _finish_lines(result: Result, lines: list[Line], nodes: np.ndarray, axes: Se
 
 def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
     c, flat = result.contact, flattened(result, name)
-    at = flat.index
+    at, largest = flat.index, 1e-6 * float(c.pressure.max())
     scale, unit = _length_unit(c.gap[at])
-    largest = 1e-6 * float(c.pressure.max())
-    draw_map(axes[0], flat, 1e-6 * c.pressure[at], "contact pressure p [MPa]", largest=largest)
-    draw_map(axes[1], flat, 1e-6 * np.linalg.norm(c.traction[at], axis=1), "friction traction |t| [MPa]",
-             largest=largest)
-    # closed everywhere: a nanometre is rounding
-    draw_map(axes[2], flat, scale * c.gap[at], f"gap [{unit}]", largest=1e6 if unit == "µm" else 0.0)
-    draw_states(axes[3], flat, c.state[at])
-
-
-#: length of the mean of the unit normals below which the surface is taken to bend around
-_AROUND = 0.5
+    # closed everywhere: a gap of a nanometre is rounding
+    for ax, values, label, reference in (
+            (axes[0], 1e-6 * c.pressure[at], "contact pressure p [MPa]", largest),
+            (axes[1], 1e-6 * np.linalg.norm(c.traction[at], axis=1), "friction traction |t| [MPa]", largest),
+            (axes[2], scale * c.gap[at], f"gap [{unit}]", 1e6 if unit == "µm" else 0.0)):
+        low, high = min(float(values.min()), 0.0), float(values.max())
+        norm = Normalize(low, high) if high - low > 1e-9 * reference else Normalize(0.0, 1.0)
+        shown = draw_map(ax, flat, values, norm)
+        ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=label).outline.set_visible(False)
+    _draw_states(axes[3], flat, c.state[at])
 
 
 @dataclass(frozen=True)
@@ -172,69 +153,67 @@ class Flat:
 
     index: np.ndarray  # (n,) int: into the contact arrays
     points: np.ndarray  # (n, 2): in the units of the labels
-    triangles: np.ndarray | None  # (m, 3) int or None: numbers within index; None without a mesh
+    triangles: np.ndarray | None  # (m, 3) int: numbers within index; None without a mesh
     labels: tuple[str, str]  # of the axes
     equal: bool = True  # whether both axes have the same scale (not for an angle and a length)
 
 
 def flattened(result: Result, boundary: str) -> Flat:
-    """The contact nodes of a boundary in the plane."""
+    """Return the contact nodes of a boundary in the plane."""
     c = result.contact
     index = np.flatnonzero(c.boundary == c.names.index(boundary))
     x, normals = c.x[index], c.normal[index]
     if not np.isfinite(x).all():
-        raise ValueError("this result has no coordinates to draw a contact surface in: give the DiscreteProblem its "
-                         "coordinates")
+        raise ValueError("this result has no coordinates: give the DiscreteProblem its coordinates")
     triangles = _triangles(result, boundary, index)
     if np.linalg.norm(normals.mean(axis=0)) < _AROUND and len(index) >= 6:
         _, strength, axes = np.linalg.svd(normals, full_matrices=False)
         if strength[2] < 0.05 * strength[0]:
-            points, labels = _unrolled(x, normals, axes)
+            points, labels = _unrolled(x, normals, axes[2])
             if triangles is not None:
-                # those across the seam would cover the rest
+                # triangles across the seam would cover the rest
                 triangles = triangles[np.ptp(points[triangles, 0], axis=1) < 180.0]
             return Flat(index, points, triangles, labels, equal=False)
-    points, labels = _seen_along(x, normals)
+    points, labels = _seen_along(x, normals.mean(axis=0))
     return Flat(index, points, triangles, labels)
 
 
-def _unrolled(x: np.ndarray, normals: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, tuple[str, str]]:
-    """Angle in degrees and length along the axis (the last row of ``axes``), and their labels."""
-    axis = axes[2] * np.sign(axes[2][np.argmax(np.abs(axes[2]))])
+def _unrolled(x: np.ndarray, normals: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, tuple[str, str]]:
+    """Angle in degrees and length along an axis, and their labels."""
     along = int(np.argmax(np.abs(axis)))
-    first = np.eye(3)[(along + 1) % 3]
-    first -= (first @ axis) * axis
-    first /= np.linalg.norm(first)
-    frame = np.stack([first, np.cross(axis, first)], axis=1)
+    axis = axis * np.sign(axis[along])
+    frame = _across(axis, (along + 1) % 3)
     across, direction = x @ frame, normals @ frame
-    # x = c + r n: unknown centre (2) and radius; the radius is negative where the body lies outside, as around a hole
+    # x = c + r n: unknown centre (2) and radius, which is negative where the body lies outside, as around a hole
     matrix = np.zeros((2 * len(x), 3))
     matrix[0::2, 0] = matrix[1::2, 1] = 1.0
     matrix[:, 2] = direction.ravel()
     centre = np.linalg.lstsq(matrix, across.ravel(), rcond=None)[0][:2]
     angle = np.degrees(np.arctan2(*(across - centre).T[::-1]))
     scale, unit = scaled(float(np.ptp(x @ axis)), "m")
-    name = "xyz"[along] if abs(axis[along]) > 1 - 1e-6 else "along the axis"
-    around = f"angle around {name}" if len(name) == 1 else "angle around the axis"
-    return np.stack([angle, scale * (x @ axis)], axis=1), (f"{around} [°]", f"{name} [{unit}]")
+    name = "xyz"[along] if axis[along] > 1 - 1e-6 else ""
+    return np.stack([angle, scale * (x @ axis)], axis=1), (
+        f"angle around {name or 'the axis'} [°]", f"{name or 'along the axis'} [{unit}]")
 
 
-def _seen_along(x: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, tuple[str, str]]:
+def _across(normal: np.ndarray, k: int) -> np.ndarray:
+    """Two orthonormal directions (3, 2) across a unit normal, the first as near as possible to Cartesian axis ``k``."""
+    first = np.eye(3)[k] - normal[k] * normal
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(normal, first)], axis=1)
+
+
+def _seen_along(x: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, tuple[str, str]]:
     """Coordinates (n, 2) across the mean normal, and their labels; Cartesian ones for a normal along an axis."""
-    mean = normals.mean(axis=0)
     if np.linalg.norm(mean) < 1e-3:
         mean = np.array([0.0, 0.0, 1.0])
     across = int(np.argmax(np.abs(mean)))
-    keep = [k for k in range(3) if k != across]
+    rest = [k for k in range(3) if k != across]
     scale, unit = scaled(float(np.ptp(x, axis=0).max()), "m")
-    if np.abs(mean[keep]).max() > 1e-6 * abs(mean[across]):
-        # project along the mean normal, the first axis as near as it can be to the first Cartesian one left
-        n = mean / np.linalg.norm(mean)
-        first = np.eye(3)[keep[0]] - n[keep[0]] * n
-        first /= np.linalg.norm(first)
-        frame = np.stack([first, np.cross(n, first)], axis=1)
-        return scale * (x - x.mean(axis=0)) @ frame, (f"along t1 [{unit}]", f"along t2 [{unit}]")
-    return scale * x[:, keep], tuple(f"{'xyz'[k]} [{unit}]" for k in keep)
+    if np.abs(mean[rest]).max() <= 1e-6 * abs(mean[across]):
+        return scale * x[:, rest], (f"{'xyz'[rest[0]]} [{unit}]", f"{'xyz'[rest[1]]} [{unit}]")
+    frame = _across(mean / np.linalg.norm(mean), rest[0])
+    return scale * (x - x.mean(axis=0)) @ frame, (f"along t1 [{unit}]", f"along t2 [{unit}]")
 
 
 def _triangles(result: Result, boundary: str, index: np.ndarray) -> np.ndarray | None:
@@ -250,82 +229,70 @@ def _triangles(result: Result, boundary: str, index: np.ndarray) -> np.ndarray |
 
 @dataclass(frozen=True)
 class Line:
-    """One connected stretch of a contact boundary."""
+    """One connected part of a contact boundary."""
 
     index: np.ndarray  # (n,) int: into the contact arrays, in order along the line
-    position: np.ndarray  # (n,): along the line, increasing, in the unit the label says
+    position: np.ndarray  # (n,): along the line, increasing, in the unit of the label
     label: str  # for the axis
 
 
 def lines_of(result: Result, boundary: str) -> list[Line]:
-    """The connected stretches of a contact boundary, drawn against x or y where straight, else against arc length."""
+    """Return the connected parts of a contact boundary; parts without contact nodes separate them."""
     index = np.flatnonzero(result.contact.boundary == result.contact.names.index(boundary))
     x = result.contact.x[index]
     if not np.isfinite(x).all():
         return [Line(index, np.arange(len(index), dtype=float), "contact node")]
     extent = np.ptp(x, axis=0)
     factor, unit = scaled(float(extent.max()), "m")
-    stretches, label = _stretches(result, boundary, index, factor)
+    parts, label = _parts(result, boundary, index)
     for axis, name in enumerate(axis_names(result)):
         if extent[1 - axis] <= 1e-9 * extent[axis]:
-            along = ((nodes, factor * result.contact.x[nodes, axis]) for nodes, _ in stretches)
-            ordered = ((nodes, s, np.argsort(s)) for nodes, s in along)
-            return [Line(nodes[order], s[order], f"{name} [{unit}]") for nodes, s, order in ordered]
-    return [Line(nodes, position, f"{label} [{unit}]") for nodes, position in stretches]
+            straight = [nodes[np.argsort(result.contact.x[nodes, axis])] for nodes, _ in parts]
+            return [Line(nodes, factor * result.contact.x[nodes, axis], f"{name} [{unit}]") for nodes in straight]
+    start = "" if label is None else f" from ({factor * label[0]:.4g}, {factor * label[1]:.4g})"
+    return [Line(nodes, factor * position, f"arc length{start} [{unit}]") for nodes, position in parts]
 
 
-def _stretches(result: Result, boundary: str, index: np.ndarray, factor: float
-               ) -> tuple[list[tuple[np.ndarray, np.ndarray]], str]:
-    """Stretches with arc lengths along the whole boundary, the body on the left, and the name of that coordinate.
-
-    Parts of the boundary without contact nodes count and separate stretches.
-    """
-    x = result.contact.x[index]
+def _parts(result: Result, boundary: str, index: np.ndarray
+           ) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray | None]:
+    """Contact nodes of each part with arc lengths along the whole boundary, and the point where these begin."""
     if result.mesh is None:
-        centred = x - x.mean(axis=0)
-        order = np.argsort(centred @ np.linalg.svd(centred, full_matrices=False)[2][0])
-        steps = np.linalg.norm(np.diff(x[order], axis=0), axis=1)
-        return [(index[order], factor * np.concatenate([[0.0], np.cumsum(steps)]))], "arc length"
+        x = result.contact.x[index]
+        order = np.argsort((x - x.mean(axis=0)) @ np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2][0])
+        return [(index[order], _arc_length(x[order]))], None
     points, place = result.mesh.points, np.full(result.mesh.n_nodes, -1)
     place[result.contact.node[index]] = index
-    stretches, begin = [], 0.0
-    found = walks(result.mesh.boundary_facets(boundary))
-    for walk in found:
-        steps = np.linalg.norm(np.diff(points[walk], axis=0), axis=1)
-        position = begin + np.concatenate([[0.0], np.cumsum(steps)])
+    parts, begin = [], 0.0
+    lines = polylines(result.mesh.boundary_facets(boundary))
+    for line in lines:
+        position = begin + _arc_length(points[line])
         begin = position[-1]
-        covered = np.flatnonzero(place[walk] >= 0)
+        covered = np.flatnonzero(place[line] >= 0)
         for run in np.split(covered, np.flatnonzero(np.diff(covered) > 1) + 1):
             if len(run):
-                stretches.append((place[walk[run]], factor * position[run]))
-    x0, y0 = factor * points[found[0][0]]
-    return stretches, f"arc length from ({x0:.4g}, {y0:.4g})"
+                parts.append((place[line[run]], position[run]))
+    return parts, points[lines[0][0]]
 
 
-def draw_map(ax: Axes, flat: Flat, values: np.ndarray, label: str, norm: Normalize | None = None,
-             bar: bool = True, largest: float = 0.0) -> None:
+def _arc_length(points: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def draw_map(ax: Axes, flat: Flat, values: np.ndarray, norm: Normalize) -> ScalarMappable:
     """Draw nodal values in colours."""
-    if norm is None:
-        low, high = min(float(values.min()), 0.0), float(values.max())
-        norm = Normalize(low, high) if high - low > 1e-9 * largest else Normalize(0.0, 1.0)
-    if flat.triangles is None:
-        shown = ax.scatter(*flat.points.T, c=values, s=18, cmap="viridis", norm=norm)
-    else:
-        shown = ax.tripcolor(Triangulation(*flat.points.T, flat.triangles), values, cmap="viridis", shading="gouraud",
-                             norm=norm, rasterized=True)
-    if bar:
-        ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=label).outline.set_visible(False)
     _finish(ax, flat)
+    if flat.triangles is None:
+        return ax.scatter(*flat.points.T, c=values, s=18, cmap="viridis", norm=norm)
+    return ax.tripcolor(Triangulation(*flat.points.T, flat.triangles), values, cmap="viridis", shading="gouraud",
+                        norm=norm, rasterized=True)
 
 
-def draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
-    """Draw the nodes in the colours of their states, over the triangles; the legend counts them."""
-    colors, norm = state_colormap()
+def _draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
+    """Draw the nodes in the colours of their states over the triangles; the legend counts them."""
     if flat.triangles is not None:
         ax.triplot(Triangulation(*flat.points.T, flat.triangles), color="#c9ced5", linewidth=0.4, zorder=1)
-    size = float(np.clip(4000 / len(states), 1.5, 40.0))
-    ax.scatter(*flat.points.T, c=states.astype(float), s=size, cmap=colors, norm=norm, zorder=2, edgecolors=INK,
-               linewidths=0.2)
+    ax.scatter(*flat.points.T, c=[STATE_INKS[int(s)] for s in states], zorder=2, edgecolors=INK, linewidths=0.2,
+               s=float(np.clip(4000 / len(states), 1.5, 40.0)))
     counts = np.bincount(states.astype(int), minlength=3)
     ax.legend(handles=[Patch(color=STATE_INKS[s], label=f"{STATE_NAMES[s]} ({counts[int(s)]})")
                        for s in (OPEN, SLIP, STICK)],
@@ -334,39 +301,29 @@ def draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
 
 
 def _finish(ax: Axes, flat: Flat) -> None:
-    ax.set_aspect("equal" if flat.equal else "auto")
-    ax.set_xlabel(flat.labels[0])
-    ax.set_ylabel(flat.labels[1])
+    ax.set(aspect="equal" if flat.equal else "auto", xlabel=flat.labels[0], ylabel=flat.labels[1])
 
 
 def chosen_boundaries(result: Result, boundary: object, argument: str) -> tuple[str, ...]:
-    """Contact boundaries to draw: one, by its name or as a Contact or ContactPair; by default all with nodes."""
+    """Return the contact boundaries to draw: one, by its name or as a Contact or ContactPair, or all with nodes."""
     contact = result.contact
     name = getattr(boundary, "boundary", boundary)
     names = contact.names if name is None else (checks.choice(argument, name, contact.names),)
-    found = tuple(n for n in names if (contact.boundary == contact.names.index(n)).any())
-    if not found:
+    drawn = tuple(n for n in names if (contact.boundary == contact.names.index(n)).any())
+    if not drawn:
         raise ValueError(f"{argument}: {', '.join(map(repr, names)) or 'this result'} has no contact nodes to draw")
-    return found
+    return drawn
 
 
-def described(contact: ContactResult, boundary: str) -> str:
-    """'slave on master', or the boundary alone in front of a rigid obstacle."""
+def pair_name(contact: ContactResult, boundary: str) -> str:
+    """Return 'slave on master', or the boundary alone in front of a rigid obstacle."""
     masters = contact.masters or ("",) * len(contact.names)
     master = masters[contact.names.index(boundary)]
     return f"{quoted(boundary)} on {quoted(master)}" if master else quoted(boundary)
 
 
-def blocks(count: int, size: tuple[float, float], columns: int) -> list[SubFigure]:
-    """Parts of ``size`` inches of a new figure, at most ``columns`` side by side."""
-    columns = min(count, columns)
-    rows = -(-count // columns)
-    figure = new_figure((size[0] * columns, size[1] * rows))
-    return list(figure.subfigures(rows, columns, squeeze=False).ravel())[:count]
-
-
 def cells(part: SubFigure, count: int, columns: int, share: bool = False) -> list[Axes]:
-    """``count`` axes row by row; with ``share`` on common scales, with numbers only at the left and below."""
+    """Return ``count`` axes row by row; with ``share`` on common scales, with numbers only at the left and below."""
     grid = part.add_gridspec(-(-count // columns), columns)
     axes: list[Axes] = []
     for k in range(count):
@@ -378,6 +335,6 @@ def cells(part: SubFigure, count: int, columns: int, share: bool = False) -> lis
 
 
 def keep_open(ax: Axes, values: np.ndarray, largest: float) -> None:
-    """Scale an axis of nothing but rounding, against the ``largest`` value elsewhere, so that it looks like zero."""
+    """Scale an axis of values that are rounding, against the ``largest`` value elsewhere, so that they look like 0."""
     if not np.abs(values).max() > 1e-9 * largest:
         ax.set_ylim(-1.0 if values.min() < 0 else 0.0, 1.0)

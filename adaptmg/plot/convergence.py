@@ -1,7 +1,4 @@
-"""history: how residual, change and estimated error fall with work, cycles or time.
-
-path: the way of a solver through the levels, level against step (as Fig. 1 of the paper).
-"""
+"""history: residual, change and estimated error against work, cycles or time. path: the cycle diagram of a solver."""
 
 from __future__ import annotations
 
@@ -38,17 +35,12 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
         Seconds are those since the solver began.
     ax : matplotlib Axes, optional
     quantity : {"error_estimate", "true_error", "residual", "relative_change", "change"}, optional
-        Default: for one result all it recorded, for several the true error if all recorded it, else the residual
-        (an estimate made from changes cannot see that a method stalled).
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+        Default: for one result all it recorded; for several the true error if all recorded it, else the residual.
 
     Raises
     ------
     ValueError
-        If a result did not record what is asked for.
+        If a result did not record the quantity.
     """
     several = isinstance(results, Mapping)
     runs = dict(results) if several else {"": results}
@@ -84,27 +76,27 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
 
 
 def _chosen(runs: Mapping[str, Result], quantity: str | None, several: bool) -> list[str]:
-    """What to draw, checked: recorded by every run with at least one finite positive value."""
+    """The quantities that every run recorded with at least one finite positive value."""
     def recorded(result: Result, name: str) -> bool:
         values = np.asarray(result.history.get(name, ()), dtype=float)
         return bool((np.isfinite(values) & (values > 0)).any())
 
     if quantity is not None:
         checks.choice("quantity", quantity, _QUANTITIES)
-    wanted = list(_QUANTITIES if quantity is None else (quantity,))
+    names = list(_QUANTITIES if quantity is None else (quantity,))
     if several and quantity is None:
-        wanted.sort(key=("true_error", "residual", *_QUANTITIES).index)
-    found = [name for name in wanted if all(recorded(result, name) for result in runs.values())]
-    if not found:
-        known = {label or result.solver_name: [n for n in _QUANTITIES if recorded(result, n)]
+        names.sort(key=("true_error", "residual", *_QUANTITIES).index)
+    common = [name for name in names if all(recorded(result, name) for result in runs.values())]
+    if not common:
+        recorded_by = {label or result.solver_name: [n for n in _QUANTITIES if recorded(result, n)]
                  for label, result in runs.items()}
-        raise ValueError(f"not every result recorded {quantity or 'a common quantity'}; recorded are {known}")
-    return found[:1] if several else found
+        raise ValueError(f"not every result recorded {quantity or 'a common quantity'}; recorded are {recorded_by}")
+    return common[:1] if several else common
 
 
 @dataclass
 class _Stop:
-    """A place on the way: a level, what was done there, and how the way led there from the last one."""
+    """A point of the cycle diagram: a level, the action there, and the transfer that leads to it."""
 
     level: int
     action: str
@@ -114,32 +106,22 @@ class _Stop:
 
 @styled
 def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
-    """Draw the way through the levels: smoothing, coarse solves, restrictions down, prolongations up.
+    """Draw the cycle diagram, level against step (as Fig. 1 of the paper): smoothing, coarse solves and transfers.
 
-    Parameters
-    ----------
-    result : Result
-    ax : matplotlib Axes, optional
-    steps : int
-        Places drawn at most, from the start; what is left out is stated.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    At most ``steps`` points are drawn, from the start; the picture says how many there are.
     """
     checks.integer("steps", steps, 2)
     stops = _stops(checks.instance("result", result, Result).path)
     if not stops:
-        raise ValueError("this result has recorded no way through the levels (result.path is empty)")
+        raise ValueError("this result has no cycles to draw (result.path is empty)")
     shown = stops[:steps]
     levels = max(len(result.levels), max(stop.level for stop in shown) + 1)
     ax = canvas(ax, (min(11.0, 3.4 + 0.18 * len(shown)), 1.1 + 0.62 * max(levels, 2)))
-    _draw_ways(ax, shown)
+    _draw_transfers(ax, shown)
     _draw_stops(ax, shown)
-    ax.set_yticks(range(levels), [_level_name(result, k) for k in range(levels)])
-    ax.set_ylim(-0.6, levels - 0.45)
-    ax.set_xlim(-0.8, len(shown) - 0.2)
-    ax.set_xticks([])
+    nodes = [f"\n{int(level['nodes'])} nodes" for level in result.levels] + [""] * levels
+    ax.set_yticks(range(levels), [f"level {k}{nodes[k]}" for k in range(levels)])
+    ax.set(xlim=(-0.8, len(shown) - 0.2), ylim=(-0.6, levels - 0.45), xticks=[])
     ax.spines[["bottom", "left"]].set_visible(False)
     ax.tick_params(axis="y", length=0)
     for k in range(levels):
@@ -151,14 +133,8 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
     return ax.figure
 
 
-def _level_name(result: Result, level: int) -> str:
-    if level >= len(result.levels):
-        return f"level {level}"
-    return f"level {level}\n{int(result.levels[level]['nodes'])} nodes"
-
-
 def _stops(entries: list[tuple[int, str, int]]) -> list[_Stop]:
-    """Places in order. A restriction is noted on the level it leaves, a prolongation on the one it reaches."""
+    """Points in order. A restriction is recorded on the level it leaves, a prolongation on the one it reaches."""
     stops: list[_Stop] = []
     arrival = ""
     for level, action, times in entries:
@@ -166,42 +142,38 @@ def _stops(entries: list[tuple[int, str, int]]) -> list[_Stop]:
             arrival = "restrict"
             if not stops or stops[-1].level != level:
                 stops.append(_Stop(level, "", 0))
-        elif action in ("prolong", "start"):
+            continue
+        if action in ("prolong", "start"):
             stops.append(_Stop(level, "", 0, action))
-            arrival = ""
+        elif stops and stops[-1].level == level and not stops[-1].action:
+            stops[-1].action, stops[-1].times = action, times
         else:
-            last = stops[-1] if stops else None
-            if last is not None and last.level == level and not last.action:
-                last.action, last.times = action, times
-            else:
-                stops.append(_Stop(level, action, times, arrival))
-            arrival = ""
+            stops.append(_Stop(level, action, times, arrival))
+        arrival = ""
     return stops
 
 
-_WAYS = {"restrict": (ORANGE, "-", "restrict residual"), "prolong": (BLUE, "-", "prolong correction"),
-         "start": (INK, (0, (3, 2)), "prolong solution (nested start)"), "": (GREY, ":", None)}
+_TRANSFERS = {"restrict": (ORANGE, "-", "restrict residual"), "prolong": (BLUE, "-", "prolong correction"),
+              "start": (INK, (0, (3, 2)), "prolong solution (nested start)"), "": (GREY, ":", None)}
 
 
-def _draw_ways(ax: Axes, stops: list[_Stop]) -> None:
-    named: set[str] = set()
+def _draw_transfers(ax: Axes, stops: list[_Stop]) -> None:
+    labelled: set[str] = set()
     for k in range(1, len(stops)):
-        color, style, label = _WAYS[stops[k].arrival]
+        color, style, label = _TRANSFERS[stops[k].arrival]
         ax.plot([k - 1, k], [stops[k - 1].level, stops[k].level], color=color, linestyle=style, linewidth=1.4,
-                label=None if stops[k].arrival in named else label, zorder=2)
-        named.add(stops[k].arrival)
+                label=None if stops[k].arrival in labelled else label, zorder=2)
+        labelled.add(stops[k].arrival)
 
 
 def _draw_stops(ax: Axes, stops: list[_Stop]) -> None:
-    """Circles with the number of sweeps, squares for solves: of coarsest problems, or Newton steps."""
-    for action, marker, face, text_color, label in (("smooth", "o", "white", INK, "smooth (sweeps)"),
-                                                    ("solve", "s", GREEN, "white", "solve")):
+    """Draw circles with the number of sweeps, and squares for solves."""
+    for action, marker, face, edge, size, label in (("smooth", "o", "white", INK, 120, "smooth (sweeps)"),
+                                                    ("solve", "s", GREEN, GREEN, 80, "solve")):
         at = [k for k, stop in enumerate(stops) if stop.action == action]
         if at:
-            ax.scatter(at, [stops[k].level for k in at], marker=marker, s=120 if action == "smooth" else 80,
-                       facecolor=face, edgecolor=INK if action == "smooth" else GREEN, linewidth=1.1, zorder=3,
-                       label=label)
-        if action == "smooth":
-            for k in at:
-                text = str(stops[k].times) if stops[k].times < 100 else ""
-                ax.text(k, stops[k].level, text, ha="center", va="center", fontsize=7, color=text_color, zorder=4)
+            ax.scatter(at, [stops[k].level for k in at], marker=marker, s=size, facecolor=face, edgecolor=edge,
+                       linewidth=1.1, zorder=3, label=label)
+        for k in at if action == "smooth" else ():
+            ax.text(k, stops[k].level, str(stops[k].times) if stops[k].times < 100 else "", ha="center", va="center",
+                    fontsize=7, color=INK, zorder=4)

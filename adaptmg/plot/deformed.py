@@ -1,43 +1,48 @@
-"""deformation: bodies after loading over their outlines before, by body, displacement or stress."""
+"""deformation: bodies after loading over their outlines before, coloured by body, displacement or stress."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch
+from matplotlib.path import Path
 from matplotlib.tri import Triangulation
+from mpl_toolkits.mplot3d import Axes3D
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg.plot import surfaces
+from adaptmg.mesh.arrays import MeshArrays, facet_table
 from adaptmg.plot.style import (
+    BODY_COLORS,
     GREY,
     INK,
+    STATE_INKS,
     axis_names,
+    bounds,
     canvas,
-    filled_path,
     halves,
     number,
     plain,
+    polylines,
     scaled,
     state_lines,
+    states_of,
     styled,
-    walks,
 )
-from adaptmg.plot.surfaces import Coloring, DrawnBody, Scene, automatic_factor, make_scene
+from adaptmg.plot.surfaces import Lines, draw_facets, finish_axes, sharp_edges
 from adaptmg.solver.result import Result
 
 __all__ = ["deformation"]
 
-
-#: elements above which their edges would only blacken the picture
+#: the largest number of elements whose edges are drawn by default
 _LINES_UP_TO = 8000
 
 
@@ -46,10 +51,10 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
                 states: bool = False, window: tuple[float, float, float, float] | None = None,
                 bodies: Sequence[str] | None = None, lines: bool | None = None,
                 view: tuple[float, float] | None = None, ax: Axes | None = None) -> Figure:
-    """Draw the deformed bodies, each in its own colour, over their outlines before; the title says the amplification.
+    """Draw the deformed bodies, each in its own colour, over their outlines before; the title has the amplification.
 
-    Amplified bodies seem to overlap where an initial gap has closed, and to part where they only slid: ``amplify=1``
-    is true to scale.
+    Amplified bodies seem to overlap where an initial gap has closed, and to part where they only slid; with
+    ``amplify=1`` the picture is to scale.
 
     Parameters
     ----------
@@ -64,41 +69,77 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     states : bool
         Mark the contact surfaces with the states of their nodes: open, slip, stick.
     window : (xmin, xmax, ymin, ymax), optional
-        What is to be seen, m; 2D only.
+        The part that is shown, m; 2D only.
     bodies : sequence of str, optional
         Names of the bodies shown; default all. In 3D the others hide the contact surfaces.
     lines : bool, optional
         Whether to draw the edges of the elements; by default up to 8000 of them (in 3D, 6000 surface triangles).
     view : (elevation, azimuth), optional
-        Where a 3D picture is seen from, degrees; default (22, -58).
+        Direction of view in 3D, degrees; default (22, -58).
     ax : matplotlib Axes, optional
         In 3D with ``projection="3d"``.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    ValueError
-        Without a mesh, without materials for the stress, for a window that shows nothing or bodies there are not.
     """
     if checks.instance("result", result, Result).mesh is None:
         raise ValueError("this result has no mesh to draw (it comes from a bare DiscreteProblem)")
     coloring = _coloring(result, stress, displacement)
-    factor = automatic_factor(result) if amplify is None else checks.nonnegative("amplify", amplify)
-    scene = make_scene(result, factor, bodies, window, coloring)
+    factor = _automatic_factor(result) if amplify is None else checks.nonnegative("amplify", amplify)
+    scene = _scene(result, factor, bodies, window, coloring)
     ax = canvas(ax, _size(scene), result.dim)
-    present: list[int] = []
     if result.dim == 3:
-        at = None if view is None else check_arrays.vector("view", view, 2)
-        present = surfaces.draw(ax, scene, lines, states, at)
+        present = _draw_solid(ax, scene, lines, states)
+        if view is not None:
+            ax.view_init(*check_arrays.vector("view", view, 2))
     else:
         _draw_plane(ax, scene, scene.n_elements <= _LINES_UP_TO if lines is None else lines)
-        present = _draw_states(ax, scene) if states else []
+        present = _draw_states(ax, scene) if states else set()
     _finish(ax, scene, factor)
     _legend(ax, scene, present)
     return ax.figure
+
+
+@dataclass(frozen=True)
+class Coloring:
+    """Values to colour by."""
+
+    values: np.ndarray  # (n_nodes,) or (n_elements,), in the unit of the label
+    label: str  # of the colour bar
+    norm: Normalize
+
+
+@dataclass(frozen=True)
+class DrawnBody:
+    """One body, or the part of it within a window."""
+
+    name: str
+    color: str
+    elements: np.ndarray  # (n,) int: the elements that are shown
+    facets: np.ndarray  # (m, dim) int: nodes of their boundary, outward
+    behind: np.ndarray  # (m,) int: the element behind each facet
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The bodies and their positions in plot units."""
+
+    result: Result
+    before: np.ndarray  # (n_nodes, dim): initial positions
+    after: np.ndarray  # (n_nodes, dim): positions with the amplified displacement
+    unit: str
+    shapes: tuple[DrawnBody, ...]  # large bodies first
+    lower: np.ndarray  # (dim,): lower corner of the part that is shown
+    upper: np.ndarray  # (dim,): upper corner
+    coloring: Coloring | None = None  # None: a colour for each body
+
+    @property
+    def n_elements(self) -> int:
+        """Number of elements shown."""
+        return sum(len(shape.elements) for shape in self.shapes)
+
+    def is_zoomed(self) -> bool:
+        """Return whether something lies outside the part that is shown."""
+        points = self.after[np.concatenate([shape.facets.ravel() for shape in self.shapes])]
+        slack = 1e-9 * (self.upper - self.lower)
+        return bool((points < self.lower - slack).any() or (points > self.upper + slack).any())
 
 
 def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | None:
@@ -112,71 +153,118 @@ def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | No
     return Coloring(factor * values, label, Normalize(0.0, max(factor * float(values.max()), np.finfo(float).tiny)))
 
 
+def _automatic_factor(result: Result) -> float:
+    """A round factor that draws the largest displacement as about 5 % of the size; 1 if nothing moves."""
+    size = bounds(result.mesh.points)[2]
+    largest = float(np.linalg.norm(result.displacement, axis=1).max())
+    if not largest > 1e-12 * size:
+        return 1.0
+    factor = 0.05 * size / largest
+    power = 10.0 ** np.floor(np.log10(factor))
+    return float(power * min((1, 2, 5, 10), key=lambda m: abs(np.log(m * power / factor))))
+
+
+def _scene(result: Result, factor: float, bodies: Sequence[str] | None,
+           window: tuple[float, float, float, float] | None, coloring: Coloring | None) -> Scene:
+    """Choose bodies and elements, and place them."""
+    mesh = result.mesh
+    chosen = _bodies(mesh, bodies)
+    moved = mesh.points + factor * result.displacement
+    seen = np.isin(mesh.element_body, chosen)
+    if window is None:
+        nodes = np.unique(mesh.elements[seen])
+        lower, upper, _ = bounds(np.vstack([mesh.points[nodes], moved[nodes]]))
+    else:
+        lower, upper = _window(window, mesh.dim)
+        # with a margin of a tenth, so that no element ends in sight
+        corners, margin = [x[mesh.elements] for x in (mesh.points, moved)], 0.1 * (upper - lower)
+        seen &= np.any([((x.min(axis=1) <= upper + margin) & (x.max(axis=1) >= lower - margin)).all(axis=1)
+                        for x in corners], axis=0)
+        if not seen.any():
+            raise ValueError(f"window {tuple(window)} shows nothing: it is (xmin, xmax, ymin, ymax) in m, and the "
+                             f"bodies lie between {mesh.points.min(axis=0)} and {mesh.points.max(axis=0)}")
+    scale, unit = scaled(float(np.linalg.norm(upper - lower)), "m")
+    shapes = [_shape(mesh, body, np.flatnonzero(seen & (mesh.element_body == body))) for body in chosen
+              if (seen & (mesh.element_body == body)).any()]
+    shapes.sort(key=lambda shape: -float(np.abs(mesh.volumes[shape.elements]).sum()))
+    return Scene(result, mesh.points * scale, moved * scale, unit, tuple(shapes), lower * scale, upper * scale,
+                 coloring)
+
+
+def _bodies(mesh: MeshArrays, names: Sequence[str] | None) -> list[int]:
+    if names is None:
+        return list(range(len(mesh.bodies)))
+    names = (names,) if isinstance(names, str) else tuple(names)
+    if not names:
+        raise ValueError("bodies must name at least one body; None shows all")
+    return [mesh.bodies.index(checks.choice("bodies", name, mesh.bodies)) for name in dict.fromkeys(names)]
+
+
+def _window(window: tuple[float, float, float, float], dim: int) -> tuple[np.ndarray, np.ndarray]:
+    if dim != 2:
+        raise ValueError("window is for two dimensions: in 3D choose bodies=... and view=...")
+    x0, x1, y0, y1 = check_arrays.vector("window", window, 4)
+    if not (x0 < x1 and y0 < y1):
+        raise ValueError(f"window must be (xmin, xmax, ymin, ymax) with xmin < xmax and ymin < ymax, got {window!r}")
+    return np.array([x0, y0]), np.array([x1, y1])
+
+
+def _shape(mesh: MeshArrays, body: int, elements: np.ndarray) -> DrawnBody:
+    table = facet_table(mesh.elements[elements], mesh.n_nodes)
+    outer = table.counts == 1
+    return DrawnBody(mesh.bodies[body], BODY_COLORS[body % len(BODY_COLORS)], elements, table.facets[outer],
+                     elements[table.first[outer]])
+
+
 def _size(scene: Scene) -> tuple[float, float]:
-    """Inches that suit the proportions of what is seen."""
+    """Inches that suit the proportions of the bodies."""
     if len(scene.lower) == 3:
         return 6.8, 5.4
     width, height = (scene.upper - scene.lower) / np.max(scene.upper - scene.lower)
     return max(5.6 * width, 2.6) + 1.6, max(5.0 * height, 2.0) + 0.9
 
 
-def _finish(ax: Axes, scene: Scene, factor: float) -> None:
-    """Colour bar, labels, title."""
-    coloring, dim = scene.coloring, scene.result.dim
-    if coloring is not None:
-        bar = ax.figure.colorbar(ScalarMappable(coloring.norm, "viridis"), ax=ax, shrink=0.75, pad=0.05 * dim - 0.06)
-        bar.set_label(coloring.label)
-        bar.outline.set_visible(False)
-    if dim == 2:
-        names = axis_names(scene.result)
-        ax.set_xlabel(f"{names[0]} [{scene.unit}]")
-        ax.set_ylabel(f"{names[1]} [{scene.unit}]")
-    drawn = "to scale" if factor == 1 else f"{number(factor)} times"
-    # seen from below, an axis with its label runs along the upper side
-    above = dim == 3 and ax.elev < 0
-    ax.set_title(f"{plain(scene.result.problem_name)}: displacement drawn {drawn}", pad=30 if above else None)
+def _draw_solid(ax: Axes3D, scene: Scene, lines: bool | None, states: bool) -> set[int]:
+    """Draw all bodies as one surface, so that they hide each other; return the contact states drawn."""
+    facets = np.concatenate([shape.facets for shape in scene.shapes])
+    colors = np.concatenate([_facet_colors(scene, shape) for shape in scene.shapes])
+    contact, present = scene.result.contact, set()
+    for boundary in range(len(contact.names)) if states else ():
+        # the state of most corners, where all are nodes of one contact boundary
+        corners = np.sort(states_of(contact, boundary, len(scene.after))[facets], axis=1)
+        mine = corners[:, 0] >= 0
+        colors[mine] = to_rgba_array([STATE_INKS[state] for state in corners[mine, 1]]).reshape(-1, 1, 4)
+        present |= set(corners[mine, 1].tolist())
+    edges = np.concatenate([sharp_edges(scene.before, shape.facets) for shape in scene.shapes])
+    draw_facets(ax, scene.after[facets], colors, lines,
+                (Lines(scene.before[edges], GREY, 0.9, (4.0, 3.0)), Lines(scene.after[edges], INK, 0.9)),
+                0.28 if scene.coloring is None and not states else 0.14)
+    finish_axes(ax, np.array([scene.lower, scene.upper]), scene.unit)
+    return present
 
 
-def _legend(ax: Axes, scene: Scene, present: list[int]) -> None:
-    """Names of the bodies, outline before, states; where a colour bar or an axis is not."""
-    handles: list[Patch | Line2D] = []
-    if scene.coloring is None:
-        order = {name: k for k, name in enumerate(scene.result.mesh.bodies)}
-        handles += [Patch(facecolor=shape.color, edgecolor=INK, linewidth=0.6, label=plain(shape.name))
-                    for shape in sorted(scene.shapes, key=lambda shape: order[shape.name])]
-    handles.append(Line2D([], [], color=GREY, linewidth=0.9, linestyle=(0, (4, 3)), label="before"))
-    handles += state_lines(present)
-    if scene.coloring is None:
-        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
-    elif scene.result.dim == 2:
-        ax.figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5))
-    else:
-        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(-0.05, 1.0), borderaxespad=0.0)
+def _facet_colors(scene: Scene, shape: DrawnBody) -> np.ndarray:
+    """Colours (n, 3, 4) of the corners of the facets."""
+    coloring = scene.coloring
+    if coloring is None:
+        return np.tile(to_rgba_array(shape.color), (len(shape.facets), 3, 1))
+    nodal = len(coloring.values) == len(scene.after)
+    values = coloring.values[shape.facets if nodal else np.repeat(shape.behind[:, None], 3, axis=1)]
+    return ScalarMappable(coloring.norm, "viridis").to_rgba(values.ravel()).reshape(-1, 3, 4)
 
 
 def _draw_plane(ax: Axes, scene: Scene, lines: bool) -> None:
-    """Draw a scene."""
     width = float(np.clip(12 / np.sqrt(scene.n_elements), 0.08, 0.6))
     for k, shape in enumerate(scene.shapes):
-        rings = walks(shape.facets)
+        rings = polylines(shape.facets)
         _fill(ax, scene, shape, rings, width if lines else 0.0, zorder=2 + 0.1 * k)
-        after = LineCollection([scene.after[ring] for ring in rings], color=INK, linewidth=1.0, zorder=3.6)
-        before = LineCollection([scene.before[ring] for ring in rings], color=GREY, linewidth=0.8,
-                                linestyle=(0, (4, 3)), zorder=3.5)
-        ax.add_collection(after)
-        ax.add_collection(before)
-    margin = 0.0 if _zoomed(scene) else 0.03 * float(np.max(scene.upper - scene.lower))
-    ax.set_aspect("equal")
-    ax.set_xlim(scene.lower[0] - margin, scene.upper[0] + margin)
-    ax.set_ylim(scene.lower[1] - margin, scene.upper[1] + margin)
-    ax.spines[:].set_visible(_zoomed(scene))
-
-
-def _zoomed(scene: Scene) -> bool:
-    """Whether something shown lies outside what is to be seen."""
-    nodes = np.unique(np.concatenate([shape.facets.ravel() for shape in scene.shapes]))
-    points, slack = scene.after[nodes], 1e-9 * (scene.upper - scene.lower)
-    return bool((points < scene.lower - slack).any() or (points > scene.upper + slack).any())
+        ax.add_collection(LineCollection([scene.after[ring] for ring in rings], color=INK, linewidth=1.0, zorder=3.6))
+        ax.add_collection(LineCollection([scene.before[ring] for ring in rings], color=GREY, linewidth=0.8,
+                                         linestyle=(0, (4, 3)), zorder=3.5))
+    margin = 0.0 if scene.is_zoomed() else 0.03 * float(np.max(scene.upper - scene.lower))
+    ax.set(aspect="equal", xlim=(scene.lower[0] - margin, scene.upper[0] + margin),
+           ylim=(scene.lower[1] - margin, scene.upper[1] + margin))
+    ax.spines[:].set_visible(scene.is_zoomed())
 
 
 def _fill(ax: Axes, scene: Scene, shape: DrawnBody, rings: list[np.ndarray], width: float, zorder: float) -> None:
@@ -184,37 +272,64 @@ def _fill(ax: Axes, scene: Scene, shape: DrawnBody, rings: list[np.ndarray], wid
     if coloring is None and width:
         ax.add_collection(PolyCollection(scene.after[elements], facecolor=shape.color, edgecolor=INK, linewidth=width,
                                          zorder=zorder))
-        return
-    if coloring is None:
-        ax.add_patch(PathPatch(filled_path(scene.after, rings), facecolor=shape.color, edgecolor="none", zorder=zorder))
-        return
-    grid = Triangulation(*scene.after.T, elements)
-    if len(coloring.values) == len(scene.after):
-        ax.tripcolor(grid, coloring.values, norm=coloring.norm, cmap="viridis", shading="gouraud", rasterized=True,
-                     zorder=zorder)
+    elif coloring is None:
+        path = Path.make_compound_path(*(Path(scene.after[ring], closed=True) for ring in rings))
+        ax.add_patch(PathPatch(path, facecolor=shape.color, edgecolor="none", zorder=zorder))
     else:
-        ax.tripcolor(grid, facecolors=coloring.values[shape.elements], norm=coloring.norm, cmap="viridis",
-                     rasterized=True, zorder=zorder)
-    if width:
-        ax.add_collection(PolyCollection(scene.after[elements], facecolor="none", edgecolor="white",
-                                         linewidth=0.5 * width, zorder=zorder + 0.02))
+        grid = Triangulation(*scene.after.T, elements)
+        look = {"norm": coloring.norm, "cmap": "viridis", "rasterized": True, "zorder": zorder}
+        if len(coloring.values) == len(scene.after):
+            ax.tripcolor(grid, coloring.values, shading="gouraud", **look)
+        else:
+            ax.tripcolor(grid, facecolors=coloring.values[shape.elements], **look)
+        if width:
+            ax.add_collection(PolyCollection(scene.after[elements], facecolor="none", edgecolor="white",
+                                             linewidth=0.5 * width, zorder=zorder + 0.02))
 
 
-def _draw_states(ax: Axes, scene: Scene) -> list[int]:
-    """Draw the contact surfaces of the shown bodies in the colours of their states; returns the states that occur.
-
-    Each edge changes colour half way between its nodes; edges with a node that is no contact node are left out.
-    """
-    mesh = scene.result.mesh
+def _draw_states(ax: Axes, scene: Scene) -> set[int]:
+    """Draw the edges whose nodes are contact nodes in the colours of their states; return the states that occur."""
+    contact, present = scene.result.contact, set()
     shown = np.unique(np.concatenate([shape.facets.ravel() for shape in scene.shapes]))
-    present: set[int] = set()
-    for k, name in enumerate(scene.result.contact.names):
-        state = scene.states(k)
-        facets = mesh.boundary_facets(name)
+    for boundary, name in enumerate(contact.names):
+        state = states_of(contact, boundary, len(scene.after))
+        facets = scene.result.mesh.boundary_facets(name)
         facets = facets[(state[facets] >= 0).all(axis=1) & np.isin(facets, shown).all(axis=1)]
-        for ring in walks(facets):
-            segments, colors = halves(scene.after[ring], state[ring])
+        for line in polylines(facets):
+            segments, colors = halves(scene.after[line], state[line])
             ax.add_collection(LineCollection(segments, color="white", linewidth=4.2, capstyle="butt", zorder=4))
             ax.add_collection(LineCollection(segments, colors=colors, linewidth=2.8, capstyle="butt", zorder=4.1))
         present |= set(state[facets].ravel().tolist())
-    return sorted(present)
+    return present
+
+
+def _finish(ax: Axes, scene: Scene, factor: float) -> None:
+    """Add colour bar, labels and title."""
+    coloring, dim = scene.coloring, scene.result.dim
+    if coloring is not None:
+        bar = ax.figure.colorbar(ScalarMappable(coloring.norm, "viridis"), ax=ax, shrink=0.75, pad=0.05 * dim - 0.06)
+        bar.set_label(coloring.label)
+        bar.outline.set_visible(False)
+    if dim == 2:
+        names = axis_names(scene.result)
+        ax.set(xlabel=f"{names[0]} [{scene.unit}]", ylabel=f"{names[1]} [{scene.unit}]")
+    size = "to scale" if factor == 1 else f"{number(factor)} times"
+    # seen from below, an axis with its label runs along the upper side
+    ax.set_title(f"{plain(scene.result.problem_name)}: displacement drawn {size}",
+                 pad=30 if dim == 3 and ax.elev < 0 else None)
+
+
+def _legend(ax: Axes, scene: Scene, present: set[int]) -> None:
+    """Add names of bodies, the outline before, and states, away from colour bar and axes."""
+    handles: list[Patch | Line2D] = []
+    if scene.coloring is None:
+        order = {name: k for k, name in enumerate(scene.result.mesh.bodies)}
+        handles += [Patch(facecolor=shape.color, edgecolor=INK, linewidth=0.6, label=plain(shape.name))
+                    for shape in sorted(scene.shapes, key=lambda shape: order[shape.name])]
+    handles.append(Line2D([], [], color=GREY, linewidth=0.9, linestyle=(0, (4, 3)), label="before"))
+    handles += state_lines(present)
+    if scene.coloring is not None and scene.result.dim == 2:
+        ax.figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5))
+    else:
+        corner = (1.01, 1.0) if scene.coloring is None else (-0.05, 1.0)
+        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=corner, borderaxespad=0.0)

@@ -1,4 +1,4 @@
-"""load_history: what a sequence of load steps did - quantities against the load, contact pressure step by step."""
+"""load_history: quantities of a sequence of load steps against the load, and the contact pressure of each step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg.plot.contact_surfaces import cells, chosen_boundaries, described, draw_map, flattened, keep_open, lines_of
+from adaptmg.plot.contact_surfaces import cells, chosen_boundaries, draw_map, flattened, keep_open, lines_of, pair_name
 from adaptmg.plot.style import BLUE, label_text, new_figure, number, plain, state_lines, stated_curve, styled
 from adaptmg.solver.result import Result
 
@@ -32,25 +32,15 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     results : sequence of Result
         One a step, in order; all on the same mesh.
     factors : sequence of float
-        Of the steps; they may rise and fall (an arrow shows the way). Any other abscissa will do, say displacements.
+        One a step, rising or falling (arrows show the order); any other abscissa is possible, e.g. displacements.
     quantities : mapping of str to callable
         Label of the axis, with its unit, to a function of a Result that returns a number; one panel each.
     against : str
-        What ``factors`` are, with their unit.
+        The label of ``factors``, with their unit.
     pair : str or ContactPair, optional
         The slave boundary of the pair whose pressure is drawn; by default a row of pictures for each pair.
     steps : int
-        Steps drawn at most a pair, spread evenly, first and last among them; 0 for none. In 2D the pressure is drawn
-        against the same as by :func:`contact`, coloured by state; in 3D as maps on the slave surface.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Examples
-    --------
-    >>> am.plot.load_history(results, factors, {"force [kN]": lambda r: 1e-3 * r.resultant("contact").force[1],
-    ...                                         "slip [µm]": lambda r: 1e6 * abs(r.contact.slip).max()})
+        The largest number of steps drawn for each pair, evenly spaced from the first to the last; 0 for none.
     """
     results, factors = _checked(results, factors)
     against = label_text(checks.instance("against", against, str))
@@ -71,7 +61,7 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     for name in names:
         chosen = [(results[k], f"{against} {number(factors[k])}") for k in shown]
         part = next(parts)
-        part.suptitle(described(results[0].contact, name), fontsize=10)
+        part.suptitle(pair_name(results[0].contact, name), fontsize=10)
         (_draw_lines if results[0].dim == 2 else _draw_maps)(part, chosen, name, columns)
     figure.suptitle(plain(results[-1].problem_name), fontsize=11)
     return figure
@@ -138,7 +128,7 @@ def _draw_maps(part: SubFigure, steps: list[tuple[Result, str]], name: str, colu
     pressures = [1e-6 * result.contact.pressure[flat.index] for result, _ in steps]
     norm = Normalize(0.0, max(max(float(p.max()) for p in pressures), np.finfo(float).tiny))
     for k, (ax, (_, title), pressure) in enumerate(zip(axes, steps, pressures, strict=True)):
-        draw_map(ax, flat, pressure, "", norm, bar=False)
+        draw_map(ax, flat, pressure, norm)
         ax.set_title(title, fontsize=9)
         if k % columns:
             ax.set_ylabel("")

@@ -1,7 +1,4 @@
-"""mesh and grids: the triangles, or in three dimensions the boundary facets, with the contact boundary marked.
-
-adaptation: the meshes of an adaptive loop with their contact states, where the error lies, and how it falls.
-"""
+"""mesh, grids, adaptation: meshes with their contact boundary or its states, and the error of an adaptive loop."""
 
 from __future__ import annotations
 
@@ -21,22 +18,23 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot.style import (
     BLUE,
-    BODY_COLORS,
     GREY,
     INK,
     ORANGE,
     PALE,
     STATE_INKS,
     axes_of,
+    body_fills,
     bounds,
     canvas,
     halves,
     new_figure,
     plain,
+    polylines,
     scaled,
     state_lines,
+    states_of,
     styled,
-    walks,
 )
 from adaptmg.plot.surfaces import draw_facets, finish_axes, view_of
 
@@ -44,19 +42,9 @@ __all__ = ["adaptation", "grids", "mesh"]
 
 @styled
 def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = ()) -> Figure:
-    """Draw a mesh; several bodies in different colours.
+    """Draw a mesh, several bodies in different colours, with the boundaries ``contact`` marked.
 
-    Parameters
-    ----------
-    drawn : MeshArrays
-    ax : matplotlib Axes, optional
-        In 3D with ``projection="3d"``.
-    contact : sequence of str
-        Boundaries to mark.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    In 3D ``ax`` is made with ``projection="3d"``.
     """
     checks.instance("drawn", drawn, MeshArrays, "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or "
                     "adaptmg.mesh.read.as_mesh)")
@@ -70,21 +58,7 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
 def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     """Draw the grids of a hierarchy side by side, coarsest first, with their numbers of nodes.
 
-    Parameters
-    ----------
-    hierarchy : Hierarchy
-        Made of meshes.
-    axes : sequence of matplotlib Axes, optional
-        One a level; in 3D with ``projection="3d"``.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    ValueError
-        If a level has no mesh.
+    ``axes`` holds one for each level, in 3D with ``projection="3d"``. ValueError if a level has no mesh.
     """
     levels = checks.instance("hierarchy", hierarchy, Hierarchy).levels
     without = [k for k, level in enumerate(levels) if level.mesh is None]
@@ -97,12 +71,11 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
         figure = new_figure((3.1 * columns, 3.3 * rows))
         axes = [figure.add_subplot(rows, columns, k + 1, projection="3d" if dim == 3 else None)
                 for k in range(len(hierarchy))]
-    axes = axes_of(axes, len(hierarchy), "axes")
+    axes = axes_of(axes, len(hierarchy))
     for k, (level, ax) in enumerate(zip(levels, axes, strict=True)):
         _draw(level.mesh, canvas(ax, (1, 1), dim), level.discrete.contact.names)
         ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes, {len(level.discrete.contact)} contact", fontsize=9.5)
         if dim == 3:
-            # many small axes would cover each other's labels
             ax.set_axis_off()
         elif k % 4:
             ax.set_ylabel("")
@@ -111,10 +84,8 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
 
 def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
     scale, unit = scaled(bounds(drawn.points)[2], "m")
-    points = drawn.points * scale
+    points, fills = drawn.points * scale, to_rgba_array(body_fills(len(drawn.bodies)))
     marked = np.isin(drawn.facet_labels, [drawn.boundaries.index(name) for name in contact if name in drawn.boundaries])
-    several = len(drawn.bodies) > 1
-    fills = to_rgba_array([BODY_COLORS[k % len(BODY_COLORS)] for k in range(len(drawn.bodies))] if several else [PALE])
     if drawn.dim == 3:
         body = np.zeros(drawn.n_nodes, dtype=int)
         body[drawn.elements] = drawn.element_body[:, None]
@@ -128,39 +99,33 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
                                      edgecolor=INK, linewidth=width))
     ax.add_collection(LineCollection(points[drawn.facets], color=INK, linewidth=0.9))
     ax.add_collection(LineCollection(points[drawn.facets[marked]], color=ORANGE, linewidth=2.4, capstyle="butt"))
-    ax.set_aspect("equal")
+    _finish_plane(ax, unit)
+
+
+def _finish_plane(ax: Axes, unit: str) -> None:
+    ax.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     ax.autoscale_view()
     ax.spines[:].set_visible(False)
-    ax.set_xlabel(f"x [{unit}]")
-    ax.set_ylabel(f"y [{unit}]")
 
 
-#: meshes drawn, and decades of the indicator told apart
-_MESHES, _DECADES = 3, 4
+#: decades of the indicator in colour
+_DECADES = 4
 
 
 @styled
 def adaptation(steps: Sequence[Step]) -> Figure:
     """Draw an adaptive loop: three of its meshes with contact states, a map of the indicator, and how the error falls.
 
-    Parameters
-    ----------
-    steps : sequence of Step
-        Of :func:`adaptmg.adapt`, one at least.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Above the first mesh, one in the middle and the last; below the square root of each element's part of the
-        estimate on the last mesh, and the relative estimate against nodes and against seconds (meshes included), with
-        the rate that smooth solutions have.
+    ``steps`` are those of :func:`adaptmg.adapt`. Above are the first mesh, one in the middle and the last; below the
+    square root of each element's part of the estimate on the last mesh, and the relative estimate against nodes and
+    against seconds (meshes included), with the rate of smooth solutions.
     """
     steps = checks.items("steps", steps, Step, "Steps of am.adapt")
     if not steps:
         raise ValueError("steps is empty: give the steps of am.adapt, as in list(am.adapt(...))")
     dim = steps[0].result.dim
     figure = new_figure((10.5, 7.2))
-    shown = sorted({0, len(steps) // 2, len(steps) - 1})[:_MESHES]
+    shown = sorted({0, len(steps) // 2, len(steps) - 1})
     kind = "3d" if dim == 3 else None
     present: set[int] = set()
     for k, number in enumerate(shown):
@@ -191,7 +156,7 @@ def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str) -> None:
     ax.grid(True, which="both")
     for axis, values in ((ax.xaxis, x[shown]), (ax.yaxis, relative[shown])):
         decades = np.log10(values.max() / values.min()) if len(values) else 1.0
-        # labels of long numbers would run into each other, and short ranges would have one or none
+        # few labels on long ranges, several on short ones
         subs = (1.0,) if decades > 2 else (1.0, 2.0, 5.0) if decades > 0.7 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
         axis.set_major_locator(LogLocator(subs=subs, numticks=20))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -199,51 +164,40 @@ def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str) -> None:
 
 
 def _mesh(ax: Axes, step: Step) -> set[int]:
-    """Draw a mesh and its contact surfaces in the colours of their states; returns the states that occur."""
+    """Draw a mesh and its contact surfaces in the colours of their states; return the states that occur."""
     mesh, contact = step.hierarchy.finest.mesh, step.result.contact
     scale, unit = scaled(bounds(mesh.points)[2], "m")
     points = mesh.points * scale
+    colors, touching = to_rgba_array([PALE]).repeat(len(mesh.facets), axis=0), np.zeros(len(mesh.facets), dtype=bool)
     present: set[int] = set()
+    for boundary, name in enumerate(contact.names):
+        state = states_of(contact, boundary, mesh.n_nodes)
+        mine = (mesh.facet_labels == mesh.boundaries.index(name)) & (state[mesh.facets] >= 0).all(axis=1)
+        if mesh.dim == 3:
+            of_facet = np.median(state[mesh.facets[mine]], axis=1).astype(int)
+            colors[mine] = to_rgba_array([STATE_INKS[code] for code in of_facet])
+            touching |= mine
+        else:
+            for line in polylines(mesh.facets[mine]):
+                segments, inks = halves(points[line], state[line])
+                ax.add_collection(LineCollection(segments, colors=inks, linewidths=2.8, capstyle="butt", zorder=4))
+            of_facet = state[mesh.facets[mine]].ravel()
+        present |= set(of_facet.tolist())
     if mesh.dim == 3:
-        colors = to_rgba_array([PALE]).repeat(len(mesh.facets), axis=0)
-        touching = np.zeros(len(mesh.facets), dtype=bool)
-        for number, name in enumerate(contact.names):
-            state = _states(mesh, step, number)
-            here = mesh.facet_labels == mesh.boundaries.index(name)
-            here &= (state[mesh.facets] >= 0).all(axis=1)
-            of_facet = np.median(state[mesh.facets[here]], axis=1).astype(int)
-            colors[here] = to_rgba_array([STATE_INKS[code] for code in of_facet])
-            touching |= here
-            present |= set(of_facet.tolist())
         draw_facets(ax, points[mesh.facets], colors)
-        _finish_3d(ax, points, unit, mesh.facets[touching])
-        return present
-    width = float(np.clip(14 / np.sqrt(len(mesh.elements)), 0.06, 0.6))
-    ax.add_collection(PolyCollection(points[mesh.elements], facecolor=PALE, edgecolor=INK, linewidth=width,
-                                     rasterized=len(mesh.elements) > 20_000))
-    for number, name in enumerate(contact.names):
-        state = _states(mesh, step, number)
-        facets = mesh.boundary_facets(name)
-        facets = facets[(state[facets] >= 0).all(axis=1)]
-        for ring in walks(facets):
-            segments, colors = halves(points[ring], state[ring])
-            ax.add_collection(LineCollection(segments, colors=colors, linewidths=2.8, capstyle="butt", zorder=4))
-        present |= set(state[facets].ravel().tolist())
-    _finish_2d(ax, unit)
+        finish_axes(ax, points, unit)
+        view_of(ax, points[mesh.facets[touching]])
+        ax.set_axis_off()
+    else:
+        width = float(np.clip(14 / np.sqrt(len(mesh.elements)), 0.06, 0.6))
+        ax.add_collection(PolyCollection(points[mesh.elements], facecolor=PALE, edgecolor=INK, linewidth=width,
+                                         rasterized=len(mesh.elements) > 20_000))
+        _finish_plane(ax, unit)
     return present
 
 
-def _states(mesh: MeshArrays, step: Step, number: int) -> np.ndarray:
-    """State of each node (n_nodes,) on a contact boundary, -1 elsewhere."""
-    contact = step.result.contact
-    state = np.full(mesh.n_nodes, -1)
-    mine = contact.boundary == number
-    state[contact.node[mine]] = contact.state[mine]
-    return state
-
-
 def _map(figure: Figure, ax: Axes, step: Step) -> None:
-    """The indicator of each element of the last mesh, in colours by decades."""
+    """Draw the indicator of each element of the last mesh in colours by decades."""
     mesh, parts = step.hierarchy.finest.mesh, np.sqrt(step.estimate.squares)
     scale, unit = scaled(bounds(mesh.points)[2], "m")
     points, largest = mesh.points * scale, parts.max() or 1.0
@@ -254,27 +208,12 @@ def _map(figure: Figure, ax: Axes, step: Step) -> None:
         at_node = np.zeros(mesh.n_nodes)
         np.maximum.at(at_node, mesh.elements.ravel(), np.repeat(parts, 4))
         draw_facets(ax, points[mesh.facets], colors.to_rgba(at_node[mesh.facets].min(axis=1)))
-        _finish_3d(ax, points, unit, mesh.facets[:0])
+        finish_axes(ax, points, unit)
+        ax.set_axis_off()
     else:
         ax.add_collection(PolyCollection(points[mesh.elements], facecolor=colors.to_rgba(parts), edgecolor="face",
                                          linewidth=0.1, rasterized=True))
-        _finish_2d(ax, unit)
+        _finish_plane(ax, unit)
     what = r"$\eta_E$ [$\sqrt{\mathrm{N\,m}}$]" if step.estimate.signed is None else r"$|\eta_E|^{1/2}$ of the goal"
     figure.colorbar(colors, ax=ax, label=what, shrink=0.8)
     ax.set_title(f"indicator, step {step.number}", fontsize=9.5)
-
-
-def _finish_2d(ax: Axes, unit: str) -> None:
-    ax.set_aspect("equal")
-    ax.autoscale_view()
-    ax.spines[:].set_visible(False)
-    ax.set_xlabel(f"x [{unit}]")
-    ax.set_ylabel(f"y [{unit}]")
-
-
-def _finish_3d(ax: Axes, points: np.ndarray, unit: str, facing: np.ndarray) -> None:
-    finish_axes(ax, points, unit)
-    if len(facing):
-        view_of(ax, points[facing])
-    # small axes would cover each other's labels
-    ax.set_axis_off()

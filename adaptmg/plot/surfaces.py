@@ -1,87 +1,128 @@
-r"""Three-dimensional axes as all pictures of solids have them, and where they are best seen from.
+r"""Surfaces of solids in matplotlib's three-dimensional axes, with hidden parts hidden by a depth buffer.
 
-Kernels of the depth buffer: triangles and lines on a raster of pixels, the nearest on top.
-
-A pixel with centre x lies in a triangle where its barycentric coordinates :math:`w_k` are all >= 0; depth and colour
-are :math:`\sum_k w_k z_k` (after the perspective division depth is linear on the screen) and :math:`\sum_k w_k c_k`.
-The distance to the edge opposite corner k is :math:`w_k \cdot 2A / \ell_k`.
-
-Surface: triangles in matplotlib's three-dimensional axes with hidden parts hidden, by a depth buffer.
-
-Matplotlib sorts whole polygons by their mean depth, which fails where bodies touch: large triangles of one come to lie
-over small ones of the other. Here each pixel shows what is nearest, whatever the sizes; lines are hidden likewise. The
-image is made when the figure is drawn, at its resolution, so it follows when the view is turned.
-
-What a picture of deformed bodies shows: which elements, where they were and are, and in what colours.
-
-Deformed solids: shaded surface triangles of all bodies, what is hidden hidden; sharp edges before and after.
+Matplotlib sorts whole polygons by their mean depth, which fails where bodies touch. Here each pixel shows what is
+nearest. A pixel with centre x lies in a triangle where its barycentric coordinates :math:`w_k` are all >= 0; depth and
+colour are :math:`\sum_k w_k z_k` (after the perspective division depth is linear on the screen) and
+:math:`\sum_k w_k c_k`. The distance to the edge opposite corner k is :math:`w_k \cdot 2A / \ell_k`. The image is made
+when the figure is drawn, at its resolution, and follows when the view is turned.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.backend_bases import RendererBase
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, to_rgb, to_rgba_array
+from matplotlib.colors import to_rgb
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
-from adaptmg import _check_arrays as check_arrays
-from adaptmg import _checks as checks
 from adaptmg._runtime import kernel
-from adaptmg.mesh.arrays import MeshArrays, facet_table
-from adaptmg.plot.style import BODY_COLORS, GREY, INK, STATE_INKS, bounds, scaled
-from adaptmg.solver.result import Result
+from adaptmg.plot.style import INK, bounds
 
-__all__ = ["Coloring", "DrawnBody", "Lines", "Scene", "Surface", "automatic_factor", "draw", "draw_facets",
-           "finish_axes", "make_scene", "normals_of", "raster_segments", "raster_triangles", "sharp_edges", "view_of",
-           "viewer"]
+__all__ = ["Lines", "Surface", "draw_facets", "finish_axes", "normals_of", "raster_segments", "raster_triangles",
+           "sharp_edges", "view_of", "viewer"]
 
-#: elevations and azimuths in degrees, the common one first
-_VIEWS = ((22, -58), (22, -148), (-24, -58), (-24, -148), (22, 32), (22, 122), (-24, 32), (-24, 122))
-
-
-def view_of(ax: Axes3D, corners: np.ndarray) -> None:
-    """Look from where most of some triangles (n, 3, 3) of a body shows: from the common side if that will do."""
-    if not len(corners):
-        return
-    normals = normals_of(corners)
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    best, found = 0.0, _VIEWS[0]
-    for elevation, azimuth in _VIEWS:
-        shown = float(areas @ np.maximum(normals @ viewer(elevation, azimuth), 0.0)) / float(areas.sum())
-        if shown > 1.2 * best + 0.05:
-            best, found = shown, (elevation, azimuth)
-    ax.view_init(elev=found[0], azim=found[1])
+#: the largest number of triangles whose edges are drawn by default
+_EDGES_UP_TO = 6000
+#: pixels of the raster for each pixel of the picture, in each direction
+_FINER = 2
 
 
-def finish_axes(ax: Axes3D, points: np.ndarray, unit: str) -> None:
-    """Equal scales around points (n, 3), labels with units, plain panes, the common view."""
-    lower, upper, _ = bounds(points)
-    extent = np.maximum(upper - lower, 1e-3 * np.max(upper - lower))
-    for axis, low, wide, name in zip((ax.xaxis, ax.yaxis, ax.zaxis), lower, extent, "xyz", strict=True):
-        getattr(ax, f"set_{name}lim")(low - 0.02 * wide, low + 1.02 * wide)
-        getattr(ax, f"set_{name}label")(f"{name} [{unit}]", labelpad=2)
-        axis.pane.set_facecolor("white")
-        axis.pane.set_edgecolor("#dfe3e8")
-        axis.set_major_locator(MaxNLocator(nbins=4 if wide > 0.4 * extent.max() else 2))
-        axis.set_tick_params(labelsize=8, pad=0)
-    ax.grid(False)
-    ax.set_box_aspect(extent, zoom=0.92)
-    ax.view_init(elev=22, azim=-58)
+@dataclass(frozen=True)
+class Lines:
+    """Segments on or near the surface."""
+
+    ends: np.ndarray  # (n, 2, 3): in data units
+    color: str
+    width: float  # points
+    dash: tuple[float, float] = (1.0, 0.0)  # (on, off): points; off = 0 for a solid line
+
+
+def draw_facets(ax: Axes3D, corners: np.ndarray, colors: np.ndarray, lines: bool | None = None,
+                extra: tuple[Lines, ...] = (), shading: float = 0.28) -> Surface:
+    """Draw triangles (n, 3, 3) in colours (n, 4) or (n, 3, 4), their edges if ``lines``, and extra lines."""
+    edged = len(corners) <= _EDGES_UP_TO if lines is None else lines
+    width = float(np.clip(12 / np.sqrt(len(corners)), 0.15, 0.6)) if edged else 0.0
+    surface = Surface(corners, colors, width, extra, shading)
+    ax.add_artist(surface)
+    return surface
+
+
+class Surface(Artist):
+    """Shaded triangles and lines; the light stands behind the viewer's left shoulder."""
+
+    def __init__(self, corners: np.ndarray, colors: np.ndarray, width: float = 0.0,
+                 lines: tuple[Lines, ...] = (), shading: float = 0.28) -> None:
+        super().__init__()
+        self.corners = np.asarray(corners, dtype=np.float64)
+        colors = np.asarray(colors, dtype=np.float64)[..., :3]
+        self.colors = np.broadcast_to(colors[:, None] if colors.ndim == 2 else colors, (len(self.corners), 3, 3))
+        self.width, self.lines, self.shading = width, tuple(lines), shading
+        self.set_in_layout(False)
+        self.set_zorder(1)
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Draw into the figure; matplotlib calls this."""
+        if not self.get_visible():
+            return
+        image, x, y = self.raster(renderer.points_to_pixels(1.0), renderer.get_image_magnification())
+        if image.size:
+            graphics = renderer.new_gc()
+            renderer.draw_image(graphics, x, y, image)
+            graphics.restore()
+
+    def raster(self, point: float, magnification: float = 1.0) -> tuple[np.ndarray, float, float]:
+        """Return the picture in the present view, and the pixel of its lower left corner."""
+        finer = _FINER * magnification
+        corners, lines = self._project(self.corners), [self._project(line.ends) for line in self.lines]
+        seen = np.concatenate([part.reshape(-1, 3) for part in (corners, *lines)])
+        frame = self.axes.get_figure(root=True).bbox
+        lower = np.floor(np.clip(seen[:, :2].min(axis=0) - 2, 0, (frame.width, frame.height)))
+        upper = np.ceil(np.clip(seen[:, :2].max(axis=0) + 2, 0, (frame.width, frame.height)))
+        columns, rows = np.round((upper - lower) * magnification).astype(int)
+        if columns < 1 or rows < 1:
+            return np.zeros((0, 0, 4), np.uint8), 0.0, 0.0
+        image = np.zeros((_FINER * rows, _FINER * columns, 4))
+        depth = np.full(image.shape[:2], np.inf)
+        for part in (corners, *lines):
+            part[..., :2] = (part[..., :2] - lower) * finer
+        raster_triangles(corners, self._shaded(), np.array(to_rgb(INK)), self.width * point * finer, image, depth)
+        bias = 0.01 * float(np.ptp(seen[:, 2]))
+        for line, ends in zip(self.lines, lines, strict=True):
+            on, off = (part * point * finer for part in line.dash)
+            raster_segments(ends, np.array(to_rgb(line.color)), line.width * point * finer, on, off, bias, image, depth)
+        # colours weighted by coverage, so that edges fade out without a dark rim
+        image[..., :3] *= image[..., 3:]
+        mean = image.reshape(rows, _FINER, columns, _FINER, 4).mean(axis=(1, 3))
+        mean[..., :3] /= np.maximum(mean[..., 3:], 1e-12)
+        return np.round(255 * mean).astype(np.uint8), float(lower[0]), float(lower[1])
+
+    def _project(self, points: np.ndarray) -> np.ndarray:
+        """Pixels of the figure and depth (..., 3) of points (..., 3)."""
+        flat = np.column_stack([points.reshape(-1, 3), np.ones(points.size // 3)]) @ np.asarray(self.axes.get_proj()).T
+        flat = flat[:, :3] / flat[:, 3:]
+        flat[:, :2] = self.axes.transData.transform(flat[:, :2])
+        return flat.reshape(points.shape)
+
+    def _shaded(self) -> np.ndarray:
+        """Colours (n, 3, 3) darkened where the triangle turns from the light."""
+        normals = normals_of(self.corners)
+        towards, up = (viewer(self.axes.elev + more, self.axes.azim) for more in (0.0, 90.0))
+        light = towards + 0.7 * up - 0.5 * np.cross(up, towards)
+        # a triangle seen from behind (the inside of an open surface) is lit like its front
+        front = np.where(normals @ towards < 0, -1.0, 1.0)
+        shade = 1.0 - self.shading * (1.0 - np.clip(front * (normals @ (light / np.linalg.norm(light))), 0.0, 1.0))
+        return self.colors * shade[:, None, None]
 
 
 @kernel
 def raster_triangles(corners, colors, ink, width, image, depth):
-    """Draw triangles.
+    """Draw triangles (n, 3, 3), x and y in pixels and depth, with an rgb colour (n, 3, 3) at each corner.
 
-    ``corners`` (n, 3, 3): x, y in pixels, depth (smaller is nearer) of each corner; ``colors`` (n, 3, 3) rgb of each
-    corner; ``ink`` (3,) colour of edges drawn ``width`` pixels wide (0 for none), half in each triangle. ``image``
-    (rows, columns, 4) and ``depth`` (rows, columns) are changed.
+    Edges have the colour ``ink`` (3,) and ``width`` pixels, half in each triangle. ``image`` (rows, columns, 4) and
+    ``depth`` (rows, columns) are changed.
     """
     rows, columns = depth.shape
     for t in range(len(corners)):
@@ -123,18 +164,14 @@ def raster_triangles(corners, colors, ink, width, image, depth):
 
 @kernel
 def raster_segments(ends, ink, width, dash, space, bias, image, depth):
-    """Draw the parts of segments that nothing hides.
-
-    ``ends`` (n, 2, 3): x, y in pixels and depth of both ends; ``width``, ``dash`` and ``space`` in pixels (``space`` 0:
-    solid); what lies nearer by no more than ``bias`` does not hide.
-    """
+    """Draw the visible parts of segments (n, 2, 3); what lies nearer by at most ``bias`` does not hide them."""
     rows, columns = depth.shape
     reach = int(0.5 * width + 1.0)
     for s in range(len(ends)):
         dx, dy, dz = ends[s, 1] - ends[s, 0]
         length = (dx * dx + dy * dy) ** 0.5
         steps = int(2.0 * length) + 1
-        # dashes by the place along the whole line, so that they run on over the short segments of a mesh
+        # dashes continue over the short segments of a mesh
         along = 1.0 / max(length, 1e-300)
         if dx < 0.0 or (dx == 0.0 and dy < 0.0):
             along = -along
@@ -151,120 +188,54 @@ def raster_segments(ends, ink, width, dash, space, bias, image, depth):
                         image[i, j, 3] = 1.0
 
 
-#: triangles above which their edges would only blacken the picture
-_EDGES_UP_TO = 6000
-#: pixels of the raster a pixel of the picture, each way
-_FINER = 2
+#: elevations and azimuths in degrees, the preferred one first
+_VIEWS = ((22, -58), (22, -148), (-24, -58), (-24, -148), (22, 32), (22, 122), (-24, 32), (-24, 122))
 
 
-@dataclass(frozen=True)
-class Lines:
-    """Segments on or near the surface."""
-
-    ends: np.ndarray  # (n, 2, 3): in data units
-    color: str
-    width: float  # points
-    dash: tuple[float, float] = (1.0, 0.0)  # (on, off): points; off = 0 for a solid line
-
-
-class Surface(Artist):
-    """Shaded triangles and lines; the light stands behind the viewer's left shoulder."""
-
-    def __init__(self, corners: np.ndarray, colors: np.ndarray, width: float = 0.0,
-                 lines: tuple[Lines, ...] = (), shading: float = 0.28) -> None:
-        super().__init__()
-        self.corners = np.asarray(corners, dtype=np.float64)
-        colors = np.asarray(colors, dtype=np.float64)[..., :3]
-        self.colors = np.broadcast_to(colors[:, None] if colors.ndim == 2 else colors, (len(self.corners), 3, 3))
-        self.width, self.lines, self.shading = width, tuple(lines), shading
-        self.set_in_layout(False)
-        self.set_zorder(1)
-
-    def draw(self, renderer: RendererBase) -> None:
-        """Draw into the figure; matplotlib calls this."""
-        if not self.get_visible():
-            return
-        image, x, y = self.raster(renderer.points_to_pixels(1.0), renderer.get_image_magnification())
-        if image.size:
-            graphics = renderer.new_gc()
-            renderer.draw_image(graphics, x, y, image)
-            graphics.restore()
-
-    def raster(self, point: float, magnification: float = 1.0) -> tuple[np.ndarray, float, float]:
-        """The picture as it is seen now."""
-        finer = _FINER * magnification
-        corners, lines = self._project(self.corners), [self._project(line.ends) for line in self.lines]
-        seen = np.concatenate([part.reshape(-1, 3) for part in (corners, *lines)])
-        frame = self.axes.get_figure(root=True).bbox
-        lower = np.floor(np.clip(seen[:, :2].min(axis=0) - 2, 0, (frame.width, frame.height)))
-        upper = np.ceil(np.clip(seen[:, :2].max(axis=0) + 2, 0, (frame.width, frame.height)))
-        columns, rows = np.round((upper - lower) * magnification).astype(int)
-        if columns < 1 or rows < 1:
-            return np.zeros((0, 0, 4), np.uint8), 0.0, 0.0
-        image = np.zeros((_FINER * rows, _FINER * columns, 4))
-        depth = np.full(image.shape[:2], np.inf)
-        for part in (corners, *lines):
-            part[..., :2] = (part[..., :2] - lower) * finer
-        raster_triangles(corners, self._shaded(), np.array(to_rgb(INK)), self.width * point * finer, image, depth)
-        bias = 0.01 * float(np.ptp(seen[:, 2]))
-        for line, ends in zip(self.lines, lines, strict=True):
-            on, off = (part * point * finer for part in line.dash)
-            raster_segments(ends, np.array(to_rgb(line.color)), line.width * point * finer, on, off, bias, image, depth)
-        # colours weighted by coverage, so that edges fade out without a dark rim
-        image[..., :3] *= image[..., 3:]
-        mean = image.reshape(rows, _FINER, columns, _FINER, 4).mean(axis=(1, 3))
-        mean[..., :3] /= np.maximum(mean[..., 3:], 1e-12)
-        return np.round(255 * mean).astype(np.uint8), float(lower[0]), float(lower[1])
-
-    def _project(self, points: np.ndarray) -> np.ndarray:
-        """Pixels of the figure and depth (..., 3) of points (..., 3)."""
-        flat = np.column_stack([points.reshape(-1, 3), np.ones(points.size // 3)]) @ np.asarray(self.axes.get_proj()).T
-        flat = flat[:, :3] / flat[:, 3:]
-        flat[:, :2] = self.axes.transData.transform(flat[:, :2])
-        return flat.reshape(points.shape)
-
-    def _shaded(self) -> np.ndarray:
-        """Colours (n, 3, 3) darkened where the triangle turns from the light."""
-        normals = normals_of(self.corners)
-        towards, up = (viewer(self.axes.elev + more, self.axes.azim) for more in (0.0, 90.0))
-        light = towards + 0.7 * up - 0.5 * np.cross(up, towards)
-        # a triangle seen from behind (the inside of an open surface) is lit as from its front
-        front = np.where(normals @ towards < 0, -1.0, 1.0)
-        shade = 1.0 - self.shading * (1.0 - np.clip(front * (normals @ (light / np.linalg.norm(light))), 0.0, 1.0))
-        return self.colors * shade[:, None, None]
+def view_of(ax: Axes3D, corners: np.ndarray) -> None:
+    """Choose the view in which most of some triangles (n, 3, 3) of a body shows; the first view is preferred."""
+    if not len(corners):
+        return
+    normals = normals_of(corners)
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    best, chosen = 0.0, _VIEWS[0]
+    for view in _VIEWS:
+        shown = float(areas @ np.maximum(normals @ viewer(*view), 0.0)) / float(areas.sum())
+        if shown > 1.2 * best + 0.05:
+            best, chosen = shown, view
+    ax.view_init(*chosen)
 
 
-def draw_facets(ax: Axes3D, corners: np.ndarray, colors: np.ndarray | str, lines: bool | None = None,
-                extra: tuple[Lines, ...] = (), shading: float = 0.28) -> Surface:
-    """Draw triangles (n, 3, 3) in plot units in one colour or colours (n, 4) or (n, 3, 4).
-
-    Their edges are drawn too if ``lines`` says so, by default up to 6000 triangles; and the lines ``extra``. For
-    ``shading`` see :class:`Surface`.
-    """
-    colors = to_rgba_array(colors) if isinstance(colors, str) else np.asarray(colors)
-    if len(colors) == 1:
-        colors = np.repeat(colors, len(corners), axis=0)
-    edged = len(corners) <= _EDGES_UP_TO if lines is None else lines
-    width = float(np.clip(12 / np.sqrt(len(corners)), 0.15, 0.6)) if edged else 0.0
-    surface = Surface(corners, colors, width, extra, shading)
-    ax.add_artist(surface)
-    return surface
+def finish_axes(ax: Axes3D, points: np.ndarray, unit: str) -> None:
+    """Set equal scales around points (n, 3), labels with units, plain panes and the first view."""
+    lower, upper, _ = bounds(points)
+    extent = np.maximum(upper - lower, 1e-3 * np.max(upper - lower))
+    for axis, low, wide, name in zip((ax.xaxis, ax.yaxis, ax.zaxis), lower, extent, "xyz", strict=True):
+        getattr(ax, f"set_{name}lim")(low - 0.02 * wide, low + 1.02 * wide)
+        getattr(ax, f"set_{name}label")(f"{name} [{unit}]", labelpad=2)
+        axis.pane.set_facecolor("white")
+        axis.pane.set_edgecolor("#dfe3e8")
+        axis.set_major_locator(MaxNLocator(nbins=4 if wide > 0.4 * extent.max() else 2))
+        axis.set_tick_params(labelsize=8, pad=0)
+    ax.grid(False)
+    ax.set_box_aspect(extent, zoom=0.92)
+    ax.view_init(*_VIEWS[0])
 
 
 def viewer(elevation: float, azimuth: float) -> np.ndarray:
-    """Unit vector (3,) towards a viewer, from degrees."""
+    """Return the unit vector (3,) towards a viewer at an elevation and an azimuth in degrees."""
     e, a = np.radians([elevation, azimuth])
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
 def normals_of(corners: np.ndarray) -> np.ndarray:
-    """Unit normals (n, 3) of triangles (n, 3, 3)."""
+    """Return the unit normals (n, 3) of triangles (n, 3, 3)."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return normals / np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
 
 
 def sharp_edges(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Edges of the surface (n, 2) where it bends by more than 30 degrees."""
+    """Return the edges (n, 2) of a surface where it bends by more than 30 degrees."""
     normals = normals_of(points[facets])
     edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(facets)), 3)
@@ -273,159 +244,3 @@ def sharp_edges(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
     same = np.flatnonzero((edges[1:] == edges[:-1]).all(axis=1))
     bend = np.einsum("ni,ni->n", normals[owner[same]], normals[owner[same + 1]])
     return edges[same[bend < np.cos(np.pi / 6)]]
-
-
-@dataclass(frozen=True)
-class Coloring:
-    """Values to colour by."""
-
-    values: np.ndarray  # (n_nodes,) or (n_elements,): in the unit of the label
-    label: str  # of the colour bar
-    norm: Normalize
-
-
-@dataclass(frozen=True)
-class DrawnBody:
-    """One body, or the part of it within a window."""
-
-    name: str
-    color: str
-    elements: np.ndarray  # (n,) int: its elements shown
-    facets: np.ndarray  # (m, dim) int: nodes of their boundary, outward
-    behind: np.ndarray  # (m,) int: the element behind each facet
-
-
-@dataclass(frozen=True)
-class Scene:
-    """Bodies in plot units."""
-
-    result: Result
-    before: np.ndarray  # (n_nodes, dim)s: positions, the displacement amplified, in unit
-    after: np.ndarray  # (n_nodes, dim)s: positions, the displacement amplified, in unit
-    unit: str
-    shapes: tuple[DrawnBody, ...]  # large bodies first
-    lower: np.ndarray  # (dim,)s: corners of what is to be seen
-    upper: np.ndarray  # (dim,)s: corners of what is to be seen
-    coloring: Coloring | None = None  # none for a colour a body
-
-    @property
-    def n_elements(self) -> int:
-        """Elements shown."""
-        return sum(len(shape.elements) for shape in self.shapes)
-
-    def states(self, boundary: int) -> np.ndarray:
-        """States (n_nodes,) of the contact nodes of a boundary, given by its number; -1 elsewhere."""
-        contact, states = self.result.contact, np.full(len(self.after), -1)
-        mine = contact.boundary == boundary
-        states[contact.node[mine]] = contact.state[mine]
-        return states
-
-
-def automatic_factor(result: Result) -> float:
-    """A round factor that makes the largest displacement about 5 % of the size; 1 if nothing moves."""
-    size = bounds(result.mesh.points)[2]
-    largest = float(np.linalg.norm(result.displacement, axis=1).max())
-    if not largest > 1e-12 * size:
-        return 1.0
-    wanted = 0.05 * size / largest
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(power * min((1, 2, 5, 10), key=lambda m: abs(np.log(m * power / wanted))))
-
-
-def make_scene(result: Result, factor: float, bodies: Sequence[str] | None,
-               window: tuple[float, float, float, float] | None, coloring: Coloring | None) -> Scene:
-    """Choose bodies and elements, and place them."""
-    mesh = result.mesh
-    chosen = _bodies(mesh, bodies)
-    moved = mesh.points + factor * result.displacement
-    seen = np.isin(mesh.element_body, chosen)
-    if window is None:
-        nodes = np.unique(mesh.elements[seen])
-        lower, upper, _ = bounds(np.vstack([mesh.points[nodes], moved[nodes]]))
-    else:
-        lower, upper = _window(window, mesh.dim)
-        seen &= _touches(mesh, mesh.points, lower, upper) | _touches(mesh, moved, lower, upper)
-        if not seen.any():
-            raise ValueError(f"window {tuple(window)} shows nothing: it is (xmin, xmax, ymin, ymax) in m, and the "
-                             f"bodies lie between {mesh.points.min(axis=0)} and {mesh.points.max(axis=0)}")
-    scale, unit = scaled(float(np.linalg.norm(upper - lower)), "m")
-    shapes = [_shape(mesh, body, np.flatnonzero(seen & (mesh.element_body == body))) for body in chosen]
-    shapes = [shape for shape in shapes if len(shape.elements)]
-    shapes.sort(key=lambda shape: -float(np.abs(mesh.volumes[shape.elements]).sum()))
-    return Scene(result, mesh.points * scale, moved * scale, unit, tuple(shapes), lower * scale, upper * scale,
-                 coloring)
-
-
-def _bodies(mesh: MeshArrays, names: Sequence[str] | None) -> list[int]:
-    if names is None:
-        return list(range(len(mesh.bodies)))
-    names = (names,) if isinstance(names, str) else tuple(names)
-    if not names:
-        raise ValueError("bodies must name at least one body; None shows all")
-    return [mesh.bodies.index(checks.choice("bodies", name, mesh.bodies)) for name in dict.fromkeys(names)]
-
-
-def _window(window: tuple[float, float, float, float], dim: int) -> tuple[np.ndarray, np.ndarray]:
-    if dim != 2:
-        raise ValueError("window is for two dimensions: in 3D choose bodies=... and view=...")
-    x0, x1, y0, y1 = check_arrays.vector("window", window, 4)
-    if not (x0 < x1 and y0 < y1):
-        raise ValueError(f"window must be (xmin, xmax, ymin, ymax) with xmin < xmax and ymin < ymax, got {window!r}")
-    return np.array([x0, y0]), np.array([x1, y1])
-
-
-def _touches(mesh: MeshArrays, points: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Elements (n_elements,) whose boxes meet a box, with a margin of a tenth so that nothing ends in sight."""
-    corners, margin = points[mesh.elements], 0.1 * (upper - lower)
-    return ((corners.min(axis=1) <= upper + margin) & (corners.max(axis=1) >= lower - margin)).all(axis=1)
-
-
-def _shape(mesh: MeshArrays, body: int, elements: np.ndarray) -> DrawnBody:
-    color = BODY_COLORS[body % len(BODY_COLORS)]
-    if not len(elements):
-        return DrawnBody(mesh.bodies[body], color, elements, np.empty((0, mesh.dim), int), np.empty(0, int))
-    table = facet_table(mesh.elements[elements], mesh.n_nodes)
-    outer = table.counts == 1
-    return DrawnBody(mesh.bodies[body], color, elements, table.facets[outer], elements[table.first[outer]])
-
-
-def draw(ax: Axes3D, scene: Scene, lines: bool | None, states: bool, view: tuple[float, float] | None) -> list[int]:
-    """Draw a scene; returns the contact states drawn."""
-    facets = np.concatenate([shape.facets for shape in scene.shapes])
-    colors = np.concatenate([_colors(scene, shape) for shape in scene.shapes])
-    present: list[int] = []
-    if states:
-        code = _facet_states(scene, facets)
-        present = sorted(set(code[code >= 0].tolist()))
-        for state in present:
-            colors[code == state] = to_rgba_array(STATE_INKS[state])
-    edges = np.concatenate([sharp_edges(scene.before, shape.facets) for shape in scene.shapes])
-    # all in one: triangles of different bodies hide each other only within one surface
-    draw_facets(ax, scene.after[facets], colors, lines,
-                (Lines(scene.before[edges], GREY, 0.9, (4.0, 3.0)), Lines(scene.after[edges], INK, 0.9)),
-                0.28 if scene.coloring is None and not states else 0.14)
-    finish_axes(ax, np.array([scene.lower, scene.upper]), scene.unit)
-    if view is not None:
-        ax.view_init(elev=view[0], azim=view[1])
-    return present
-
-
-def _colors(scene: Scene, shape: DrawnBody) -> np.ndarray:
-    """Colours (n, 3, 4) of the corners of the facets."""
-    coloring = scene.coloring
-    if coloring is None:
-        return np.tile(to_rgba_array(shape.color), (len(shape.facets), 3, 1))
-    values = coloring.values
-    nodal = len(values) == len(scene.after)
-    shown = values[shape.facets] if nodal else np.repeat(values[shape.behind][:, None], 3, axis=1)
-    return ScalarMappable(coloring.norm, "viridis").to_rgba(shown.ravel()).reshape(-1, 3, 4)
-
-
-def _facet_states(scene: Scene, facets: np.ndarray) -> np.ndarray:
-    """State of most corners (n,) of facets whose corners are all nodes of one contact boundary; -1 elsewhere."""
-    found = np.full(len(facets), -1)
-    for number in range(len(scene.result.contact.names)):
-        corners = np.sort(scene.states(number)[facets], axis=1)
-        # the middle one of three is that of the majority
-        found = np.where(corners[:, 0] >= 0, corners[:, 1], found)
-    return found

@@ -21,12 +21,12 @@ def made(kind, sign, friction=0.5, poisson=0.2):
     return problem, problem.reference["field"], 1.0 if sign == "+" else -1.0
 
 
-@pytest.mark.parametrize(("friction", "poisson"), [(0.5, 0.2), (1.0, 0.3), (2.0, 0.0), (0.1, 0.45)])
 @pytest.mark.parametrize(("kind", "sign"), KINDS)
-def test_exponents_are_eigenvalues(kind, sign, friction, poisson):
-    assert transition_mode(kind, friction, poisson, sign == "+")[2] < 1e-14
-    exponent = made(kind, sign, friction, poisson)[0].reference["exponent"]
-    assert (exponent > 1.5) == (sign == "+") and 1.2 < exponent < 1.9
+def test_exponents_are_eigenvalues(kind, sign):
+    for friction, poisson in ((0.5, 0.2), (1.0, 0.3), (2.0, 0.0), (0.1, 0.45)):
+        assert transition_mode(kind, friction, poisson, sign == "+")[2] < 1e-14
+        exponent = made(kind, sign, friction, poisson)[0].reference["exponent"]
+        assert (exponent > 1.5) == (sign == "+") and 1.2 < exponent < 1.9
 
 
 @pytest.mark.parametrize(("kind", "sign"), KINDS)
@@ -54,7 +54,7 @@ def test_equilibrium_and_the_law_of_elasticity(kind, sign):
     assert np.abs(balance).max() < 1e-9 * np.abs(along_x).max()
 
 
-@pytest.mark.parametrize(("friction", "poisson"), [(0.5, 0.2), (1.0, 0.3), (2.0, 0.1)])
+@pytest.mark.parametrize(("friction", "poisson"), [(0.5, 0.2), (2.0, 0.1)])
 @pytest.mark.parametrize(("kind", "sign"), KINDS)
 def test_contact_conditions_hold_along_the_plane(kind, sign, friction, poisson):
     _, field, direction = made(kind, sign, friction, poisson)
@@ -100,18 +100,9 @@ def test_error_transition_and_effectivity_under_refinement(kind, sign):
         residual.append(am.Residual().indicate(part, result).total / error.absolute)
         recovery.append(am.Recovery().indicate(part, result).total / error.absolute)
     assert all(1.9 < a / b < 2.1 for a, b in pairwise(errors))
-    # measured: 3.2-3.4 and 3.5-3.6 beside an open zone, 4.0-4.1 and 3.9-4.0 beside sticking
+    # measured: 3.2-3.4 and 3.5-3.6 next to an open zone, 4.0-4.1 and 3.9-4.0 next to sticking
     assert max(residual) < 1.1 * min(residual) and min(residual) > 3.0 and max(residual) < 4.3
     assert min(recovery) > 0.95 and max(recovery) < 1.02 and abs(recovery[-1] - 1) < 0.005
-
-
-def test_the_quadrature_of_the_error_has_converged():
-    problem, field, _ = made("open", "-")
-    grids = am.Hierarchy.uniform(problem, divisions=[(8, 4), (16, 8)])
-    result = am.solve(grids, SOLVER)
-    fine, coarse = field.energy_error(result, points=12), field.energy_error(result)
-    assert coarse.absolute == pytest.approx(fine.absolute, rel=1e-4)
-    assert coarse.norm == pytest.approx(fine.norm, rel=1e-5)
 
 
 def test_netgen_meshes_are_as_good():
@@ -119,8 +110,8 @@ def test_netgen_meshes_are_as_good():
     meshes = [am.mesh.graded(problem.domain, size, ("bottom",), 1.0) for size in (0.2, 0.1, 0.05)]
     grids = am.Hierarchy.from_meshes(problem, meshes)
     result = am.solve(grids, SOLVER)
-    error = field.energy_error(result)
-    assert error.relative < 0.04
+    error, fine = field.energy_error(result), field.energy_error(result, points=12)
+    assert error.relative < 0.04 and error.absolute == pytest.approx(fine.absolute, rel=1e-4)
     assert 2.5 < am.Residual().indicate(grids, result).total / error.absolute < 3.6
     assert 0.93 < am.Recovery().indicate(grids, result).total / error.absolute < 1.03
     assert energy_error((grids, result), result).absolute == pytest.approx(error.absolute, rel=0.07)
@@ -130,9 +121,6 @@ def test_wrong_parameters_are_refused_and_problems_pickle():
     for law in (am.Coulomb(0.0), am.Coulomb(3.0), am.Frictionless(), am.Coulomb(lambda x: 0 * x[:, 0])):
         with pytest.raises(ValueError, match="law must be Coulomb"):
             am.cases.coulomb_transition(law=law)
-    for name in ("kind", "sign"):
-        with pytest.raises(ValueError, match=f"{name} must be one of"):
-            am.cases.coulomb_transition(**{name: "slip"})
     problem = pickle.loads(pickle.dumps(am.cases.coulomb_transition()))
     with pytest.raises(ValueError, match="no mesh"):
         bare = am.Hierarchy.uniform(problem, divisions=[(4, 2)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import re
 
 import matplotlib.pyplot as plt
@@ -12,15 +13,14 @@ import pytest
 from nasty_texts import NASTY
 from pages import Page
 
-from adaptmg._text import printable
 from adaptmg.export import Report
-from adaptmg.export.report import DENSE, LONGEST, lead
+from adaptmg.export.report import DENSE, LONGEST, columns_of, lead, one_line, worded
 
 FRAME = pd.DataFrame({"n<": [1], "t": ["<script>alert(1)</script>"]})
 
 
 def drawing(count: int = 2, label: str = ""):
-    """A figure with a line of so many points, markers and a clip path."""
+    """A figure with a line of ``count`` points, markers and a clip path."""
     figure, ax = plt.subplots(figsize=(4, 3))
     ax.plot(np.arange(count), np.random.default_rng(0).random(count), marker="o", label=label)
     ax.set_xlabel(label)
@@ -70,12 +70,9 @@ def test_a_report_escapes_everything(tmp_path):
                   "Text & more {{ 7 * 7 }}{% x %}."):
         assert shown in page.text(), shown
     assert "<b> & x" in page.drawings[1]
-
-
-def test_only_the_script_of_the_page_may_run(tmp_path):
-    import hashlib
-
-    page, text = made(tmp_path, example)
+    origin = page.text("dt", "dd")
+    assert all(word in origin for word in ("Versions", "numpy", "Machine", "cores", "Written", "Random seeds"))
+    # only the script of the page may run
     policy = next(a["content"] for a in page.all("meta") if a.get("http-equiv") == "Content-Security-Policy")
     script = re.search(r"<script>(.*?)</script>", text, re.DOTALL)[1]
     assert base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() in policy
@@ -83,7 +80,7 @@ def test_only_the_script_of_the_page_may_run(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:Glyph")
-@pytest.mark.parametrize("name", NASTY, ids=ascii)
+@pytest.mark.parametrize("name", (*NASTY, "r\u202ex"), ids=ascii)
 def test_any_text_gives_a_sound_report(tmp_path, name):
     report = Report(f"t{name}", name)
     # pandas' own texts hold nothing else than UTF-8 where pyarrow is installed
@@ -98,11 +95,11 @@ def test_any_text_gives_a_sound_report(tmp_path, name):
     report.figure(figure, f"g{name}")
     report.made(said=f"m{name}")
     text = report.write(tmp_path / "r.html").read_text(encoding="utf-8")
-    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\ufffe\uffff]", text)
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\ufffe\uffff]", text)
     page = Page(text)
-    assert page.text("title") == printable(" ".join(f"t{name}".split()))
+    assert page.text("title") == one_line(f"t{name}")
     if name.strip():
-        assert printable(" ".join(name.split())) in page.text("th")
+        assert one_line(name) in page.text("th")
 
 
 def test_first_tables_of_sections_stand_open_as_far_as_there_is_room(tmp_path):
@@ -148,36 +145,18 @@ def test_what_is_the_same_in_every_row_is_said_once(tmp_path):
     assert len(heads) == 6 + 8 + 3
 
 
-def test_numbers_are_marked_and_the_first_column_heads_its_row(tmp_path):
+def test_numbers_are_marked_and_long_tables_cut(tmp_path):
     page, _ = made(tmp_path, lambda r: r.table(pd.DataFrame({"a": ["x"], "b": [1.5]}), "t"))
     assert [a.get("scope") for a in page.all("th")] == ["col", "col", "row"]
     assert [a.get("class") for a in page.all("td")] == ["n"] and page.text("td") == "1.5"
-
-
-def test_a_long_table_is_cut_and_says_so(tmp_path):
     page, _ = made(tmp_path, lambda r: r.table(pd.DataFrame({"a": range(LONGEST + 7)}), "t"))
     assert len(page.all("tr")) == LONGEST + 1 and f"of {LONGEST + 7} rows" in page.text("p")
     assert page.all("div", "tall")
 
 
-def test_marks_that_turn_texts_around_are_codes(tmp_path):
-    def fill(report):
-        report.section("s\u202e")
-        report.table(pd.DataFrame({"r\u202ex": ["a\u202db", "c"]}), "t\u202ev")
-        report.figure(drawing(), "g\u202eh")
-
-    page, text = made(tmp_path, fill)
-    assert not re.search("[\u202a-\u202e]", text)
-    shown = page.text("th", "figcaption")
-    assert all(code in shown for code in ("r\\u202ex", "a\\u202db", "g\\u202eh"))
-
-
-def test_small_numbers_are_whole_in_a_line(tmp_path):
-    page, _ = made(tmp_path, lambda r: r.section("s", "To 1e-6, not 2.5e-12."))
-    assert page.text("span") == "1e-6 2.5e-12" and "To" in page.text("p")
-
-
 def test_a_long_text_shows_its_first_sentences_and_folds_the_rest(tmp_path):
+    page, _ = made(tmp_path, lambda r: r.section("s", "To 1e-6, not 2.5e-12."))
+    assert page.text("span") == "1e-6 2.5e-12" and "To" in page.text("p")  # numbers are not broken
     text = " ".join(f"Sentence number {k} is here." for k in range(100))
     page, _ = made(tmp_path, lambda r: r.section("s", text))
     assert len(page.all("details", "more")) == 1
@@ -199,33 +178,49 @@ def test_drawings_stay_letters_and_dense_ones_become_pictures(tmp_path):
     assert base64.b64decode(data).startswith(b"\x89PNG") and len(text) < 4 * DENSE
 
 
-def test_a_report_checks_what_it_is_given(tmp_path):
+def test_bad_arguments_are_refused(tmp_path):
     page = Report("x")
-    with pytest.raises(TypeError, match="DataFrame"):
-        page.table([[1]], "caption")
-    with pytest.raises(ValueError, match="caption"):
-        page.table(pd.DataFrame({"a": [1]}), "")
-    with pytest.raises(ValueError, match="units"):
-        page.table(pd.DataFrame({"a": [1]}), "c", units={"b": "s"})
-    with pytest.raises(ValueError, match="csv must name a file beside the page"):
-        page.table(pd.DataFrame({"a": [1]}), "c", csv="javascript:alert(1)")
-    with pytest.raises(TypeError, match="Figure"):
-        page.figure("file.png", "caption")
-    with pytest.raises(ValueError, match="a table or a figure"):
-        page.card("t", table=FRAME, figure=plt.figure())
-    with pytest.raises(ValueError, match="key must begin"):
-        page.section("s", key="a b")
     page.section("s", key="a")
-    with pytest.raises(ValueError, match="another section"):
-        page.section("s", key="a")
-    with pytest.raises(ValueError, match="title"):
-        Report("")
-    with pytest.raises(FileNotFoundError):
-        page.write(tmp_path / "nowhere" / "x.html")
+    for call, error, message in (
+            (lambda: page.table([[1]], "caption"), TypeError, "DataFrame"),
+            (lambda: page.table(FRAME, ""), ValueError, "caption"),
+            (lambda: page.table(FRAME, "c", units={"b": "s"}), ValueError, "units"),
+            (lambda: page.table(FRAME, "c", csv="javascript:alert(1)"), ValueError, "csv must name a file next to"),
+            (lambda: page.figure("file.png", "caption"), TypeError, "Figure"),
+            (lambda: page.card("t", table=FRAME, figure=plt.figure()), ValueError, "a table or a figure"),
+            (lambda: page.section("s", key="a b"), ValueError, "key must begin"),
+            (lambda: page.section("s", key="a"), ValueError, "another section"),
+            (lambda: page.section("s", key="made"), ValueError, "another section"),
+            (lambda: Report(""), ValueError, "title"),
+            (lambda: page.write(tmp_path / "nowhere" / "x.html"), FileNotFoundError, "nowhere")):
+        with pytest.raises(error, match=message):
+            call()
     plt.close("all")
 
 
-def test_the_page_says_how_it_was_made(tmp_path):
-    page, _ = made(tmp_path, example)
-    said = page.text("dt", "dd")
-    assert all(word in said for word in ("Versions", "numpy", "Machine", "cores", "Written", "Random seeds"))
+def column(values, spec=""):
+    """The only column of a table."""
+    return columns_of(pd.DataFrame({"x": values}), None, {"x": spec} if spec else None)[0]
+
+
+@pytest.mark.parametrize(("values", "shown"), [
+    ([0.0534, 0.015004, 12.0], ["0.05340", "0.01500", "12.00"]),
+    ([0.1, 0.25, 1.0], ["0.1", "0.25", "1"]),  # chosen, not measured
+    ([1.0, 2.0, np.nan], ["1", "2", "-"]), ([1, 2, 30], ["1", "2", "30"]),
+    ([1234.56, 7.0], ["1235", "7.000"]), ([0.1, np.inf, 1 / 3], ["0.1000", "inf", "0.3333"]),
+    (["1.50", "b"], ["1.50", "b"])])
+def test_measured_numbers_keep_their_zeros_and_chosen_ones_none(values, shown):
+    assert column(values).texts == shown
+
+
+def test_given_formats_are_kept():
+    assert column([1.26, 2.0], spec=".1f").texts == ["1.3", "2.0"]
+    assert column([0.123456, 2.0], spec=".2g").texts == ["0.12", "2.0"]
+    assert column([3.2e-15, 0.0], spec=".1e").texts == ["3.2e-15", "0"]
+    assert column(pd.array([1.26, None], "Float64"), spec=".2g").texts == ["1.3", "-"]
+
+
+def test_identifiers_become_words_and_their_unit():
+    assert worded("total_s") == ("total", "s") and worded("mesh_ratio") == ("mesh ratio", "")
+    assert worded("total_s", "ms") == ("total s", "ms")
+    assert worded("u_n") == ("u_n", "") and worded("a b") == ("a b", "")

@@ -1,4 +1,4 @@
-"""Reports in a real browser: one screen answers, nothing runs over, tables sort and fold, paper has all."""
+"""Reports in a browser: the first screen has the answers, nothing runs over, tables sort and fold, paper has all."""
 
 from __future__ import annotations
 
@@ -125,48 +125,30 @@ def found(page, tmp_path_factory):
     return measure(tmp_path_factory.mktemp("browser"), page.read_text(encoding="utf-8"), SCRIPT)
 
 
-@pytest.mark.parametrize("width", [390, 820, 1440])
-def test_nothing_runs_over_the_side(found, width):
-    at = found[str(width)]
-    assert at["window"] == width and at["page"] <= width and at["over"] == []
-    assert at["boxes"] > 0 and at["cut"] > 0  # wide and long tables scroll by themselves
-
-
-def test_nothing_is_cut_on_paper(found):
+def test_nothing_runs_over_the_side_or_is_cut_on_paper(found):
+    for width in (390, 820, 1440):
+        at = found[str(width)]
+        assert at["window"] == width and at["page"] <= width and at["over"] == []
+        assert at["boxes"] > 0 and at["cut"] > 0  # wide and long tables scroll by themselves
     at = found["paper"]
     assert at["window"] == 1032 and at["page"] <= 1032 and at["over"] == []
     assert at["boxes"] == at["cut"] == 0
-
-
-def test_paper_opens_what_is_folded_and_closes_it_again(found):
+    # heads are repeated, and all cards and pictures shown
+    assert found["still"] == found["buttons"] == 0 and found["cards"] == 5 + 6
     before, during, after = found["open"]
     assert before == after < during == found["all"]
 
 
-def test_headers_sort_up_and_down_with_what_is_no_number_last(found):
+def test_headers_sort_up_and_down_with_texts_last_and_move_no_column(found):
     assert found["sorted"] == ["b a9 a10", "a9 b a10", "a9 a10 b", "b a10 a9", "a10 b a9"]
     assert found["order"] == [None, None, "ascending"]
-
-
-def test_sorting_moves_no_column(found):
     assert max(map(abs, found["moved"])) < 0.01
 
 
-def test_the_first_screen_holds_all_answers(found):
+def test_the_first_screen_holds_all_answers_and_contents_and_first_column_stay_in_sight(found):
     assert 500 < found["front"] <= 800 - 90  # a title and a line stand above
-
-
-def test_the_contents_stay_in_sight_beside_a_wide_page(found):
     top, right, title = found["contents"]
     assert top == 0 and right <= title
-
-
-def test_paper_repeats_heads_and_shows_all_pictures(found):
-    assert found["still"] == found["buttons"] == 0
-    assert found["cards"] == 5 + 6
-
-
-def test_the_first_column_stays_in_sight(found):
     assert found["first"] == [200, 0]
 
 

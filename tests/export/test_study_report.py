@@ -37,6 +37,8 @@ def test_it_counts_draws_and_lists(tmp_path):
     assert "rtol = 1e-08" in page.text("dd") and "abc" in page.text("dd")
     errors = next(text for text in page.text("td").split("ValueError")[1:])
     assert "<b>no</b>" in errors and len(errors) < 600
+    page = written(tmp_path, table(), results=["work_units"], hidden=["seconds", "method"], units={"work_units": "WU"})
+    assert len(page.drawings) == 1 and "work units [WU]" in page.drawings[0] and "method" not in page.text("th")
 
 
 def test_a_study_too_long_to_be_shown_says_what_came_out_of_all(tmp_path):
@@ -50,12 +52,6 @@ def test_a_study_too_long_to_be_shown_says_what_came_out_of_all(tmp_path):
     assert "word " * 30 in page.text("p", "td") and "word " * 70 not in page.text("p", "td")
     drawn = [a["alt"] for a in page.all("img")]
     assert all("middle half" in label for label in drawn) and drawn
-
-
-def test_results_and_columns_can_be_chosen(tmp_path):
-    page = written(tmp_path, table(), results=["work_units"], hidden=["seconds", "method"], units={"work_units": "WU"})
-    assert len(page.drawings) == 1 and "work units [WU]" in page.drawings[0]
-    assert "method" not in page.text("th")
 
 
 @pytest.mark.parametrize("frame", [table().head(0), table().head(1), table().assign(status="failed"),
@@ -108,13 +104,12 @@ def test_what_counts_as_numbers():
         assert numbers(pd.Series(values, dtype=object)) is None
 
 
-def test_it_checks_what_it_is_given(tmp_path):
-    with pytest.raises(TypeError, match="DataFrame"):
-        study_report([], tmp_path / "r.html", parameters=[])
-    with pytest.raises(TypeError, match="sequence of column names"):
-        study_report(table(), tmp_path / "r.html", parameters="sweeps")
-    with pytest.raises(ValueError, match=r"parameters names columns the table does not have: \['sweps'\]"):
-        study_report(table(), tmp_path / "r.html", parameters=["sweps"])
-    with pytest.raises(ValueError, match="'method' holds no numbers to draw, got 'V'"):
-        written(tmp_path, table(), results=["method"])
+def test_bad_arguments_are_refused(tmp_path):
+    for frame, options, error, message in (
+            ([], {"parameters": []}, TypeError, "DataFrame"),
+            (table(), {"parameters": "sweeps"}, TypeError, "sequence of column names"),
+            (table(), {"parameters": ["sweps"]}, ValueError, r"columns the table does not have: \['sweps'\]"),
+            (table(), {"results": ["method"]}, ValueError, "'method' holds no numbers to draw, got 'V'")):
+        with pytest.raises(error, match=message):
+            written(tmp_path, frame, **options)
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""Bodies in contact that several tests share: stacks with exact states, the bar on a block, bodies in a corner."""
+"""Bodies in contact: stacks with exact states, the bar on a block, bodies in a corner."""
 
 from __future__ import annotations
 
@@ -84,13 +84,16 @@ def pressed(mesh, pairs, materials, law=None):
 
 
 UPPER_ON_LOWER, LOWER_ON_UPPER = ("upper.bottom", "lower.top"), ("lower.top", "upper.bottom")
+CORNER = {"seat": am.Polygon(vertices=[(-1, -1), (1, -1), (1, 0), (0, 0), (0, 1), (-1, 1)],
+                             boundaries=("bottom", "right", "floor", "wall", "top", "left")),
+          "block": am.Rectangle(width=1.0, height=1.0),
+          "cap": am.Rectangle(width=1.0, height=0.5, origin=(0.0, 1.0))}
+
 
 def in_the_corner(order, law):
     """A block in the corner of a seat, a cap on the block, equal pressure all around: mesh, problem, exact state."""
-    seat = am.Polygon(vertices=[(-1, -1), (1, -1), (1, 0), (0, 0), (0, 1), (-1, 1)],
-                      boundaries=("bottom", "right", "floor", "wall", "top", "left"))
-    block, cap = am.Rectangle(width=1.0, height=1.0), am.Rectangle(width=1.0, height=0.5, origin=(0.0, 1.0))
-    mesh = merged({"seat": graded(seat, 0.3, ()), "block": structured(block, (4, 5)), "cap": structured(cap, (3, 2))})
+    mesh = merged({"seat": graded(CORNER["seat"], 0.3, ()), "block": structured(CORNER["block"], (4, 5)),
+                   "cap": structured(CORNER["cap"], (3, 2))})
     pairs = {"floor": am.ContactPair("block.bottom", "seat.floor"), "wall": am.ContactPair("block.left", "seat.wall"),
              "cap": am.ContactPair("cap.bottom", "block.top")}
     outside = ("seat.bottom", "seat.right", "seat.top", "seat.left", "block.right", "cap.top", "cap.left", "cap.right")
@@ -119,16 +122,11 @@ def bumpy(points):
 
 def corner_pushed(law):
     """Three bodies, three pairs, unequal loads; the cap follows the block, which follows the seat."""
-    order = ("wall", "floor", "cap")
-    _, problem, _ = in_the_corner(order, law)
-    seat = am.Polygon(vertices=[(-1, -1), (1, -1), (1, 0), (0, 0), (0, 1), (-1, 1)],
-                      boundaries=("bottom", "right", "floor", "wall", "top", "left"))
-    return replace(problem, domain=am.Assembly(parts={
-        "seat": seat, "block": am.Rectangle(width=1.0, height=1.0),
-        "cap": am.Rectangle(width=1.0, height=0.5, origin=(0.0, 1.0))}),
-        loads=(am.Pressure("cap.top", lambda x: 4e7 * (1 + x[:, 0])), am.Pressure("block.right", 3e7),
-               am.Traction("cap.left", (4e6, 0.0))),
-        supports=(am.Support("seat.bottom", x=0.0, y=0.0), am.Support("cap.right", x=0.0)))
+    _, problem, _ = in_the_corner(("wall", "floor", "cap"), law)
+    loads = (am.Pressure("cap.top", lambda x: 4e7 * (1 + x[:, 0])), am.Pressure("block.right", 3e7),
+             am.Traction("cap.left", (4e6, 0.0)))
+    return replace(problem, domain=am.Assembly(parts=CORNER), loads=loads,
+                   supports=(am.Support("seat.bottom", x=0.0, y=0.0), am.Support("cap.right", x=0.0)))
 
 
 def bar_hierarchy(problem, n=3):
@@ -136,7 +134,7 @@ def bar_hierarchy(problem, n=3):
 
 
 def assert_agrees(grids, solvers):
-    """Each solver finds what multipliers on the untransformed system find, and forces that balance."""
+    """Each solver agrees with multipliers on the untransformed system, and its forces balance."""
     parts = Parts.of(grids.problem, grids.finest.mesh)
     displacement, pressure, force = solve_saddle(parts)
     length = np.abs(displacement).max()

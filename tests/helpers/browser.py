@@ -31,10 +31,9 @@ def dom(folder: Path, page: Path) -> str:
 
 
 def measure(folder: Path, text: str, script: str) -> Any:
-    """What a function body in JavaScript returns in a page, after it has loaded.
+    """The value of a function body in JavaScript in a page, after it has loaded, without the policy of the page.
 
-    The page lies in a frame (windows cannot be as narrow as a phone), which the script makes as wide as it wants by
-    ``resize(width, height)``. The page's policy, which would not let the script run, is taken out.
+    The page lies in a frame that the script resizes by ``resize(width, height)``: windows are wider than a phone.
     """
     free = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", text)
     added = ("<script>function resize(width, height) { var style = window.frameElement.style;\n"

@@ -1,4 +1,4 @@
-"""Reading pages of HTML strictly: what a checker would say of them."""
+"""A strict reader of HTML pages."""
 
 from __future__ import annotations
 
@@ -14,16 +14,7 @@ _FOREIGN = re.compile(r"(?i)(https?:)?//[a-z0-9]|@import|javascript:|expression\
 
 
 class Page(HTMLParser):
-    """Start tags with their attributes and the texts between; complains of what is wrong.
-
-    Attributes
-    ----------
-    tags : list of (str, dict)
-    texts : list of (str, str)
-        The innermost open element, and its text.
-    drawings : list of str
-        The texts in each SVG.
-    """
+    """Start tags with their attributes, texts with the innermost open element, and the texts of each SVG."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

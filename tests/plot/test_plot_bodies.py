@@ -1,38 +1,28 @@
-"""Pictures of several bodies: what is drawn is what the result says, body by body and pair by pair."""
+"""Pictures of several bodies show the result, body by body and pair by pair."""
 
 from __future__ import annotations
 
 import dataclasses
 from itertools import pairwise
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from made import result_on, square
 from made_bodies import MATERIALS, SOLIDS, STEEL, two_bodies
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch, PathPatch
+from pictures import words
 
 import adaptmg as am
 from adaptmg import plot
 from adaptmg.discrete.stress import StressData, full_stress, von_mises
 from adaptmg.plot.contact_surfaces import flattened, lines_of
-from adaptmg.plot.style import STATE_INKS, walks
+from adaptmg.plot.style import STATE_INKS, polylines
 from adaptmg.plot.surfaces import Surface
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    yield
-    plt.close("all")
-
-
-def words(figure) -> str:
-    """All text of a figure."""
-    figure.canvas.draw()
-    return "\n".join(t.get_text() for t in figure.findobj(plt.Text) if t.get_text())
 
 
 def two_pairs(**changes) -> Result:
@@ -51,13 +41,13 @@ def two_pairs(**changes) -> Result:
 PLANE, SOLID = two_bodies(), two_bodies(3, 4, 3)
 
 
-def test_walks_use_every_edge_once_and_close_rings():
+def test_polylines_use_every_edge_once_and_close_rings():
     ring, other, line = [[0, 1], [1, 2], [2, 0]], [[2, 3], [3, 4], [4, 2]], [[7, 6], [6, 5]]
     edges = np.array([*line, *other, *ring])[::-1]
-    found = walks(edges)
+    found = polylines(edges)
     assert found[0].tolist() == [7, 6, 5]
-    assert all(walk[0] == walk[-1] for walk in found[1:])
-    used = [pair for walk in found for pair in zip(walk[:-1].tolist(), walk[1:].tolist(), strict=True)]
+    assert all(ring[0] == ring[-1] for ring in found[1:])
+    used = [pair for one in found for pair in pairwise(one.tolist())]
     assert sorted(used) == sorted(map(tuple, edges.tolist()))
 
 
@@ -75,28 +65,44 @@ def test_deformation_draws_each_body_in_its_own_color_and_names_it():
     assert ax.get_title() == "two blocks: displacement drawn 20 times" and ax.get_xlabel() == "x [mm]"
     assert ax.get_aspect() == 1
     assert "drawn to scale" in words(plot.deformation(PLANE, 1))
+    shown = words(plot.deformation(PLANE))
+    factor = float(shown.split("drawn ")[1].split(" times")[0])
+    largest = np.linalg.norm(PLANE.displacement, axis=1).max()
+    assert 0.03 < factor * largest / np.linalg.norm(np.ptp(PLANE.mesh.points, axis=0)) < 0.08
 
 
-def area(path) -> float:
-    """Area within a compound path; holes, which run clockwise, count as negative."""
-    total, begins = 0.0, [*np.flatnonzero(path.codes == path.MOVETO), len(path.codes)]
-    for a, b in pairwise(begins):
-        (x, y), (x2, y2) = path.vertices[a:b].T, np.roll(path.vertices[a:b], -1, axis=0).T
-        total += 0.5 * np.sum(x * y2 - x2 * y)
-    return total
+def test_colors_of_the_displacement_are_its_length_at_the_nodes():
+    result = result_on(square(16))
+    values = 1e6 * np.linalg.norm(result.displacement, axis=1)
+    ax, bar = plot.deformation(result, displacement=True).axes
+    assert bar.get_ylim() == pytest.approx((0, values.max())) and "|u| [µm]" in words(ax.figure)
+    (colored,) = [c for c in ax.collections if c.get_array() is not None]
+    np.testing.assert_allclose(colored.get_array(), values)
 
 
-def test_large_meshes_are_filled_without_lines_holes_left_out():
+@pytest.mark.parametrize(("result", "options", "message"), [
+    (result_on(None), {}, "no mesh"), (PLANE, {"amplify": float("nan")}, "amplify"),
+    (PLANE, {"window": (1, 2, 1, 2)}, "shows nothing"), (PLANE, {"window": (1, 0, 0, 1)}, "xmin < xmax"),
+    (SOLID, {"window": (0, 1, 0, 1)}, "bodies"), (PLANE, {"bodies": ["middle"]}, "must be one of 'upper', 'lower'"),
+    (PLANE, {"bodies": []}, "at least one"), (dataclasses.replace(PLANE, stress_data=None), {"stress": True},
+                                              "no materials"),
+    (SOLID, {"stress": True, "displacement": True}, "two pictures"),
+    (SOLID, {"ax": Figure().subplots()}, "three-dimensional")])
+def test_deformation_refuses_what_it_cannot_draw(result, options, message):
+    with pytest.raises(ValueError, match=message):
+        plot.deformation(result, **options)
+
+
+def test_large_meshes_are_filled_without_lines_and_holes_left_out():
     result = two_bodies(n=6)
     inner = np.abs(result.mesh.points[result.mesh.elements].mean(axis=1) - [0.02, 0.02]).max(axis=1) < 0.01
-    keep = ~inner
-    mesh = dataclasses.replace(result.mesh, elements=result.mesh.elements[keep],
-                               element_body=result.mesh.element_body[keep])
-    (ax,) = plot.deformation(dataclasses.replace(result, mesh=mesh), 1, lines=False).axes
-    paths = [p.get_path() for p in ax.patches if isinstance(p, PathPatch)]
-    wanted = [1e6 * np.linalg.det(np.diff((mesh.points + result.displacement)[mesh.elements[mesh.element_body == k]],
-                                          axis=1)).sum() / 2 for k in (1, 0)]
-    np.testing.assert_allclose([area(path) for path in paths], wanted)
+    mesh = dataclasses.replace(result.mesh, elements=result.mesh.elements[~inner],
+                               element_body=result.mesh.element_body[~inner])
+    (ax,) = plot.deformation(dataclasses.replace(result, mesh=mesh), 0, lines=False).axes
+    # signed areas: holes run clockwise
+    areas = [sum(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) for x, y in (ring.T for ring in path.to_polygons()))
+             for path in (patch.get_path() for patch in ax.patches if isinstance(patch, PathPatch))]
+    np.testing.assert_allclose(areas, [1e6 * mesh.volumes[mesh.element_body == k].sum() for k in (1, 0)])
     assert not any(isinstance(c, PolyCollection) for c in ax.collections)
     many = plot.deformation(two_bodies(n=70, m=4)).axes[0]
     assert not any(isinstance(c, PolyCollection) for c in many.collections)
@@ -107,21 +113,8 @@ def test_a_window_shows_what_lies_in_it():
     assert (*ax.get_xlim(), *ax.get_ylim()) == pytest.approx((-2, 8, -3, 4))
     drawn = sum(len(c.get_paths()) for c in ax.collections if isinstance(c, PolyCollection))
     assert 0 < drawn < len(PLANE.mesh.elements) / 4
-    with pytest.raises(ValueError, match="shows nothing"):
-        plot.deformation(PLANE, 1, window=(1, 2, 1, 2))
-    with pytest.raises(ValueError, match="xmin < xmax"):
-        plot.deformation(PLANE, 1, window=(1, 0, 0, 1))
-    with pytest.raises(ValueError, match="bodies"):
-        plot.deformation(SOLID, 1, window=(0, 1, 0, 1))
-
-
-def test_bodies_may_be_chosen():
     shown = words(plot.deformation(PLANE, bodies=["upper"]))
     assert "upper" in shown and "lower" not in shown
-    with pytest.raises(ValueError, match="bodies must be one of 'upper', 'lower'"):
-        plot.deformation(PLANE, bodies=["middle"])
-    with pytest.raises(ValueError, match="at least one"):
-        plot.deformation(PLANE, bodies=[])
 
 
 def test_states_color_the_slave_surface():
@@ -153,19 +146,6 @@ def test_stress_is_that_of_each_body_in_megapascal(result):
         lower = surface.corners.mean(axis=1)[:, 2] < -1.0
         assert lower.any() and np.ptp(surface.colors[lower], axis=(0, 1)).max() < 0.05
         assert np.abs(surface.colors[~lower].mean(axis=(0, 1)) - surface.colors[lower].mean(axis=(0, 1))).max() > 0.3
-    with pytest.raises(ValueError, match="no materials"):
-        plot.deformation(dataclasses.replace(result, stress_data=None), stress=True)
-    with pytest.raises(ValueError, match="two pictures"):
-        plot.deformation(result, stress=True, displacement=True)
-
-
-def test_axes_of_axisymmetric_problems_are_r_and_z():
-    moved = dataclasses.replace(PLANE.mesh, points=PLANE.mesh.points + np.array([1.0, 0.0]))
-    data = StressData.of(moved, am.Axisymmetric(**STEEL))
-    result = dataclasses.replace(PLANE, mesh=moved, stress_data=data)
-    (ax,) = plot.deformation(result).axes
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("r [mm]", "z [mm]")
-    assert plot.contact(result).axes[2].get_xlabel() == "r [mm]"
 
 
 def stated(ax) -> np.ndarray:
@@ -196,6 +176,15 @@ def test_contact_draws_pressure_friction_gap_and_slip():
         PLANE, contact=dataclasses.replace(c, limit=0 * c.limit, force_t=0 * c.force_t))))
 
 
+def test_axes_of_axisymmetric_problems_are_r_and_z():
+    moved = dataclasses.replace(PLANE.mesh, points=PLANE.mesh.points + np.array([1.0, 0.0]))
+    data = StressData.of(moved, am.Axisymmetric(**STEEL))
+    result = dataclasses.replace(PLANE, mesh=moved, stress_data=data)
+    (ax,) = plot.deformation(result).axes
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("r [mm]", "z [mm]")
+    assert plot.contact(result).axes[2].get_xlabel() == "r [mm]"
+
+
 def test_contact_draws_each_pair_or_one():
     result = two_pairs()
     assert len(plot.contact(result).axes) == 6
@@ -216,6 +205,18 @@ def test_an_open_pair_does_not_show_rounding():
     assert axes[0].get_ylim()[1] > 5
 
 
+def test_a_curved_contact_line_is_drawn_against_its_arc_length():
+    angle = np.linspace(0, np.pi / 2, 9)
+    inner, outer = np.stack([np.cos(angle), np.sin(angle)], 1), 2 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    k = np.arange(8)
+    elements = np.vstack([np.stack([k, 9 + k, 10 + k], 1), np.stack([k, 10 + k, 1 + k], 1)])
+    facets = np.vstack([np.stack([9 + k, 10 + k], 1), np.stack([1 + k, k], 1)[::-1], [[0, 9], [17, 8]]])
+    mesh = am.MeshArrays(np.vstack([inner, outer]), elements, facets, [0] * 8 + [1] * 10, ("bottom", "rest"))
+    (only,) = lines_of(result_on(mesh), "bottom")
+    assert only.label == "arc length from (2, 0) [m]"
+    np.testing.assert_allclose(only.position, np.linalg.norm(outer[1] - outer[0]) * np.arange(9))
+
+
 def test_parts_without_contact_nodes_interrupt_the_arc():
     result = two_bodies(n=10)
     c = result.contact
@@ -226,13 +227,6 @@ def test_parts_without_contact_nodes_interrupt_the_arc():
     first, second = lines_of(dataclasses.replace(result, contact=dataclasses.replace(c, **some)), "upper.bottom")
     np.testing.assert_allclose(first.position, 4.0 * np.arange(4), atol=1e-9)
     np.testing.assert_allclose(second.position, 4.0 * np.arange(6, 11))
-
-
-def test_contact_maps_the_slave_surface_of_solids():
-    shown = words(plot.contact(SOLID))
-    for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "friction traction |t| [MPa]",
-                 "gap [µm]", "stick (", "x [mm]"):
-        assert text in shown
 
 
 def around_a_cylinder(radius: float) -> Result:
@@ -249,7 +243,7 @@ def around_a_cylinder(radius: float) -> Result:
     return dataclasses.replace(SOLID, mesh=None, contact=contact)
 
 
-def test_a_hole_is_unrolled_about_its_axis():
+def test_surfaces_are_drawn_flat_and_a_hole_is_unrolled_about_its_axis():
     result = around_a_cylinder(0.015)
     flat = flattened(result, "upper.bottom")
     offset = result.contact.x - [0.1, 0.2, 0]
@@ -257,6 +251,10 @@ def test_a_hole_is_unrolled_about_its_axis():
     np.testing.assert_allclose(flat.points[:, 1], 1e3 * offset[:, 2])
     assert flat.labels == ("angle around z [°]", "z [mm]") and not flat.equal
     assert "angle around z [°]" in words(plot.contact(result))
+    shown = words(plot.contact(SOLID))
+    for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "friction traction |t| [MPa]",
+                 "gap [µm]", "stick (", "x [mm]"):
+        assert text in shown
 
 
 FACTORS = (0.25, 0.5, 1.0, 0.5)
@@ -281,9 +279,7 @@ def test_load_history_draws_the_quantities_and_the_pressure_of_each_step():
         assert ax.get_title() == f"load factor {factor:g}"
     shown = words(figure)
     assert "'upper.bottom' on 'lower.top'" in shown and "pressure [MPa]" in shown
-
-
-def test_load_history_shows_as_many_steps_as_asked_for_first_and_last_among_them():
+    # as many steps as requested, the first and the last among them
     titles = [ax.get_title() for ax in plot.load_history(steps_of(PLANE), FACTORS, {}, steps=2).axes]
     assert titles == ["load factor 0.25", "load factor 0.5"]
     assert len(plot.load_history(steps_of(PLANE), FACTORS, QUANTITIES, steps=0).axes) == 2
@@ -291,24 +287,13 @@ def test_load_history_shows_as_many_steps_as_asked_for_first_and_last_among_them
     assert len(plot.load_history(steps_of(two_pairs()), FACTORS, {}, steps=3).axes) == 6
 
 
-def test_load_history_refuses_what_it_cannot_draw():
-    steps = steps_of(PLANE)
-    with pytest.raises(ValueError, match="4 results, 3 factors"):
-        plot.load_history(steps, FACTORS[:3], QUANTITIES)
-    with pytest.raises(TypeError, match="at least one Result"):
-        plot.load_history([], [], QUANTITIES)
-    with pytest.raises(TypeError, match="functions of a Result"):
-        plot.load_history(steps, FACTORS, {"force": 1.0})
-    with pytest.raises(ValueError, match=r"'force'.*step 0 must be finite"):
-        plot.load_history(steps, FACTORS, {"force": lambda r: np.nan})
-    with pytest.raises(ValueError, match="same mesh"):
-        plot.load_history([*steps[:3], SOLID], FACTORS, QUANTITIES)
-    with pytest.raises(ValueError, match="nothing to draw"):
-        plot.load_history(steps, FACTORS, {}, steps=0)
-
-
-def test_a_mesh_of_several_bodies_has_several_colors():
-    (ax,) = plot.mesh(PLANE.mesh).axes
-    colors = ax.collections[0].get_facecolor()
-    assert len(np.unique(colors[PLANE.mesh.element_body == 0], axis=0)) == 1
-    assert len(np.unique(colors, axis=0)) == 2
+@pytest.mark.parametrize(("results", "factors", "quantities", "error", "message"), [
+    (steps_of(PLANE), FACTORS[:3], QUANTITIES, ValueError, "4 results, 3 factors"),
+    ([], [], QUANTITIES, TypeError, "at least one Result"),
+    (steps_of(PLANE), FACTORS, {"force": 1.0}, TypeError, "functions of a Result"),
+    (steps_of(PLANE), FACTORS, {"force": lambda r: np.nan}, ValueError, r"'force'.*step 0 must be finite"),
+    ([*steps_of(PLANE)[:3], SOLID], FACTORS, QUANTITIES, ValueError, "same mesh"),
+    (steps_of(PLANE), FACTORS, {}, ValueError, "nothing to draw")])
+def test_load_history_refuses_what_it_cannot_draw(results, factors, quantities, error, message):
+    with pytest.raises(error, match=message):
+        plot.load_history(results, factors, quantities, steps=8 if quantities else 0)

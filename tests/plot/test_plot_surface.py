@@ -1,4 +1,4 @@
-"""Surfaces in space: each pixel shows what is nearest, with and without the JIT."""
+"""Surfaces in space: each pixel shows the nearest triangle, with and without the JIT."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_the_kernels_do_the_same_without_the_jit(width):
         kernel(ends, np.ones(3), 1.0, 1.0, 0.0, 0.0, image, depth)
         images.append(image)
     np.testing.assert_array_equal(*images)
-    # behind the triangle hidden, beside it drawn
+    # behind the triangle hidden, next to it drawn
     assert images[0][3, :, 2].tolist() == [0, 0, 0, 0, 0, 1, 1, 1]
     image, depth = np.zeros((8, 8, 4)), np.full((8, 8), np.inf)
     raster_segments(ends, np.ones(3), 1.0, 1.0, 3.0, 0.0, image, depth)
@@ -68,17 +68,3 @@ def test_a_surface_shows_the_front_of_a_body_from_wherever_it_is_seen():
         image, _, _ = surface.raster(1.0)
         middle = image[image.shape[0] // 2, image.shape[1] // 2]
         assert middle[3] == 255 and middle[0] == round(255 * tints[front])
-
-
-def test_the_light_comes_from_above_and_from_the_left():
-    mesh = cube(1, 1.0)
-    corners = mesh.points[mesh.facets]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    ax = plt.figure().add_subplot(projection="3d")
-    surface = Surface(corners, np.ones((len(corners), 4)), shading=0.5)
-    ax.add_artist(surface)
-    # of the faces seen, -y lies to the left and +x to the right
-    ax.view_init(elev=30, azim=-45)
-    left, right, top = (surface._shaded()[np.argmax(normals @ direction), 0, 0]
-                        for direction in ((0, -1, 0), (1, 0, 0), (0, 0, 1)))
-    assert 0.5 <= right < left < top <= 1.0

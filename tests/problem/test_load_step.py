@@ -90,4 +90,4 @@ def test_a_solution_has_the_prescribed_function_in_every_step():
 def test_pictures_name_functions():
     from adaptmg.plot.posed_problem import support_text
 
-    assert support_text(am.Support("left", x=bent, y=0.0), 2) == "$u_x$ = f(x)\n$u_y$ = 0"
+    assert support_text(am.Support("left", x=bent, y=0.0), 2) == "$u_x$ = f(x), $u_y$ = 0"

@@ -1,0 +1,27 @@
+"""The texts of a picture."""
+
+from __future__ import annotations
+
+import io
+import warnings
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+
+def words(figure: Figure) -> str:
+    """All texts of a figure, after it has been drawn."""
+    figure.canvas.draw()
+    return "\n".join(t.get_text() for t in figure.findobj(plt.Text) if t.get_text())
+
+
+def texts(figure: Figure) -> list[str]:
+    """The texts as they are set: those without math lose their escapes; a legend that drops an entry fails."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        figure.savefig(io.BytesIO(), format="png", dpi=30)
+    result = []
+    for text in figure.findobj(plt.Text):
+        shown, math = text._preprocess_math(text.get_text())
+        result.append(shown.replace(r"\$", "$") if math else shown)
+    return result
