@@ -1,9 +1,10 @@
 """From the settings of a run, by ``"section.key"``, to problem, grids, method, load path and adaptive loop.
 
-The keys are the arguments of what is made: fields of the option classes, arguments of cases and of the constructors of
-:class:`adaptmg.Hierarchy`. An object is chosen by the name of its class (``correction = "monotone"``), and its fields
-stand next to it (``pre`` of the cycle, ``friction`` of the law); those of solvers inside a method are written with a
-point (``coarse.rtol``). Defaults, checks and explanations are those of the classes. The same serves the command line.
+The keys are the arguments of the classes and functions: fields of the option classes, arguments of cases and of the
+constructors of :class:`adaptmg.Hierarchy`. An object is chosen by the name of its class (``correction = "monotone"``),
+and its fields stand next to it (``pre`` of the cycle, ``friction`` of the law); those of solvers inside a method are
+written with a point (``coarse.rtol``). Defaults, checks and explanations are those of the classes. The command line
+uses the same.
 """
 
 from __future__ import annotations
@@ -28,8 +29,7 @@ from adaptmg.problem.load_path import names_in_path
 from adaptmg.solver.record import Solver
 
 __all__ = ["DIVISIONS", "METHODS", "OBJECTS", "Key", "Settings", "WrongSetting", "adaptation", "arguments_of", "check",
-           "documented", "given_arguments", "grids", "keys_of", "load_path", "name_of", "problem_of", "section",
-           "solver_of"]
+           "given_arguments", "grids", "keys_of", "load_path", "name_of", "problem_of", "section", "solver_of"]
 
 Settings = Mapping[str, Any]
 
@@ -44,14 +44,15 @@ OBJECTS: dict[str, tuple[type, ...]] = {
     "engine": (am.Remesh, am.Bisect),
     "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening)}
 DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
-#: arguments that look plain, and are not for files
-_APART = ("store", "depends", "progress", "solver", "load_path")
+#: arguments that settings cannot give
+_APART = ("self", "problem", "store", "depends", "progress", "scheduler", "solver", "load_path", "coarse_solve",
+          "coarse_smoother", "flanges")
 #: nodes of grids that are refused before anything runs
 _MOST_NODES = {2: 5e6, 3: 2e6}
 
 
 class WrongSetting(ValueError):
-    """Settings of which a part cannot be made; ``section`` says in which section they are."""
+    """A setting that is refused; ``section`` is its section."""
 
     def __init__(self, text: str, section: str) -> None:
         super().__init__(text)
@@ -60,11 +61,11 @@ class WrongSetting(ValueError):
 
 @dataclass(frozen=True)
 class Key:
-    """A key as its argument describes it: what it takes, what it means, and its default as TOML ("": none)."""
+    """A key as the docstring of its argument describes it."""
 
-    values: str
+    values: str  # type or choices
     meaning: str
-    default: str = ""
+    default: str = ""  # as TOML, empty where there is none
 
     @property
     def real(self) -> bool:
@@ -95,10 +96,9 @@ def _parameters(function: Callable[..., Any]) -> dict[str, tuple[inspect.Paramet
     """Arguments that settings can give, with the classes of those that are objects."""
     found = {}
     for name, item in inspect.signature(function).parameters.items():
-        annotation = str(item.annotation)
-        if name in OBJECTS and not annotation.startswith("str"):
+        if name in OBJECTS and not str(item.annotation).startswith("str"):
             found[name] = (item, OBJECTS[name])
-        elif name not in _APART and re.search(r"\b(float|int|bool|str|Literal|FieldLike|Factors)\b|^Any$", annotation):
+        elif name not in _APART and name not in _inner(function):
             found[name] = (item, ())
     return found
 
@@ -120,13 +120,14 @@ def _inner(function: Callable[..., Any]) -> dict[str, type]:
 @cache
 def keys_of(function: Callable[..., Any]) -> dict[str, Key]:
     """Return the keys of a class or function: its arguments, and those of the objects that these may be."""
-    words = documented(function)
+    words = _documented(function)
     found, nested = {}, {}
     for name, (item, kinds) in _parameters(function).items():
         kind, meaning = words.get(name, ("", ""))
         default = _default_class(name, item, kinds)
         if kinds[1:]:
-            about = "; ".join(f"{name_of(choice)}: {_first_line(choice)}" for choice in kinds)
+            lines = {choice: (inspect.getdoc(choice) or "").splitlines()[0] for choice in kinds}
+            about = "; ".join(f"{name_of(choice)}: {_plain(line).rstrip('.')}" for choice, line in lines.items())
             found[name] = Key(" | ".join(map(name_of, kinds)), about, f'"{name_of(default)}"' if default else "")
         elif not kinds:
             annotation = str(item.annotation).removesuffix(" | None")
@@ -144,10 +145,6 @@ def keys_of(function: Callable[..., Any]) -> dict[str, Key]:
     return found | {key: value for key, value in nested.items() if key not in found}
 
 
-def _first_line(function: Callable[..., Any]) -> str:
-    return _plain((inspect.getdoc(function) or "").splitlines()[0]).rstrip(".")
-
-
 def _default(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
@@ -160,11 +157,11 @@ _SEE = re.compile(r"(?:[Aa]s in|see) :func:`~?adaptmg\.cases\.\w+\.(\w+)`")
 
 
 @cache
-def documented(function: Callable[..., Any]) -> dict[str, tuple[str, str]]:
-    """Return what a docstring says of arguments: type and first sentence; for a class also those of its bases."""
+def _documented(function: Callable[..., Any]) -> dict[str, tuple[str, str]]:
+    """Return type and first sentence of each argument from a docstring; for a class also those of its bases."""
     found: dict[str, tuple[str, str]] = {}
     for base in function.__mro__[1:-1] if isinstance(function, type) else ():
-        found = documented(base) | found
+        found = _documented(base) | found
     lines = (inspect.getdoc(function) or "").splitlines()
     start = lines.index("Parameters") + 2 if "Parameters" in lines else len(lines)
     texts: dict[str, list[str]] = {}
@@ -185,7 +182,7 @@ def documented(function: Callable[..., Any]) -> dict[str, tuple[str, str]]:
 def _first_sentence(name: str, text: str) -> str:
     refers = _SEE.search(text)
     if refers:
-        return documented(get(refers[1]).function)[name][1]
+        return _documented(get(refers[1]).function)[name][1]
     known = {"young": "Young's modulus, Pa", "poisson": "Poisson's ratio"}
     text = text.replace("Pa, and a number", known.get(name, "Pa, and a number"))
     return re.split(r"(?<=[^.])\.\s+(?=[A-Z])", _plain(text))[0].rstrip(".")
@@ -197,16 +194,14 @@ def _plain(text: str) -> str:
 
 
 def arguments_of(function: Callable[..., Any], given: dict[str, Any], before: str, what: str) -> dict[str, Any]:
-    """Return keyword arguments of a class or function; what it takes is removed from ``given``.
+    """Return keyword arguments of a class or function, and remove them from ``given``.
 
-    In messages ``before`` is what keys begin with, such as "solver.", and ``what`` is what they are given for.
+    In messages keys begin with ``before``, such as "solver.", and ``what`` names the function.
     """
     found: dict[str, Any] = {}
     known = _parameters(function)
     for name in (name for name, (_, kinds) in known.items() if not kinds):
-        if table := section(given, name):
-            for key in table:
-                del given[f"{name}.{key}"]
+        if table := _taken(given, name):
             found[name] = _by_level(before + name, table)
         elif name in given:
             found[name] = given.pop(name)
@@ -217,11 +212,9 @@ def arguments_of(function: Callable[..., Any], given: dict[str, Any], before: st
             if kind is not None and (word is not None or set(keys_of(kind)) & set(given)):
                 found[name] = kind(**arguments_of(kind, given, before, f"{before}{name} {name_of(kind)}"))
     for name, kind in _inner(function).items():
-        if table := section(given, name):
-            for key in table:
-                del given[f"{name}.{key}"]
+        if table := _taken(given, name):
             try:
-                found[name] = made(kind, table, f"{before}{name}.", name)
+                found[name] = _made(kind, table, f"{before}{name}.", name)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{before}{name}: {error}") from error
     for name, (item, _) in known.items():
@@ -230,9 +223,17 @@ def arguments_of(function: Callable[..., Any], given: dict[str, Any], before: st
     return found
 
 
-def made(function: Callable[..., Any], given: dict[str, Any], before: str, what: str,
+def _taken(given: dict[str, Any], name: str) -> dict[str, Any]:
+    """Remove the settings of a table from ``given``, and return them."""
+    table = section(given, name)
+    for key in table:
+        del given[f"{name}.{key}"]
+    return table
+
+
+def _made(function: Callable[..., Any], given: dict[str, Any], before: str, what: str,
          others: Sequence[type] = ()) -> Any:
-    """Call a class or function with settings; ValueError for those that only ``others`` take, or nothing."""
+    """Call a class or function with settings; ValueError for settings that it does not take."""
     arguments = arguments_of(function, given, before, what)
     _check_used(given, before, what, keys_of(function), others)
     return function(**arguments)
@@ -261,7 +262,7 @@ def _by_level(name: str, table: dict[str, Any]) -> Any:
 
 
 def check(settings: Settings) -> None:
-    """Make what can be made without meshing; WrongSetting for what cannot be."""
+    """Make problem, path, method and arguments without meshing; WrongSetting for settings that are refused."""
     task: Any = None
     name = ""
     try:
@@ -295,7 +296,7 @@ def problem_of(given: dict[str, Any], before: str = "case.") -> am.ContactProble
     function = get(name).function
     if "law" not in given and "law" in _parameters(function) and {"friction", "limit"} & set(given):
         given["law"] = "coulomb" if "friction" in given else "tresca"
-    return made(function, given, before, f"the case {name}")
+    return _made(function, given, before, f"the case {name}")
 
 
 def given_arguments(case: str, texts: Sequence[str]) -> dict[str, Any]:
@@ -339,7 +340,7 @@ def solver_of(given: dict[str, Any], before: str = "solver.", method: str = "sol
     kind = _class_of(method, name, METHODS)
     if "max_cycles" in given:
         given[next(key for key in _parameters(kind) if key.startswith("max_"))] = given.pop("max_cycles")
-    return made(kind, given, before, f"{method} {name}", METHODS)
+    return _made(kind, given, before, f"{method} {name}", METHODS)
 
 
 def adaptation(settings: Settings) -> dict[str, Any]:
