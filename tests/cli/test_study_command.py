@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -161,12 +159,3 @@ def test_wrong_questions_are_one_line(command, arguments, words):
     _store()
     code, out, err = command("runs", *arguments)
     assert code == 2 and out == "" and words in err and err.count("\n") == 1
-
-
-@pytest.mark.parametrize("name", ["study", "runs"])
-def test_help_has_an_example_and_loads_nothing_heavy(name):
-    code = (f"import sys\nfrom adaptmg.cli import app\ntry:\n    app(['{name}', '--help'])\n"
-            "except SystemExit:\n    pass\n"
-            "sys.stderr.write(' '.join(m for m in ('numpy', 'pandas', 'dask', 'sqlite3') if m in sys.modules))")
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stderr == "" and "Example: adaptmg" in done.stdout
