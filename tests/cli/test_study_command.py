@@ -126,15 +126,12 @@ def _store() -> None:
 
 def test_runs_are_listed_filtered_and_written(command):
     _store()
-    code, out, _ = command("runs", "s.sqlite")
-    assert code == 0 and "6 runs" in out and "three & more" in out
-    assert "... 4 more" in command("runs", "s.sqlite", "--limit", "2")[1]
-    rows = json.loads(command("runs", "s.sqlite", "--status", "done", "--where", "law=b", "--json")[1])
-    assert [(row["n"], row["m"]) for row in rows] == [(1, 0.5), (2, 1.0)]
-    assert json.loads(command("runs", "s.sqlite", "--where", "m=1.0", "--details", "--json")[1])[0]["tries"] == 1
-    assert command("runs", "s.sqlite", "--to", "t.csv")[0] == 0
+    code, out, _ = command("runs", "s.sqlite", "--limit", "2")
+    assert code == 0 and "... 4 more" in out
+    rows = json.loads(command("runs", "s.sqlite", "--status", "done", "--where", "law=b", "--details", "--json")[1])
+    assert [(row["n"], row["m"], row["tries"]) for row in rows] == [(1, 0.5, 1), (2, 1.0, 1)]
+    assert command("runs", "s.sqlite", "--to", "t.csv")[0] == command("runs", "s.sqlite", "--to", "t.tex")[0] == 0
     assert pd.read_csv("t.csv")["m"].dropna().tolist() == [0.5, 0.5, 1.0, 1.0]
-    command("runs", "s.sqlite", "--to", "t.tex")
     tex = Path("t.tex").read_text(encoding="utf-8")
     assert r"a\_b" in tex and r"three \& more" in tex and tex.count(r"\\") == 7
 
@@ -152,7 +149,6 @@ def test_several_studies_and_runs_of_another_store(command):
 
 @pytest.mark.parametrize(("arguments", "words"), [
     (("nowhere.sqlite",), "no such store"), (("s.sqlite", "--study", "frist"), "did you mean 'first'"),
-    (("s.sqlite", "--where", "nn=1"), "no column 'nn'"), (("s.sqlite", "--where", "n"), "NAME=VALUE"),
     (("s.sqlite", "--status", "stale"), "--status must be"), (("s.sqlite", "--to", "t.xls"), "must end in"),
 ])
 def test_wrong_questions_are_one_line(command, arguments, words):

@@ -61,6 +61,7 @@ def test_quiet_says_nothing_but_errors(command):
 
 
 def test_failures_are_json_too(command):
+    assert "--template" in json.loads(command("study", "--json")[1])["error"]
     code, out, err = command("study", "none.toml", "--json")
     assert code == 2 and "no such file" in json.loads(out)["error"] and err.startswith("adaptmg: ")
     for arguments in (("solve", "nothing"), ("adapt", "nothing"), ("cases", "nothing")):
@@ -299,11 +300,6 @@ def test_a_case_is_explained(command):
     for name in am.cases.names():
         facts = json.loads(command("cases", name, "--json")[1])
         assert all(item["meaning"] for item in facts["arguments"].values()), name
-
-
-def test_without_a_file_one_is_told_how_to_get_one(command):
-    code, out, err = command("study")
-    assert code == 2 and out == "" and "--template" in err
 
 
 def test_a_terminal_gets_the_line_and_no_log(tmp_path):
