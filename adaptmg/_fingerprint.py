@@ -1,17 +1,16 @@
 """Fingerprint: what a run depends on, part by part.
 
-Starting from the run function, the code objects of all functions and classes of the user's own modules that it can
-reach are hashed, with the values that they read: globals, variables of closures, defaults, attributes. Own modules are
-those that are neither installed nor adaptmg. Code is what runs, not the text of a file: comments, docstrings and line
-numbers do not count, and notebooks, lambdas and edited files need no special treatment. Values count by what they are
-pickled with. A module that is imported inside a function, or used as a value, counts with all its names; it is imported
-to see them. adaptmg counts by one hash of its numerical sources, installed packages by their version, compiled modules
-of the user by their content.
+Starting from the run function, all functions and classes of the user's own modules that it can reach are hashed, with
+the values that they read: globals, variables of closures, defaults, attributes. Own modules are neither installed nor
+adaptmg. Of a function its compiled code counts: comments, docstrings and line numbers do not. Values count by their
+pickle. A module that is imported inside a function, or used as a value, is imported and counts with all its names.
+adaptmg counts by one hash of its numerical sources, installed packages by their version, compiled modules of the user
+by their content.
 
-Not seen are: data files, environment variables, the time, the working directory; the state of libraries and of Python
-(seeds of global generators, printing options, registries of classes); code of adaptmg or of an installed package that
-was edited or replaced at run time; adaptmg's plots and exports; modules imported under a name made at run time;
-docstrings and annotations; what an object leaves out of its pickled state. ``depends=`` names such things.
+Not seen are data files, environment variables, the time, the working directory; the state of libraries and of Python
+(seeds of global generators, registries of classes); adaptmg or installed packages edited at run time; adaptmg's plots
+and exports; modules imported under a name made at run time; docstrings and annotations; what an object leaves out of
+its pickled state. ``depends=`` names such things.
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
-from typing import Any
 
 import numpy as np
 
@@ -48,13 +46,12 @@ __all__ = ["PACKAGES", "Fingerprint", "environment", "fingerprint", "value_parts
 #: on which the results of adaptmg depend, with itself
 PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
 _COMPILED = tuple(importlib.machinery.EXTENSION_SUFFIXES)
-_OWN, _ADAPTMG, _INSTALLED = "own", "adaptmg", "installed"
 _MAIN = ("__main__", "__mp_main__")
 _NOT_NUMERICAL = ("_fingerprint.py", "export", "plot", "study")
 _RANDOM = (np.random.Generator, np.random.RandomState, np.random.BitGenerator, random.Random)
 _NAMED = (FunctionType, type, ModuleType)
-#: a function that reads these may read any global
-_ANY_GLOBAL = {"eval", "exec", "globals", "modules"}
+#: a function that reads these may read any global, or import by any text
+_ANY_GLOBAL, _ANY_IMPORT = {"eval", "exec", "globals", "modules"}, {"__import__", "import_module", "modules"}
 #: names of a module or class that do not count
 _BOOKS = {"__abstractmethods__", "__annotate_func__", "__annotations__", "__builtins__", "__cached__", "__dict__",
           "__doc__", "__file__", "__firstlineno__", "__loader__", "__module__", "__name__", "__package__", "__path__",
@@ -70,7 +67,7 @@ class Fingerprint:
 
     @cached_property
     def code(self) -> str:
-        """One hash for all."""
+        """One hash of all parts."""
         text = "\n".join(f"{name}\0{value}" for name, value in sorted(self.parts.items()))
         return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
@@ -84,7 +81,7 @@ class Fingerprint:
         return Fingerprint({name: value for name, value in self.parts.items() if not name.startswith("depends ")})
 
     def differences(self, other: Mapping[str, str]) -> list[str]:
-        """Return what differs from the parts of another, as text."""
+        """Return the changes from the parts of another, as text."""
         found = []
         for name in sorted({*self.parts, *other}):
             now, then = self.parts.get(name), other.get(name)
@@ -94,12 +91,12 @@ class Fingerprint:
         return found
 
 
-def fingerprint(function: Callable[..., Any], depends: Mapping[str, Any] | None = None) -> Fingerprint:
+def fingerprint(function: Callable[..., object], depends: Mapping[str, object] | None = None) -> Fingerprint:
     """Return what a plain function depends on.
 
-    ``depends`` has values by name: for globals and variables of closures, which are then not compared themselves, or
-    for anything else. A :class:`pathlib.Path` stands for the content of the file. TypeError for other callables, and
-    for a value that the function reads and that cannot be compared.
+    ``depends`` has values by name, in place of globals and variables of closures, or for anything else; a
+    :class:`pathlib.Path` stands for the content of the file. TypeError for other callables, and for a value that the
+    function reads and that cannot be compared.
     """
     if not isinstance(function, FunctionType):
         raise TypeError(f"run must be a plain function (def), got {function!r}; give constants with fixed={{...}}")
@@ -110,7 +107,7 @@ def fingerprint(function: Callable[..., Any], depends: Mapping[str, Any] | None 
     return Fingerprint(references.parts | ({"adaptmg": _sources()} if references.uses_adaptmg else {}))
 
 
-def value_parts(values: Mapping[str, Any], depends: Mapping[str, Any] | None = None) -> dict[str, str]:
+def value_parts(values: Mapping[str, object], depends: Mapping[str, object] | None = None) -> dict[str, str]:
     """Return parts for values by name, with the code of the user's functions and classes in them.
 
     TypeError if a value cannot be compared, and is not named by ``depends``.
@@ -130,7 +127,7 @@ def environment() -> dict[str, str]:
 class _References:
     """Parts of all that is reached from a function or from values."""
 
-    def __init__(self, depends: Mapping[str, Any], main: Mapping[str, Any], whose: str, remedy: str) -> None:
+    def __init__(self, depends: Mapping[str, object], main: Mapping[str, object], whose: str, remedy: str) -> None:
         self.parts: dict[str, str] = {}
         self.uses_adaptmg = False
         self._depends, self._whose, self._remedy = depends, whose, remedy
@@ -138,28 +135,27 @@ class _References:
         script = main.get("__name__") in _MAIN and main.get("__file__")
         self._main = Path(script).stem if script else "__main__"
         self._names: dict[int, str] = {}
-        self._found: dict[str, list[Any]] = {}
-        self._waiting: list[tuple[str, Any]] = []  # no recursion, which has a limit
+        self._found: dict[str, list[object]] = {}
+        self._waiting: list[tuple[str, object]] = []  # no recursion, which has a limit
         for name, value in depends.items():
             self.parts[f"depends {name}"] = self._hash(value.read_bytes() if isinstance(value, Path) else value)
 
     def follow(self) -> None:
-        """Look into all functions, classes and modules that were found."""
+        """Examine all functions, classes and modules that were found."""
         while self._waiting:
             name, thing = self._waiting.pop()
             if isinstance(thing, FunctionType):
                 self._function(name, thing)
-            elif isinstance(thing, type):
+                continue
+            if isinstance(thing, type):
                 self.parts[f"class {name}"] = self._hash((thing.__bases__, type(thing)))
-                self._all(name, thing)
-            else:
-                self._all(name, thing)
+            self._all(name, thing)
 
-    def value(self, where: str, value: Any) -> None:
-        """Add a part; functions, classes and modules have parts of their own under their names."""
+    def value(self, where: str, value: object) -> None:
+        """Add a part; functions, classes and modules have parts under their own names."""
         bare = where.split(" ")[0].rpartition(".")[2]
         if {bare, where, f"value of {where}"}.intersection(self._depends) or (
-                isinstance(value, _NAMED) and self.name_of(value) == f"{_OWN} {where}"):
+                isinstance(value, _NAMED) and self.name_of(value) == f"own {where}"):
             return
         try:
             self.parts[f"value of {where}"] = self._hash(value)
@@ -167,27 +163,26 @@ class _References:
             raise TypeError(f"{self._whose} value of {where}, which cannot be compared ({error}); {self._remedy}name "
                             f"what stands for it: depends={{{bare!r}: ...}}") from error
 
-    def name_of(self, thing: Any, follow: bool = False) -> str:
+    def name_of(self, thing: object, follow: bool = False) -> str:
         """Return what stands for a function, class or module in values; the user's own are followed later."""
         if id(thing) in self._names:
             return self._names[id(thing)]
         module = thing.__name__ if isinstance(thing, ModuleType) else getattr(thing, "__module__", None)
         module = module if isinstance(module, str) else "builtins"
-        kind, inside = _kind(module), self._home(module)
-        # classes that are sent to workers lose the name of what they stand in
-        name = inside if isinstance(thing, ModuleType) else \
-            f"{inside}.{thing.__name__ if isinstance(thing, type) else thing.__qualname__}"
-        if kind != _OWN:
+        # classes that are sent to workers lose the name of the function around them
+        name = self._home(module) if isinstance(thing, ModuleType) else \
+            f"{self._home(module)}.{thing.__name__ if isinstance(thing, type) else thing.__qualname__}"
+        if not _is_own(module):
             self._package(module)
             if not follow:
-                return f"{kind} {name}"
+                return f"installed {name}"
         # closures and classes of one name get numbers; the list keeps them alive, and so their id
         same = self._found.setdefault(name, [])
         same.append(thing)
         name = name if len(same) == 1 else f"{name} {len(same)}"
-        self._names[id(thing)] = f"{_OWN} {name}"
+        self._names[id(thing)] = f"own {name}"
         self._waiting.append((name, thing))
-        return f"{_OWN} {name}"
+        return f"own {name}"
 
     def _home(self, module: str) -> str:
         return self._main if module in _MAIN else module
@@ -198,7 +193,7 @@ class _References:
         if top != "adaptmg" and top not in sys.stdlib_module_names:
             self.parts[f"package {top}"] = _version(top, getattr(_spec(module), "origin", None))
 
-    def _hash(self, value: Any) -> str:
+    def _hash(self, value: object) -> str:
         try:
             content = _pickled(value, self.name_of)
         except ValueError:  # an object that contains itself
@@ -228,17 +223,17 @@ class _References:
         for imported in imports:
             self._import(imported, namespace.get("__package__") or "")
 
-    def _read(self, where: str, value: Any, attributes: list[str]) -> None:
+    def _read(self, where: str, value: object, attributes: list[str]) -> None:
         """Add a variable, or of a user's module the attribute that is taken from it."""
         for attribute in attributes:
-            if not isinstance(value, ModuleType) or _kind(value.__name__) != _OWN or attribute not in vars(value):
+            if not isinstance(value, ModuleType) or not _is_own(value.__name__) or attribute not in vars(value):
                 break
             self.parts[f"value of {where}"] = self._hash(value.__name__)
             where, value = f"{self._home(value.__name__)}.{attribute}", vars(value)[attribute]
         self.value(where, value)
 
-    def _all(self, name: str, owner: Any) -> None:
-        """Add all names of a module, which may hold what cannot be compared, or of a class."""
+    def _all(self, name: str, owner: object) -> None:
+        """Add all names of a module, which may hold values that cannot be compared, or of a class."""
         for key, value in sorted(vars(owner).items()):
             if key not in _BOOKS and type(value).__name__ not in _DESCRIPTORS:
                 with contextlib.nullcontext() if isinstance(owner, type) else contextlib.suppress(TypeError):
@@ -252,19 +247,32 @@ class _References:
             package = package.rpartition(".")[0]
         for full in names if name else ():
             if full in sys.modules or _spec(full):
-                if _kind(full) != _OWN:
+                if not _is_own(full):
                     self._package(full)
                     continue
-                with contextlib.suppress(Exception):  # the run will say so
+                with contextlib.suppress(Exception):  # the run will raise it
                     self.name_of(importlib.import_module(full))
 
 
+#: what stands for objects that cannot be pickled, by their type
+_STANDS: dict[type, Callable[..., object]] = {
+    CodeType: lambda code: _plain_code(code), types.MappingProxyType: dict,
+    staticmethod: lambda value: ("staticmethod", value.__func__),
+    classmethod: lambda value: ("classmethod", value.__func__),
+    property: lambda value: ("property", value.fget, value.fset, value.fdel),
+    cached_property: lambda value: ("cached_property", value.func),  # holds a lock
+    typing.TypeVar: lambda value: ("TypeVar", value.__name__),
+    functools._lru_cache_wrapper:
+        lambda value: ("lru_cache", value.__wrapped__, value.cache_parameters()["typed"]),
+}
+
+
 class _Pickler(pickle.Pickler):
-    """Pickle for comparison: functions, classes and modules by name, what cannot be pickled but read by its parts."""
+    """Pickle for comparison: functions, classes and modules by name, some objects by their parts."""
 
-    name_of: Callable[[Any], str]
+    name_of: Callable[[object], str]
 
-    def persistent_id(self, value: Any) -> Any:
+    def persistent_id(self, value: typing.Any) -> object:
         kind = type(value)
         if kind in (str, int, float, bool, type(None), bytes, list, dict, tuple):
             return None
@@ -274,36 +282,25 @@ class _Pickler(pickle.Pickler):
             return self.name_of(value.__self__), value.__name__
         if kind in (set, frozenset):
             return kind.__name__, sorted(_pickled(item, self.name_of) for item in value)
-        if kind is CodeType:
-            return _plain_code(value)
-        if kind is types.MappingProxyType:
-            return dict(value)
-        if kind in (staticmethod, classmethod):
-            return kind.__name__, value.__func__
-        if kind is property:
-            return "property", value.fget, value.fset, value.fdel
-        if kind is cached_property:  # holds a lock
-            return "cached_property", value.func
-        if kind is typing.TypeVar:
-            return "TypeVar", value.__name__
-        if kind is functools._lru_cache_wrapper:
-            return "lru_cache", value.__wrapped__, value.cache_parameters()["typed"]
-        if kind.__module__.startswith("numba.") and hasattr(value, "jit_methods"):
-            return "jitclass", str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
-        if kind.__module__.startswith("numba.") and isinstance(
-                inner := getattr(value, "py_func", None) or getattr(value, "__wrapped__", None), FunctionType):
-            return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
+        if kind in _STANDS:
+            return _STANDS[kind](value)
+        if kind.__module__.startswith("numba."):
+            inner = getattr(value, "py_func", None) or getattr(value, "__wrapped__", None)
+            if hasattr(value, "jit_methods"):
+                return "jitclass", str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
+            if isinstance(inner, FunctionType):
+                return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
         if isinstance(value, _RANDOM):
             raise pickle.PicklingError("a generator of random numbers, which runs would share and change: make one in "
                                        "the function, from a seed that is a parameter")
         if isinstance(value, ctypes.CDLL):
             raise pickle.PicklingError("a library of C")
-        if caches := _caches(kind):
-            return kind, {name: part for name, part in vars(value).items() if name not in caches}
-        return None
+        # cached properties follow from the rest
+        caches = {name for owner in kind.__mro__ for name, part in vars(owner).items() if type(part) is cached_property}
+        return (kind, {name: part for name, part in vars(value).items() if name not in caches}) if caches else None
 
 
-def _pickled(value: Any, name_of: Callable[[Any], str], fast: bool = True) -> bytes:
+def _pickled(value: object, name_of: Callable[[object], str], fast: bool = True) -> bytes:
     buffer = io.BytesIO()
     pickler = _Pickler(buffer, 5)
     # without references to what was pickled before, which depend on whether equal strings are one object
@@ -312,14 +309,7 @@ def _pickled(value: Any, name_of: Callable[[Any], str], fast: bool = True) -> by
     return buffer.getvalue()
 
 
-@cache
-def _caches(kind: type) -> frozenset[str]:
-    """Names of cached properties, which follow from the rest."""
-    return frozenset(name for owner in kind.__mro__ for name, value in vars(owner).items()
-                     if type(value) is cached_property)
-
-
-def _plain_code(code: CodeType) -> tuple[Any, ...]:
+def _plain_code(code: CodeType) -> tuple[object, ...]:
     """Return a code object without file, lines and docstring."""
     constants = code.co_consts
     # Python 3.13 has a flag for docstrings; before, the first constant of every function that is defined is its own
@@ -335,12 +325,9 @@ def _reads(code: CodeType) -> tuple[list[tuple[str, ...]], list[str]]:
     """Return globals and variables of closures that are read, with attributes taken from them, and imports."""
     names: list[list[str]] = []
     imports: list[str] = []
-    texts: list[str] = []
-    chain: list[str] | None
     parts = [code]
     for part in parts:
         parts += [constant for constant in part.co_consts if isinstance(constant, CodeType)]
-        texts += [constant for constant in part.co_consts if isinstance(constant, str)]
         chain, module = None, ""
         for step in dis.get_instructions(part):
             if step.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS") \
@@ -356,8 +343,9 @@ def _reads(code: CodeType) -> tuple[list[tuple[str, ...]], list[str]]:
                 imports.append(module)
             elif step.opname == "IMPORT_FROM":
                 imports.append(f"{module}.{step.argval}" if module else step.argval)
-    if any(name in ("__import__", "import_module", "modules") for chain in names for name in chain):
-        imports += [text for text in texts if all(part.isidentifier() for part in text.split("."))]
+    if any(_ANY_IMPORT.intersection(chain) for chain in names):
+        imports += [text for part in parts for text in part.co_consts
+                    if isinstance(text, str) and all(piece.isidentifier() for piece in text.split("."))]
     return list(dict.fromkeys(map(tuple, names))), imports
 
 
@@ -368,25 +356,26 @@ def _installed_places() -> tuple[str, ...]:
     return tuple(os.path.realpath(place) + os.sep for place in places)
 
 
-def _spec(name: str) -> Any:
+def _spec(name: str) -> importlib.machinery.ModuleSpec | None:
     try:
         return importlib.util.find_spec(name)
     except Exception:  # made by hand, or sent to a worker that lacks it; or its package cannot be imported
         return None
 
 
-def _kind(module: str) -> str:
-    top, spec = module.split(".")[0], None if module in _MAIN else _spec(module)
-    if top == "adaptmg" or top in sys.stdlib_module_names:
-        return _ADAPTMG if top == "adaptmg" else _INSTALLED
+def _is_own(module: str) -> bool:
+    """Whether a module is one of the user's, and not compiled."""
+    if module.split(".")[0] in ("adaptmg", *sys.stdlib_module_names) and module not in _MAIN:
+        return False
+    spec = None if module in _MAIN else _spec(module)
     places = [] if spec is None else [spec.origin, *(spec.submodule_search_locations or ())]
-    return _INSTALLED if any(os.path.realpath(place).startswith(_installed_places()) or place.endswith(_COMPILED)
-                             for place in places if isinstance(place, str)) else _OWN
+    return not any(os.path.realpath(place).startswith(_installed_places()) or place.endswith(_COMPILED)
+                   for place in places if isinstance(place, str))
 
 
 @cache
 def _version(package: str, file: str | None = None) -> str:
-    """Return the version of an installed package, or the hash of a compiled module of the user's."""
+    """Return the version of an installed package, or the hash of a compiled module of the user."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -396,7 +385,7 @@ def _version(package: str, file: str | None = None) -> str:
 
 @cache
 def _sources() -> str:
-    """One hash of adaptmg's numerical sources as this process first saw them."""
+    """Return one hash of adaptmg's numerical sources as this process first saw them."""
     root, content = Path(__file__).parent, hashlib.sha256()
     for file in sorted(root.rglob("*.py")):
         if file.relative_to(root).parts[0] not in _NOT_NUMERICAL:

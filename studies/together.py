@@ -130,7 +130,7 @@ def to_draw(section: Section) -> dict[str, tuple[Any, str]]:
 def at_once(context: Context, names: Sequence[str], done: Done, workers: int,
             progress: Callable[[Any], None] | bool = False) -> list[str]:
     """All sections on one cluster of this machine, as :func:`in_turn`; ``progress`` as for :class:`Turns`."""
-    from adaptmg.study.cluster import local_cluster
+    from adaptmg.study import local_cluster
 
     modules = {name: importlib.import_module(name) for name in names}
     ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()

@@ -3,7 +3,3 @@
 from adaptmg.cli.commands import app, main
 
 __all__ = ["app", "main"]
-
-#: as they are listed
-_ORDER = ("cases", "solve", "adapt", "study", "runs", "report")
-app.registered_commands.sort(key=lambda command: _ORDER.index(command.callback.__name__))

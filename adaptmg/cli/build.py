@@ -1,9 +1,10 @@
 """From the settings of a run, by ``"section.key"``, to problem, grids, method, load path and adaptive loop.
 
-The keys are the arguments of what is made: fields of the option classes, arguments of cases and of the constructors of
-:class:`adaptmg.Hierarchy`. An object is chosen by the name of its class (``correction = "monotone"``), and its fields
-stand next to it (``pre`` of the cycle, ``friction`` of the law); those of solvers inside a method are written with a
-point (``coarse.rtol``). Defaults, checks and explanations are those of the classes. The same serves the command line.
+The keys are the arguments of the classes and functions: fields of the option classes, arguments of cases and of the
+constructors of :class:`adaptmg.Hierarchy`. An object is chosen by the name of its class (``correction = "monotone"``),
+and its fields stand next to it (``pre`` of the cycle, ``friction`` of the law); those of solvers inside a method are
+written with a point (``coarse.rtol``). Defaults, checks and explanations are those of the classes. The command line
+uses the same.
 """
 
 from __future__ import annotations
@@ -25,13 +26,17 @@ from adaptmg import _checks as checks
 from adaptmg.cases import get
 from adaptmg.estimate.step import Limits
 from adaptmg.problem.load_path import names_in_path
+from adaptmg.problem.plane_domains import Domain
 from adaptmg.solver.record import Solver
+from adaptmg.study.record import Value
 
 __all__ = ["DIVISIONS", "METHODS", "OBJECTS", "Key", "Settings", "WrongSetting", "adaptation", "arguments_of", "check",
-           "documented", "given_arguments", "grids", "keys_of", "load_path", "name_of", "problem_of", "section",
-           "solver_of"]
+           "given_arguments", "grids", "keys_of", "load_path", "name_of", "problem_of", "section", "solver_of"]
 
-Settings = Mapping[str, Any]
+Settings = Mapping[str, Value]
+#: keyword arguments of a class or function, and what makes an object or a problem from them
+Arguments = dict[str, Any]
+Maker = Callable[..., object]
 
 METHODS = (am.FullMultigrid, am.Multigrid, am.SingleGrid, am.ActiveSet)
 #: classes that an argument of this name takes, the default first
@@ -44,14 +49,15 @@ OBJECTS: dict[str, tuple[type, ...]] = {
     "engine": (am.Remesh, am.Bisect),
     "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening)}
 DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
-#: arguments that look plain, and are not for files
-_APART = ("store", "depends", "progress", "solver", "load_path")
+#: arguments that settings cannot give
+_APART = ("self", "problem", "store", "depends", "progress", "scheduler", "solver", "load_path", "coarse_solve",
+          "coarse_smoother", "flanges")
 #: nodes of grids that are refused before anything runs
 _MOST_NODES = {2: 5e6, 3: 2e6}
 
 
 class WrongSetting(ValueError):
-    """Settings of which a part cannot be made; ``section`` says in which section they are."""
+    """A setting that is refused; ``section`` is its section."""
 
     def __init__(self, text: str, section: str) -> None:
         super().__init__(text)
@@ -60,11 +66,11 @@ class WrongSetting(ValueError):
 
 @dataclass(frozen=True)
 class Key:
-    """A key as its argument describes it: what it takes, what it means, and its default as TOML ("": none)."""
+    """A key as the docstring of its argument describes it."""
 
-    values: str
+    values: str  # type or choices
     meaning: str
-    default: str = ""
+    default: str = ""  # as TOML, empty where there is none
 
     @property
     def real(self) -> bool:
@@ -72,7 +78,7 @@ class Key:
         return self.values.startswith("float")
 
 
-def section(settings: Settings, name: str) -> dict[str, Any]:
+def section(settings: Settings, name: str) -> Arguments:
     """Return the settings of a section, by key."""
     return {key[len(name) + 1:]: value for key, value in settings.items() if key.startswith(f"{name}.")}
 
@@ -82,7 +88,7 @@ def name_of(kind: type) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", kind.__name__).lower().removesuffix("-correction")
 
 
-def _class_of(argument: str, name: Any, kinds: Sequence[type]) -> type:
+def _class_of(argument: str, name: Value, kinds: Sequence[type]) -> type:
     known = {name_of(kind): kind for kind in kinds}
     if not isinstance(name, str) or name not in known:
         raise ValueError(f"{argument} must be one of {', '.join(known)}, got {checks.shown(name)}"
@@ -91,14 +97,13 @@ def _class_of(argument: str, name: Any, kinds: Sequence[type]) -> type:
 
 
 @cache
-def _parameters(function: Callable[..., Any]) -> dict[str, tuple[inspect.Parameter, tuple[type, ...]]]:
+def _parameters(function: Maker) -> dict[str, tuple[inspect.Parameter, tuple[type, ...]]]:
     """Arguments that settings can give, with the classes of those that are objects."""
     found = {}
     for name, item in inspect.signature(function).parameters.items():
-        annotation = str(item.annotation)
-        if name in OBJECTS and not annotation.startswith("str"):
+        if name in OBJECTS and not str(item.annotation).startswith("str"):
             found[name] = (item, OBJECTS[name])
-        elif name not in _APART and re.search(r"\b(float|int|bool|str|Literal|FieldLike|Factors)\b|^Any$", annotation):
+        elif name not in _APART and name not in _inner(function):
             found[name] = (item, ())
     return found
 
@@ -110,7 +115,7 @@ def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) ->
     return next((kind for kind in kinds if type(item.default) is kind), kinds[0])
 
 
-def _inner(function: Callable[..., Any]) -> dict[str, type]:
+def _inner(function: Maker) -> dict[str, type]:
     """Fields of a class that hold options of their own, such as the coarse solve of a method."""
     fields = dataclasses.fields(function) if dataclasses.is_dataclass(function) else ()
     return {field.name: field.default_factory for field in fields  # type: ignore[misc]
@@ -118,15 +123,16 @@ def _inner(function: Callable[..., Any]) -> dict[str, type]:
 
 
 @cache
-def keys_of(function: Callable[..., Any]) -> dict[str, Key]:
+def keys_of(function: Maker) -> dict[str, Key]:
     """Return the keys of a class or function: its arguments, and those of the objects that these may be."""
-    words = documented(function)
+    words = _documented(function)
     found, nested = {}, {}
     for name, (item, kinds) in _parameters(function).items():
         kind, meaning = words.get(name, ("", ""))
         default = _default_class(name, item, kinds)
         if kinds[1:]:
-            about = "; ".join(f"{name_of(choice)}: {_first_line(choice)}" for choice in kinds)
+            lines = {choice: (inspect.getdoc(choice) or "").splitlines()[0] for choice in kinds}
+            about = "; ".join(f"{name_of(choice)}: {_plain(line).rstrip('.')}" for choice, line in lines.items())
             found[name] = Key(" | ".join(map(name_of, kinds)), about, f'"{name_of(default)}"' if default else "")
         elif not kinds:
             annotation = str(item.annotation).removesuffix(" | None")
@@ -144,11 +150,7 @@ def keys_of(function: Callable[..., Any]) -> dict[str, Key]:
     return found | {key: value for key, value in nested.items() if key not in found}
 
 
-def _first_line(function: Callable[..., Any]) -> str:
-    return _plain((inspect.getdoc(function) or "").splitlines()[0]).rstrip(".")
-
-
-def _default(value: Any) -> str:
+def _default(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -160,11 +162,11 @@ _SEE = re.compile(r"(?:[Aa]s in|see) :func:`~?adaptmg\.cases\.\w+\.(\w+)`")
 
 
 @cache
-def documented(function: Callable[..., Any]) -> dict[str, tuple[str, str]]:
-    """Return what a docstring says of arguments: type and first sentence; for a class also those of its bases."""
+def _documented(function: Maker) -> dict[str, tuple[str, str]]:
+    """Return type and first sentence of each argument from a docstring; for a class also those of its bases."""
     found: dict[str, tuple[str, str]] = {}
     for base in function.__mro__[1:-1] if isinstance(function, type) else ():
-        found = documented(base) | found
+        found = _documented(base) | found
     lines = (inspect.getdoc(function) or "").splitlines()
     start = lines.index("Parameters") + 2 if "Parameters" in lines else len(lines)
     texts: dict[str, list[str]] = {}
@@ -185,7 +187,7 @@ def documented(function: Callable[..., Any]) -> dict[str, tuple[str, str]]:
 def _first_sentence(name: str, text: str) -> str:
     refers = _SEE.search(text)
     if refers:
-        return documented(get(refers[1]).function)[name][1]
+        return _documented(get(refers[1]).function)[name][1]
     known = {"young": "Young's modulus, Pa", "poisson": "Poisson's ratio"}
     text = text.replace("Pa, and a number", known.get(name, "Pa, and a number"))
     return re.split(r"(?<=[^.])\.\s+(?=[A-Z])", _plain(text))[0].rstrip(".")
@@ -196,17 +198,15 @@ def _plain(text: str) -> str:
     return re.sub(r":\w+:`~?([^`]*)`", r"\1", text).replace("`", "").strip()
 
 
-def arguments_of(function: Callable[..., Any], given: dict[str, Any], before: str, what: str) -> dict[str, Any]:
-    """Return keyword arguments of a class or function; what it takes is removed from ``given``.
+def arguments_of(function: Maker, given: Arguments, before: str, what: str) -> Arguments:
+    """Return keyword arguments of a class or function, and remove them from ``given``.
 
-    In messages ``before`` is what keys begin with, such as "solver.", and ``what`` is what they are given for.
+    In messages keys begin with ``before``, such as "solver.", and ``what`` names the function.
     """
-    found: dict[str, Any] = {}
+    found: Arguments = {}
     known = _parameters(function)
     for name in (name for name, (_, kinds) in known.items() if not kinds):
-        if table := section(given, name):
-            for key in table:
-                del given[f"{name}.{key}"]
+        if table := _taken(given, name):
             found[name] = _by_level(before + name, table)
         elif name in given:
             found[name] = given.pop(name)
@@ -217,11 +217,9 @@ def arguments_of(function: Callable[..., Any], given: dict[str, Any], before: st
             if kind is not None and (word is not None or set(keys_of(kind)) & set(given)):
                 found[name] = kind(**arguments_of(kind, given, before, f"{before}{name} {name_of(kind)}"))
     for name, kind in _inner(function).items():
-        if table := section(given, name):
-            for key in table:
-                del given[f"{name}.{key}"]
+        if table := _taken(given, name):
             try:
-                found[name] = made(kind, table, f"{before}{name}.", name)
+                found[name] = _made(kind, table, f"{before}{name}.", name)
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{before}{name}: {error}") from error
     for name, (item, _) in known.items():
@@ -230,15 +228,23 @@ def arguments_of(function: Callable[..., Any], given: dict[str, Any], before: st
     return found
 
 
-def made(function: Callable[..., Any], given: dict[str, Any], before: str, what: str,
+def _taken(given: Arguments, name: str) -> Arguments:
+    """Remove the settings of a table from ``given``, and return them."""
+    table = section(given, name)
+    for key in table:
+        del given[f"{name}.{key}"]
+    return table
+
+
+def _made(function: Maker, given: Arguments, before: str, what: str,
          others: Sequence[type] = ()) -> Any:
-    """Call a class or function with settings; ValueError for those that only ``others`` take, or nothing."""
+    """Call a class or function with settings; ValueError for settings that it does not take."""
     arguments = arguments_of(function, given, before, what)
     _check_used(given, before, what, keys_of(function), others)
     return function(**arguments)
 
 
-def _check_used(given: Mapping[str, Any], before: str, what: str, known: Mapping[str, Key],
+def _check_used(given: Settings, before: str, what: str, known: Mapping[str, Key],
                 others: Sequence[type] = ()) -> None:
     for key in given:
         owners = [f"{before}{name} {name_of(kind)}" for name, kinds in OBJECTS.items() for kind in kinds
@@ -250,7 +256,7 @@ def _check_used(given: Mapping[str, Any], before: str, what: str, known: Mapping
             f": it belongs to {' or '.join(owners)}" if owners else f"; it takes {', '.join(known)}"))
 
 
-def _by_level(name: str, table: dict[str, Any]) -> Any:
+def _by_level(name: str, table: Arguments) -> Arguments | list[Arguments]:
     """Values by name of body; lists of them, coarse to fine, become one such table a level."""
     lists = [value for value in table.values() if isinstance(value, tuple)]
     if not lists:
@@ -261,44 +267,45 @@ def _by_level(name: str, table: dict[str, Any]) -> Any:
 
 
 def check(settings: Settings) -> None:
-    """Make what can be made without meshing; WrongSetting for what cannot be."""
-    task: Any = None
-    name = ""
+    """Make problem, path, method and arguments without meshing; WrongSetting for settings that are refused."""
+    def hierarchy(given: Arguments) -> None:
+        if not section(settings, "adapt"):
+            _check_grids(task, *_grid_arguments(task, given, "hierarchy."))
+        elif given:
+            raise ValueError("give [hierarchy] or [adapt], not both: adaptation makes its own meshes")
+
+    def adapt(given: Arguments) -> None:
+        if given:
+            found = adaptation(settings)
+            Limits(**{limit: found[limit] for limit in ("tolerance", "max_nodes", "max_seconds") if limit in found})
+            for part in _parts(task).values() if "start" in found else ():
+                _check_size("adapt.start", checks.quantity("start", found["start"], positive=True), part)
+
+    task = _in_section("case", settings, problem_of)
+    _in_section("load_path", settings, lambda given: _check_path(task, load_path(settings)))
+    _in_section("hierarchy", settings, hierarchy)
+    _in_section("solver", settings, solver_of)
+    _in_section("adapt", settings, adapt)
+    _in_section("measure", settings, lambda given: _check_measures(task, given))
+
+
+def _in_section(name: str, settings: Settings, make: Maker) -> Any:
     try:
-        for name in ("case", "load_path", "hierarchy", "solver", "adapt", "measure"):
-            given = section(settings, name)
-            if name == "case":
-                task = problem_of(given)
-            elif name == "load_path":
-                _check_path(task, load_path(settings))
-            elif name == "solver":
-                solver_of(given)
-            elif name == "measure":
-                _check_measures(task, given)
-            elif name == "adapt" and given:
-                found = adaptation(settings)
-                Limits(**{limit: found[limit] for limit in ("tolerance", "max_nodes", "max_seconds") if limit in found})
-                if "start" in found:
-                    for part in _parts(task).values():
-                        _check_size("adapt.start", checks.quantity("start", found["start"], positive=True), part)
-            elif name == "hierarchy" and not section(settings, "adapt"):
-                _check_grids(task, *_grid_arguments(task, given, "hierarchy."))
-            elif given:
-                raise ValueError("give [hierarchy] or [adapt], not both: adaptation makes its own meshes")
+        return make(section(settings, name))
     except (ValueError, TypeError) as error:
         raise WrongSetting(str(error), name) from error
 
 
-def problem_of(given: dict[str, Any], before: str = "case.") -> am.ContactProblem:
+def problem_of(given: Arguments, before: str = "case.") -> am.ContactProblem:
     """Return the problem of a case with its arguments; friction or limit alone choose the law."""
     name = given.pop("case")
     function = get(name).function
     if "law" not in given and "law" in _parameters(function) and {"friction", "limit"} & set(given):
         given["law"] = "coulomb" if "friction" in given else "tresca"
-    return made(function, given, before, f"the case {name}")
+    return _made(function, given, before, f"the case {name}")
 
 
-def given_arguments(case: str, texts: Sequence[str]) -> dict[str, Any]:
+def given_arguments(case: str, texts: Sequence[str]) -> Arguments:
     """Return the arguments of a case that the command line gives as NAME=VALUE."""
     known, found = keys_of(get(case).function), {}
     laws = {"case", "law", *(key for kind in OBJECTS["law"] for key in keys_of(kind))}
@@ -333,16 +340,16 @@ def _check_path(task: am.ContactProblem, path: am.LoadPath | None) -> None:
                              f"loads on {', '.join(known)}")
 
 
-def solver_of(given: dict[str, Any], before: str = "solver.", method: str = "solver.method") -> Solver:
+def solver_of(given: Arguments, before: str = "solver.", method: str = "solver.method") -> Solver:
     """Return the method; ``max_cycles`` stands for the limit of each."""
     name = given.pop("method", name_of(am.FullMultigrid))
     kind = _class_of(method, name, METHODS)
     if "max_cycles" in given:
         given[next(key for key in _parameters(kind) if key.startswith("max_"))] = given.pop("max_cycles")
-    return made(kind, given, before, f"{method} {name}", METHODS)
+    return _made(kind, given, before, f"{method} {name}", METHODS)
 
 
-def adaptation(settings: Settings) -> dict[str, Any]:
+def adaptation(settings: Settings) -> Arguments:
     """Return the arguments of :func:`adaptmg.adapt` after the problem."""
     given = section(settings, "adapt")
     found = arguments_of(am.adapt, given, "adapt.", "[adapt]")
@@ -362,15 +369,15 @@ def _check_measures(task: am.ContactProblem, given: Settings) -> None:
                              f"are {', '.join(known)}")
 
 
-def grids(task: am.ContactProblem, given: dict[str, Any], before: str = "hierarchy.") -> am.Hierarchy:
+def grids(task: am.ContactProblem, given: Arguments, before: str = "hierarchy.") -> am.Hierarchy:
     """Return uniform grids, independent ones where sizes are given, or one of either bisected at contact."""
     constructor, arguments, levels = _grid_arguments(task, given, before)
     found = constructor(task, **arguments)
     return found if levels is None else am.Hierarchy.bisected(task, found.levels[0].mesh, levels)
 
 
-def _grid_arguments(task: am.ContactProblem, given: dict[str, Any], before: str
-                    ) -> tuple[Callable[..., am.Hierarchy], dict[str, Any], int | None]:
+def _grid_arguments(task: am.ContactProblem, given: Arguments, before: str
+                    ) -> tuple[Callable[..., am.Hierarchy], Arguments, int | None]:
     """The constructor of a hierarchy with its arguments, and how often the mesh is bisected."""
     sized, levels = any(re.match(r"sizes\b", key) for key in given), given.pop("levels", None)
     if sized and any(re.match(r"divisions\b", key) for key in given):
@@ -390,12 +397,12 @@ def _grid_arguments(task: am.ContactProblem, given: dict[str, Any], before: str
     return constructor, arguments, levels
 
 
-def _parts(task: am.ContactProblem) -> dict[str, Any]:
+def _parts(task: am.ContactProblem) -> dict[str, Domain]:
     """Domains by name of body; of a single one the name is empty."""
     return getattr(task.domain, "parts", {"": task.domain})
 
 
-def _check_size(name: str, size: float, part: Any) -> None:
+def _check_size(name: str, size: float, part: Domain) -> None:
     """Most sizes that are too large are in millimetres."""
     longest = float((part.upper - part.lower).max())
     if size > longest:
@@ -403,7 +410,7 @@ def _check_size(name: str, size: float, part: Any) -> None:
                          f"{longest / 4:g}")
 
 
-def _check_grids(task: am.ContactProblem, constructor: Any, arguments: dict[str, Any], levels: int | None) -> None:
+def _check_grids(task: am.ContactProblem, constructor: Maker, arguments: Arguments, levels: int | None) -> None:
     """ValueError for grids of which some are not from coarse to fine, or would take hours."""
     parts, sized = _parts(task), "sizes" in arguments
     key = "sizes" if sized else "divisions"

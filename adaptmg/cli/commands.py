@@ -1,11 +1,4 @@
-"""The commands and their options. What is heavy is imported inside them, so that ``--help`` is instant.
-
-``adaptmg study FILE.toml``: run a study that a file describes.
-
-``adaptmg runs STORE``: what a store holds, filtered, and as a file.
-
-``adaptmg report STORE``: the runs of a study as one HTML page, with pictures, and as CSV beside it.
-"""
+"""The commands and their options. Heavy modules are imported inside them, so that ``--help`` is instant."""
 
 from __future__ import annotations
 
@@ -16,7 +9,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, TextIO
 
 import typer
 
@@ -24,7 +17,7 @@ from adaptmg import __version__
 
 __all__ = ["app", "main", "report", "runs", "study"]
 
-# names of classes, for --help, which loads none of them: a test compares these with adaptmg.cli.build
+# names of classes for --help, which loads none of them; a test compares these with adaptmg.cli.build
 SolverName = Literal["full-multigrid", "multigrid", "single-grid", "active-set"]
 LawName = Literal["frictionless", "coulomb", "tresca"]
 TransferName = Literal["interpolation", "l2", "lumped-l2", "pseudo-l2", "quasi-interpolation"]
@@ -33,6 +26,18 @@ Shape = Literal["V", "W", "F", "complete"]
 LinearName = Literal["direct", "amg"]
 EngineName = Literal["remesh", "bisect"]
 IndicatorName = Literal["residual", "recovery"]
+
+# options of several commands
+CaseOption = Annotated[str, typer.Argument(help="Name of a case, see 'adaptmg cases'.")]
+LawOption = Annotated[LawName | None, typer.Option("--law", show_default="that of the case", help="Contact law.")]
+FrictionOption = Annotated[float | None, typer.Option("--friction", help="Coefficient of Coulomb friction.")]
+LimitOption = Annotated[float | None, typer.Option("--limit", help="Tresca limit, Pa.")]
+SetOption = Annotated[list[str] | None, typer.Option(
+    "--set", metavar="NAME=VALUE", help="Argument of the case, see 'adaptmg cases NAME'; several times.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+StoreOption = Annotated[Path, typer.Argument(help="SQLite file of studies.")]
+StudyOption = Annotated[str | None, typer.Option(
+    "--study", show_default="the only one", help="Name of a study in the store.")]
 
 app = typer.Typer(pretty_exceptions_enable=False,
                   context_settings={"help_option_names": ["-h", "--help"]},
@@ -59,10 +64,10 @@ def _root(context: typer.Context,
 def cases(
     case: Annotated[str | None, typer.Argument(help="Name of a case: its arguments and boundaries.",
                                                show_default=False)] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """List the benchmark cases, or say what one is: arguments with units and defaults, boundaries, loads."""
-    with _told(as_json):
+    """List the benchmark cases, or explain one: arguments with units and defaults, boundaries, loads."""
+    with _errors(as_json):
         from adaptmg.cases import CASES
 
         if case is not None:
@@ -81,7 +86,7 @@ def cases(
 @app.command(epilog="Example: adaptmg solve greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
                     "--transfer pseudo-l2 --friction 0.3 --set young=7e10 --out results/bar")
 def solve(
-    case: Annotated[str, typer.Argument(help="Name of a case, see 'adaptmg cases'.")],
+    case: CaseOption,
     divisions: Annotated[str | None, typer.Option(
         show_default="4,8,16,32; 3D: 2,4,8", help="Uniform nested grids: cells a side, coarse to fine.")] = None,
     sizes: Annotated[str | None, typer.Option(
@@ -90,11 +95,10 @@ def solve(
         show_default="1", help="With --sizes: size away from contact over size at contact.")] = None,
     transfer: Annotated[TransferName | None, typer.Option(
         show_default="interpolation", help="With --sizes: transfer between the grids.")] = None,
-    law: Annotated[LawName | None, typer.Option(show_default="that of the case", help="Contact law.")] = None,
-    friction: Annotated[float | None, typer.Option(help="Coefficient of Coulomb friction.")] = None,
-    limit: Annotated[float | None, typer.Option(help="Tresca limit, Pa.")] = None,
-    own: Annotated[list[str] | None, typer.Option(
-        "--set", metavar="NAME=VALUE", help="Argument of the case, see 'adaptmg cases NAME'; several times.")] = None,
+    law: LawOption = None,
+    friction: FrictionOption = None,
+    limit: LimitOption = None,
+    arguments: SetOption = None,
     solver: Annotated[SolverName, typer.Option(help="Method.")] = "full-multigrid",
     correction: Annotated[CorrectionName | None, typer.Option(
         show_default="truncated, or monotone with --cycle, --pre, --post, --omega",
@@ -110,22 +114,22 @@ def solve(
     most: Annotated[int | None, typer.Option(
         "--max-cycles", show_default="that of the method", help="Cycles, sweeps or Newton steps at most.")] = None,
     out: Annotated[Path | None, typer.Option(help="Directory for the result (.npz), pictures and a .vtu file.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Solve a case and say how it went.
+    """Solve a case and print the result.
 
     Exit code 1 if the tolerance was not reached, 2 for bad input, 130 for Ctrl-C.
     """
-    with _told(as_json):
+    with _errors(as_json):
         from adaptmg.cli import solve_case
         from adaptmg.cli.output import watched
 
         folder = None if out is None else solve_case.out_folder(out)
-        problem = solve_case.problem_of(case, law, friction, limit, own or ())
+        problem = solve_case.problem_of(case, arguments or (), law=law, friction=friction, limit=limit)
         method = solve_case.method_of(solver, correction=correction, shape=cycle, pre=pre, post=post, omega=omega,
                                       linear=linear, rtol=rtol, max_cycles=most)
         with watched(method.rtol) as callback:
-            grids = solve_case.hierarchy_of(problem, divisions, sizes, contact_ratio, transfer)
+            grids = solve_case.hierarchy_of(problem, divisions, sizes, contact_ratio=contact_ratio, transfer=transfer)
             result = solve_case.solved(grids, method, callback)
         files = [] if folder is None else solve_case.write(folder, problem, grids, result)
         if as_json:
@@ -139,63 +143,63 @@ def solve(
 
 @app.command(epilog="Example: adaptmg adapt upset_block --max-nodes 20000 --engine bisect --out results/upset")
 def adapt(
-    case: Annotated[str, typer.Argument(help="Name of a case, see 'adaptmg cases'.")],
+    case: CaseOption,
     start: Annotated[float | None, typer.Option(
         show_default="an eighth of a body", help="Element size of the first mesh, m.")] = None,
     tolerance: Annotated[float | None, typer.Option(
-        help="Stop when the estimate is so small, relative to the energy norm of the displacement.")] = None,
+        help="Stop at this estimate of the error, relative to the energy norm of the displacement.")] = None,
     max_nodes: Annotated[int | None, typer.Option(
         show_default="20000 if no limit is given", help="Nodes at most.")] = None,
-    max_seconds: Annotated[float | None, typer.Option(help="Begin no step after so many seconds.")] = None,
+    max_seconds: Annotated[float | None, typer.Option(help="Begin no step after this time.")] = None,
     engine: Annotated[EngineName, typer.Option(
-        help="Meshes made anew by sizes, or marked elements bisected.")] = "remesh",
-    indicator: Annotated[IndicatorName, typer.Option(help="What estimates the error.")] = "residual",
+        help="New meshes by sizes, or bisection of marked elements.")] = "remesh",
+    indicator: Annotated[IndicatorName, typer.Option(help="Estimate of the error.")] = "residual",
     theta: Annotated[float, typer.Option(help="Share of the estimate whose elements are marked (bisect).")] = 0.5,
-    law: Annotated[LawName | None, typer.Option(show_default="that of the case", help="Contact law.")] = None,
-    friction: Annotated[float | None, typer.Option(help="Coefficient of Coulomb friction.")] = None,
-    limit: Annotated[float | None, typer.Option(help="Tresca limit, Pa.")] = None,
-    own: Annotated[list[str] | None, typer.Option(
-        "--set", metavar="NAME=VALUE", help="Argument of the case, see 'adaptmg cases NAME'; several times.")] = None,
+    law: LawOption = None,
+    friction: FrictionOption = None,
+    limit: LimitOption = None,
+    arguments: SetOption = None,
     out: Annotated[Path | None, typer.Option(
         help="Directory for the last result (.npz), pictures and a .vtu file.")] = None,
     store: Annotated[Path | None, typer.Option(
-        help="Directory where every step is kept; a loop that was broken off goes on there.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+        help="Directory that keeps every step; an interrupted loop goes on from there.")] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Solve a case on meshes that follow the error, until a limit is reached: a line a step.
 
     Exit code 1 if a mesh could not be solved to its tolerance, 2 for bad input, 130 for Ctrl-C: with --store the same
     command goes on.
     """
-    with _told(as_json, "" if store is None else "what is done is stored, the same command goes on"):
+    with _errors(as_json, "" if store is None else "finished steps are stored, the same command goes on"):
         from adaptmg.cli import solve_case
         from adaptmg.cli.output import watched_loop
 
         folder = None if out is None else solve_case.out_folder(out)
-        problem = solve_case.problem_of(case, law, friction, limit, own or ())
-        told: list[str] = []
+        problem = solve_case.problem_of(case, arguments or (), law=law, friction=friction, limit=limit)
+        waiting: list[str] = []
         with watched_loop() as progress:
-            # lines would run into the bar: they wait until it has gone
-            say = told.append if as_json or progress is not None else _say
-            steps = solve_case.stepped(problem, start, indicator, engine, theta,
-                                     solve_case.limits(tolerance, max_nodes, max_seconds), store, progress, say)
+            # lines would run into the bar: they wait until it ends
+            say = waiting.append if as_json or progress is not None else _say
+            steps = solve_case.stepped(
+                problem, start, {"indicator": indicator, "engine": engine, "theta": theta},
+                {"tolerance": tolerance, "max_nodes": max_nodes, "max_seconds": max_seconds}, store, progress, say)
         files = [] if folder is None else solve_case.write_loop(folder, problem, steps)
         if as_json:
             _say(json.dumps(solve_case.loop_summary(steps, files), indent=2, allow_nan=False))
         else:
             last = steps[-1]
-            _say("\n".join([*told, last.outcome, "", repr(last.result), *(f"wrote {file}" for file in files)]))
+            _say("\n".join([*waiting, last.outcome, "", repr(last.result), *(f"wrote {file}" for file in files)]))
 
 
 @contextmanager
-def _told(as_json: bool = False, go_on: str = "") -> Iterator[None]:
+def _errors(as_json: bool = False, go_on: str = "") -> Iterator[None]:
     """Bad input and files that cannot be written become a line on standard error and exit code 2; Ctrl-C is 130."""
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
             yield
     except BrokenPipeError:
-        raise  # who read the output has gone: typer ends quietly
+        raise  # the reader of the output has gone: typer ends quietly
     except KeyboardInterrupt:
         _fail(f"interrupted{': ' * bool(go_on)}{go_on}", as_json)
         raise typer.Exit(130) from None
@@ -206,8 +210,9 @@ def _told(as_json: bool = False, go_on: str = "") -> Iterator[None]:
         raise typer.Exit(1 if missed else 2) from None
 
 
-def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
-    """A warning as a line; where in Python it arose is of no use here."""
+def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
+          line: str | None = None) -> None:
+    """Print a warning as a line, without its place in Python."""
     _say(f"adaptmg: warning: {' '.join(str(message).split())}", err=True)
 
 
@@ -218,7 +223,7 @@ def _fail(text: str, as_json: bool) -> None:
 
 
 def _words(error: Exception) -> str:
-    """What an exception says, without numbers of the operating system."""
+    """Return the message of an exception, without numbers of the operating system."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror if error.filename is None else f"{error.strerror}: {error.filename!r}"
     if isinstance(error, MemoryError):
@@ -228,7 +233,7 @@ def _words(error: Exception) -> str:
 
 
 def _say(text: str, err: bool = False) -> None:
-    """Print a text whatever is in it and whatever the terminal can show; characters it cannot become codes."""
+    """Print any text on any terminal; characters that it cannot show become codes."""
     from adaptmg._text import printable
 
     stream = sys.stderr if err else sys.stdout
@@ -239,7 +244,7 @@ def _say(text: str, err: bool = False) -> None:
 @app.command(epilog="Example: adaptmg study --template greco_bar > my.toml, then adaptmg study my.toml --workers 4")
 def study(
     file: Annotated[Path | None, typer.Argument(
-        help="TOML file: --keys says what may stand in it, --template prints one.", metavar="FILE.toml",
+        help="TOML file: --keys lists its keys, --template prints one.", metavar="FILE.toml",
         show_default=False)] = None,
     keys: Annotated[bool, typer.Option("--keys", help="List all keys and measures, with units and defaults.")] = False,
     template: Annotated[str | None, typer.Option(
@@ -249,18 +254,18 @@ def study(
     scheduler: Annotated[str | None, typer.Option(
         help="Address of a dask scheduler instead, such as tcp://host:8786.")] = None,
     store: Annotated[Path | None, typer.Option(show_default="that of the file", help="SQLite file.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would run, and run nothing.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the runs without computing them.")] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what failed.")] = False,
     rerun: Annotated[bool, typer.Option("--rerun", help="Run everything again.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no table: errors alone.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run a study and print its table.
 
-    What is stored is not run again. Exit code 0: all runs done and converged; 1: a run failed or did not converge;
-    2: bad input; 130: Ctrl-C, the same command goes on.
+    Runs that are stored are not computed again. Exit code 0: all runs done and converged; 1: a run failed or did not
+    converge; 2: bad input; 130: Ctrl-C, the same command goes on.
     """
-    with _told(as_json, "what is done is stored, the same command goes on"):
+    with _errors(as_json, "finished runs are stored, the same command goes on"):
         if keys or template is not None:
             from adaptmg.cli import explain
 
@@ -271,34 +276,32 @@ def study(
             return
         if file is None:
             raise ValueError("give a file: adaptmg study FILE.toml; --template CASE prints one to begin with")
-        from adaptmg.cli.study_file import check_options, read
+        from adaptmg.cli import study_file
 
-        said = read(file)
-        options = {**said.options, "rerun": rerun, "retry_failed": retry_failed}
+        described = study_file.read(file)
+        options = {**described.options, "rerun": rerun, "retry_failed": retry_failed}
         if workers is not None or scheduler is not None:
             options |= {"workers": workers, "scheduler": scheduler}
-        check_options(said, options)
-        from adaptmg.cli.study_file import checked, plan, summary, unsolved, warm
-
-        target = said.store if store is None else store
-        # a dry run leaves nothing behind
-        made = checked(said, target if not dry_run or target.exists() else None)
+        study_file.check_options(described, options)
+        target = described.store if store is None else store
+        # a dry run writes nothing
+        made = study_file.checked(described, target if not dry_run or target.exists() else None)
         if dry_run:
-            _say(json.dumps(summary(made, False), indent=2) if as_json else plan(made))
+            _say(json.dumps(study_file.summary(made, False), indent=2) if as_json else study_file.plan(made))
             return
         if options.get("workers") is None and scheduler is None:
-            warm(made)
+            study_file.warm(made)
         with _logged(quiet):
             table = made.run(progress=False if quiet else None, **options)
         if as_json:
-            _say(json.dumps(summary(made, True), indent=2, allow_nan=False))
+            _say(json.dumps(study_file.summary(made, True), indent=2, allow_nan=False))
         elif not quiet:
             from adaptmg.cli.measure import units_of
             from adaptmg.cli.output import printed
 
             _say(printed(table.drop(columns=["error"]), made.parameters, units=units_of(table)))
             _say(f"\n{made.status()!r}\nstored in {target}")
-        failed, missed = int((table["status"] == "failed").sum()), unsolved(table)
+        failed, missed = int((table["status"] == "failed").sum()), study_file.unsolved(table)
     for count, words in ((failed, "failed: --retry-failed runs them again"),
                          (missed, "did not converge, see the column outcome")):
         if count:
@@ -309,7 +312,7 @@ def study(
 
 @contextmanager
 def _logged(quiet: bool) -> Iterator[None]:
-    """Send the log of studies to standard error: a line a run where that is no terminal, else what goes wrong."""
+    """Send the log of studies to standard error: failures only on a terminal, else a line for each run."""
     logger = logging.getLogger("adaptmg.study")
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(message)s"))
@@ -328,9 +331,8 @@ def _logged(quiet: bool) -> Iterator[None]:
 @app.command(epilog="Example: adaptmg runs results/friction.sqlite --where case.friction=0.2 --where \"cycles>20\" "
                     "--to friction.csv")
 def runs(
-    store: Annotated[Path, typer.Argument(help="SQLite file of studies.")],
-    study: Annotated[str | None, typer.Option(
-        show_default="the only one", help="Name of a study in the store.")] = None,
+    store: StoreOption,
+    study: StudyOption = None,
     status: Annotated[str | None, typer.Option(help="Only runs that are 'done' or 'failed'.")] = None,
     where: Annotated[list[str] | None, typer.Option(
         help="Only runs with NAME=VALUE, or with !=, <, <=, >, >= and a number; several times: all of them.")] = None,
@@ -339,40 +341,36 @@ def runs(
     to: Annotated[Path | None, typer.Option(
         help="Write all of them to a file: .csv, .tex, or .parquet (which needs pyarrow).")] = None,
     take_in: Annotated[Path | None, typer.Option(
-        help="First take in the runs of another store, such as one that was rescued.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+        help="First copy the runs of another store into this one.")] = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Show the runs in a store: without --study those of its one study, or which studies it has."""
-    with _told(as_json):
+    """Show the runs in a store: without --study those of its one study, or the list of its studies."""
+    with _errors(as_json):
         from adaptmg import _checks as checks
         from adaptmg.cli import runs
         from adaptmg.cli.output import lines, printed, rows
 
         if status is not None:
             checks.choice("--status", status, ("done", "failed"))
-        wanted = [runs.parsed(text) for text in where or []]
+        conditions = [runs.parsed(text) for text in where or []]
         if to is not None:
-            from adaptmg.cli import runs
-
             runs.ending(to)
         if take_in is None:
             found = runs.opened(store)
         else:
             from adaptmg.study.store import Store
 
-            runs.opened(take_in)  # a store that was removed is made again only for one that is there
+            runs.opened(take_in)  # no store is made for one that does not exist
             found = Store(store)
             _say(f"{found.take_in(take_in)} runs taken in from {take_in}", err=True)
         names = found.studies()
-        if study is None and len(names) != 1:
-            if to is not None or wanted or status is not None:
-                raise ValueError(runs.which(store, names))
+        if study is None and len(names) != 1 and not (to or conditions or status):
             table = runs.studies(found)
             _say(lines(rows(table)) if as_json else printed(table, ["study"], units={"seconds": "s"}))
             return
-        name = runs.chosen(names, study)
-        table, total = runs.selected(found, name, status=status, where=wanted, details=details,
-                                        limit=None if as_json or to is not None else limit)
+        name = runs.chosen(store, names, study)
+        table, total = runs.selected(found, name, status=status, where=conditions, details=details,
+                                     limit=None if as_json or to is not None else limit)
         if to is not None:
             runs.write(table, to, runs.units(found, name, table))
             _say(f"wrote {to}", err=True)
@@ -384,45 +382,39 @@ def runs(
             note = f"... {rest} more: --limit, or --to FILE.csv for all" if rest > 0 else counted
             first = found.runs(name, limit=1)
             _say(printed(runs.short(table), list(first[0].parameters) if first else [],
-                        units=runs.units(found, name, table), note=note))
+                         units=runs.units(found, name, table), note=note))
 
 
 @app.command(epilog="Example: adaptmg report results/friction.sqlite --result cycles --to friction.html")
 def report(
-    store: Annotated[Path, typer.Argument(help="SQLite file of studies.")],
-    study: Annotated[str | None, typer.Option(
-        show_default="the only one", help="Name of a study in the store.")] = None,
+    store: StoreOption,
+    study: StudyOption = None,
     result: Annotated[list[str] | None, typer.Option(
         show_default="the first two that vary", help="Column to draw; may be given several times.")] = None,
     to: Annotated[Path | None, typer.Option(
-        show_default="beside the store, named as the study", help="The HTML file to write.")] = None,
+        show_default="next to the store, named as the study", help="The HTML file to write.")] = None,
 ) -> None:
     """Write a page that opens offline: how many runs there are, pictures of results, all runs, those that failed."""
-    with _told():
+    with _errors():
         from adaptmg import _checks as checks
         from adaptmg.cli import runs
         from adaptmg.export import study_report
-        from adaptmg.study.tables import from_columns
 
         found = runs.opened(store)
-        names = found.studies()
-        if not names or (study is None and len(names) != 1):
-            raise ValueError(runs.which(store, names))
-        name = runs.chosen(names, study)
+        name = runs.chosen(store, found.studies(), study)
         records = found.runs(name)
-        columns, _ = runs.selected(found, name)
-        table = from_columns(columns)
+        table, _ = runs.selected(found, name)
         table.attrs["study"] = name
-        known = {key for record in records for key in record.parameters}
+        parameters = {key for record in records for key in record.parameters}
         if to is None and Path(name).name != name:
             raise ValueError(f"--to must be given, as the name of the study cannot be that of a file: {name!r}")
         page = store.with_name(f"{name}.html") if to is None else checks.file_path("--to", to)
         csv = page.with_suffix(".csv")
         if csv == page:
             raise ValueError(f"--to must be an HTML file, got {checks.shown(str(to))}: its table goes into a .csv "
-                             "beside it")
-        written = study_report(table, page, parameters=[key for key in table if key in known], results=result,
-                               csv=csv.name, units=runs.units(found, name, columns),
-                               summary=runs.same_in_all(records, columns), made=runs.made(records))
-        runs.write(columns, csv)
+                             "next to it")
+        written = study_report(table, page, parameters=[key for key in table if key in parameters], results=result,
+                               csv=csv.name, units=runs.units(found, name, table),
+                               summary=runs.same_in_all(records, table), made=runs.made(records))
+        runs.write(table, csv)
         _say(f"wrote {written} and {csv}", err=True)

@@ -4,31 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import adaptmg as am
 from adaptmg.cli.build import Settings, adaptation, grids, load_path, problem_of, section, solver_of
+from adaptmg.study.record import Scalar, Value
 
 if TYPE_CHECKING:
     from adaptmg.solver.result import Result
 
 __all__ = ["COLUMNS", "MEASURES", "Solved", "case_run", "units_of"]
 
-#: what is measured where a file does not say
+#: the measures of a file without [measure]
 COLUMNS = ("cycles", "work_units", "residual", "nodes")
 
 
 @dataclass(frozen=True)
 class Solved:
-    """A run: the result of the last load step on the last mesh; cycles and work of all of them; the last estimate."""
+    """The outcome of a load path or an adaptive loop, or of a single solve."""
 
-    result: Result
-    steps: int
-    cycles: int
-    work_units: float
-    estimate: float | None = None
+    result: Result  # of the last load step, on the last mesh
+    steps: int  # load steps or meshes
+    cycles: int  # of all steps
+    work_units: float  # of all steps
+    estimate: float | None = None  # of the last mesh
 
 
 def _states(solved: Solved, code: int) -> int:
@@ -36,25 +37,25 @@ def _states(solved: Solved, code: int) -> int:
 
 
 def _along(solved: Solved, boundary: str = "contact") -> dict[str, float | None]:
-    """Components of the force on a boundary; None for the third in 2D."""
+    """Return the components of the force on a boundary; None for the third in 2D."""
     force = solved.result.resultant(boundary).force
     return {axis: float(force[k]) if k < len(force) else None for k, axis in enumerate("xyz")}
 
 
-def _largest(values: Any) -> float:
-    """The largest size of a number or vector, 0 of none."""
+def _largest(values: np.ndarray) -> float:
+    """Return the largest absolute value or length of a vector, 0 without values."""
     sizes = np.linalg.norm(values, axis=1) if values.ndim > 1 else np.abs(values)
     return float(sizes.max(initial=0.0))
 
 
-def _in_contact(solved: Solved, name: str) -> Any:
-    """A contact quantity at the nodes that are not open."""
+def _in_contact(solved: Solved, name: str) -> np.ndarray:
+    """Return a contact quantity at the nodes that are not open."""
     contact = solved.result.contact
     return getattr(contact, name)[contact.state != am.OPEN]
 
 
 #: by name: function of a run, meaning, unit
-MEASURES: dict[str, tuple[Callable[[Solved], Any], str, str]] = {
+MEASURES: dict[str, tuple[Callable[[Solved], Scalar], str, str]] = {
     "outcome": (lambda s: s.result.status.name, "how the (last) solve ended: CONVERGED, LIMIT, STALLED, CYCLING or "
                 "DIVERGED; always in the table", ""),
     "cycles": (lambda s: s.cycles, "cycles, sweeps or Newton steps, of all load steps or meshes", ""),
@@ -98,8 +99,8 @@ def units_of(columns: Iterable[str]) -> dict[str, str]:
     return {name: known.get(name, "N or N/m") for name in columns if name in known or name.startswith("force_")}
 
 
-def case_run(**settings: Any) -> dict[str, Any]:
-    """Compute one run: how it ended, the columns, forces and displacements of [measure], and the kept result."""
+def case_run(**settings: Value) -> dict[str, object]:
+    """Compute one run: its outcome, the columns, forces and displacements of [measure], and the kept result."""
     solved = _solved(settings)
     measured = {name: MEASURES[name][0](solved)
                 for name in dict.fromkeys(("outcome", *settings.get("measure.columns", COLUMNS)))}

@@ -1,7 +1,4 @@
-"""From options to problem, grids, solver and files.
-
-What ``adaptmg adapt`` does: the loop with a line a step, its summary, and its files.
-"""
+"""``adaptmg solve`` and ``adaptmg adapt``: from options to problem, grids and solver, and from results to files."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ import io
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,35 +17,40 @@ from adaptmg.cli import build
 from adaptmg.cli.output import finite
 from adaptmg.solver.record import Solver
 
-__all__ = ["hierarchy_of", "limits", "loop_summary", "method_of", "out_folder", "problem_of", "save_picture",
-           "solved", "stepped", "summary", "write", "write_loop"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def problem_of(case: str, law: str | None, friction: float | None, limit: float | None,
-               texts: Sequence[str] = ()) -> am.ContactProblem:
+__all__ = ["hierarchy_of", "loop_summary", "method_of", "out_folder", "problem_of", "solved", "stepped", "summary",
+           "write", "write_loop"]
+
+Option = str | float | None
+#: nodes of an adaptive loop without a limit
+_NODES = 20_000
+
+
+def problem_of(case: str, texts: Sequence[str], **law: Option) -> am.ContactProblem:
     """Return the case with the given law and its own arguments, ``NAME=VALUE``."""
-    return build.problem_of({**_given(case=case, law=law, friction=friction, limit=limit),
-                             **build.given_arguments(case, texts)}, "--")
+    return build.problem_of({"case": case, **_given(law), **build.given_arguments(case, texts)}, "--")
 
 
-def hierarchy_of(problem: am.ContactProblem, divisions: str | None, sizes: str | None, contact_ratio: float | None,
-                 transfer: str | None) -> am.Hierarchy:
+def hierarchy_of(problem: am.ContactProblem, divisions: str | None, sizes: str | None, **options: Option
+                 ) -> am.Hierarchy:
     """Return uniform grids, or graded ones if sizes are given."""
-    return build.grids(problem, _given(
-        divisions=divisions if divisions is None else _numbers("divisions", divisions, int),
-        sizes=sizes if sizes is None else _numbers("sizes", sizes, float), contact_ratio=contact_ratio,
-        transfer=transfer), "--")
+    lists = {"divisions": divisions if divisions is None else _numbers("divisions", divisions, int),
+             "sizes": sizes if sizes is None else _numbers("sizes", sizes, float)}
+    return build.grids(problem, _given(lists | options), "--")
 
 
-def method_of(solver: str, **options: Any) -> Solver:
+def method_of(solver: str, **options: Option) -> Solver:
     """Return the method with the options that are given."""
-    return build.solver_of({"method": solver, **_given(**options)}, "--", "--solver")
+    return build.solver_of({"method": solver, **_given(options)}, "--", "--solver")
 
 
-def _given(**options: Any) -> dict[str, Any]:
+def _given(options: dict[str, object]) -> dict[str, object]:
     return {name: value for name, value in options.items() if value is not None}
 
 
-def _numbers(option: str, text: str, kind: Callable[[str], Any]) -> tuple[Any, ...]:
+def _numbers(option: str, text: str, kind: type[int] | type[float]) -> tuple[float, ...]:
     try:
         return tuple(kind(part) for part in text.split(","))
     except ValueError:
@@ -62,14 +64,13 @@ def solved(grids: am.Hierarchy, method: Solver, callback: Callable[[dict[str, fl
     return am.solve(grids, method, throw=False, callback=callback)
 
 
-def summary(result: am.Result, files: list[Path]) -> dict[str, Any]:
-    """What the command prints as JSON; numbers that are not finite become null."""
+def summary(result: am.Result, files: list[Path]) -> dict[str, object]:
+    """Return a result as JSON takes it."""
     states = np.bincount(np.asarray(result.contact.state, dtype=int), minlength=3).tolist()
+    names = ("cycles", "work_units", "start_work_units", "residual", "error_estimate", "rate", "rtol", "seconds",
+             "timings", "levels")
     row = {"problem": result.problem_name, "solver": result.solver_name, "status": result.status.name,
-           "advice": result.status.value, "cycles": result.cycles, "work_units": result.work_units,
-           "start_work_units": result.start_work_units, "residual": result.residual,
-           "error_estimate": result.error_estimate, "rate": result.rate, "rtol": result.rtol,
-           "seconds": result.seconds, "timings": result.timings, "levels": result.levels,
+           "advice": result.status.value, **{name: getattr(result, name) for name in names},
            "contact": dict(zip(("open", "slip", "stick"), states, strict=True)),
            "max_pressure": float(result.contact.pressure.max()),
            "max_displacement": float(np.linalg.norm(result.displacement, axis=1).max()),
@@ -78,7 +79,7 @@ def summary(result: am.Result, files: list[Path]) -> dict[str, Any]:
 
 
 def out_folder(given: Path) -> Path:
-    """The folder to write to, told before any work if a file is in the way; it is made when there is something."""
+    """Return the folder to write to; ValueError before any work if a file is in the way."""
     folder = checks.file_path("--out", given)
     there = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), folder)
     if os.path.lexists(there) and not there.is_dir():
@@ -87,7 +88,7 @@ def out_folder(given: Path) -> Path:
 
 
 def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, result: am.Result) -> list[Path]:
-    """Result, pictures and VTK file into a directory, made where missing; returns what was written."""
+    """Write result, pictures and VTK file into a directory; return the files."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -103,33 +104,23 @@ def write(directory: Path, problem: am.ContactProblem, grids: am.Hierarchy, resu
         pictures["history"] = lambda: am.plot.history(result)
     if result.path:
         pictures["path"] = lambda: am.plot.path(result)
-    for name, draw in pictures.items():
-        files.append(save_picture(directory / f"{name}.png", draw()))
-    return files
+    return files + [_picture(directory / f"{name}.png", draw()) for name, draw in pictures.items()]
 
 
-def save_picture(file: Path, figure: Any) -> Path:
-    """Write a figure of matplotlib as PNG, whole or not at all; returns the file."""
+def _picture(file: Path, figure: Figure) -> Path:
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=200, bbox_inches="tight")
     write_bytes(file, picture.getvalue())
     return file
 
 
-_NODES = 20_000
-
-
-def limits(tolerance: float | None, max_nodes: int | None, max_seconds: float | None) -> dict[str, Any]:
-    """The limits that are given; a number of nodes where none is."""
-    return _given(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds) or {"max_nodes": _NODES}
-
-
-def stepped(problem: am.ContactProblem, start: float | None, indicator: str, engine: str, theta: float,
-            stops: dict[str, Any], store: Path | None, progress: Callable[[dict[str, Any]], None] | None,
-            say: Callable[[str], None]) -> list[am.Step]:
-    """Go through the loop and say each step."""
-    chosen = build.arguments_of(am.adapt, {"indicator": indicator, "engine": engine, "theta": theta}, "--", "adapt")
-    loop = am.adapt(problem, start, **chosen, store=store, progress=progress, **stops)
+def stepped(problem: am.ContactProblem, start: float | None, choices: dict[str, str | float],
+            limits: dict[str, float | None], store: Path | None,
+            progress: Callable[[dict[str, float]], None] | None, say: Callable[[str], None]) -> list[am.Step]:
+    """Run the adaptive loop, and say each step."""
+    chosen = build.arguments_of(am.adapt, choices, "--", "adapt")
+    loop = am.adapt(problem, start, **chosen, store=store, progress=progress,
+                    **(_given(limits) or {"max_nodes": _NODES}))
     say(am.Step.HEADER)
     steps = []
     for step in loop:
@@ -138,8 +129,8 @@ def stepped(problem: am.ContactProblem, start: float | None, indicator: str, eng
     return steps
 
 
-def loop_summary(steps: list[am.Step], files: list[Path]) -> dict[str, Any]:
-    """What the command prints as JSON; numbers that are not finite become null."""
+def loop_summary(steps: list[am.Step], files: list[Path]) -> dict[str, object]:
+    """Return an adaptive loop as JSON takes it."""
     rows = [{"step": step.number, "nodes": step.nodes, "levels": [level.n_nodes for level in step.hierarchy.levels],
              "contact_nodes": len(step.result.contact), "estimate": step.estimate.relative,
              "estimate_total": step.estimate.total, "terms": dict(step.estimate.terms), "cycles": step.result.cycles,
@@ -147,12 +138,12 @@ def loop_summary(steps: list[am.Step], files: list[Path]) -> dict[str, Any]:
              "total_work_units": step.total_work_units, "seconds": step.seconds, "total_seconds": step.total_seconds,
              "timings": dict(step.timings)} for step in steps]
     last = steps[-1]
-    return finite({"problem": last.result.problem_name, "indicator": last.estimate.indicator,
-                        "outcome": last.outcome, "steps": rows, "result": summary(last.result, files)})
+    return finite({"problem": last.result.problem_name, "indicator": last.estimate.indicator, "outcome": last.outcome,
+                   "steps": rows, "result": summary(last.result, files)})
 
 
 def write_loop(directory: Path, problem: am.ContactProblem, steps: list[am.Step]) -> list[Path]:
-    """Last result, pictures and VTK file into a directory, made where missing; returns what was written."""
+    """Write the last result, pictures and VTK file into a directory; return the files."""
     last = steps[-1]
     files = write(directory, problem, last.hierarchy, last.result)
-    return [*files, save_picture(directory / "adaptation.png", am.plot.adaptation(steps))]
+    return [*files, _picture(directory / "adaptation.png", am.plot.adaptation(steps))]

@@ -1,16 +1,12 @@
-"""Loaded by the processes of a local cluster: the system ends them with their parent, even in the midst of C code.
+"""Runs on workers of dask.distributed: on processes of this machine, or on a cluster of the user.
 
-dask's own way, a thread that waits for the parent's end, needs Python's lock, which compiled code may hold for minutes.
+A run is sent when a worker is free, so that the run of a worker that dies is identified; short runs, where the way to
+the worker would count, are sent several a worker as long as none has died. A run whose worker died is tried again.
+Results come back through dask: workers need no disk in common with this process.
 
-The executor on dask.distributed: runs go out one a worker, and are tried again when a worker dies.
-
-A run is sent when a worker is free for it, so that the run which a dead worker was busy with is known; short runs,
-where the way to the worker would count, are sent several a worker as long as none has died. Results come back through
-dask to the process that asked: workers need no disk in common with it.
-
-Whether workers can compute a study, told at once; and functions that run on workers which may lack adaptmg.
-
-A cluster on this machine: processes that are spawned, of one thread each, and end with this one whatever happens.
+Only this process decides that a run is over a limit: its clock starts when the worker reports that the run begins, and
+a plugin in dask's nannies reports the memory of their workers. The run is cancelled, the nanny kills the process, even
+one in compiled code, and starts another. A worker that dies on its own is never taken for one over its limit.
 """
 
 from __future__ import annotations
@@ -18,74 +14,68 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
-import ctypes
-import functools
 import itertools
 import logging
 import math
-import multiprocessing
-import multiprocessing.spawn
-import os
-import pickle
 import queue
 import re
-import signal
-import sys
-import tempfile
 import time
 import uuid
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
-import dask.config
-from distributed import Client, Future, KilledWorker, LocalCluster
+import psutil
+from distributed import Client, Future, KilledWorker, LocalCluster, Nanny, Scheduler, get_worker
 from distributed.comm import CommClosedError
-from distributed.core import Status
 from distributed.deploy import Cluster
+from distributed.diagnostics.plugin import NannyPlugin
+from distributed.utils import sync
+from tornado.ioloop import PeriodicCallback
 
 from adaptmg import _checks as checks
-from adaptmg.study import in_worker
-from adaptmg.study.execute import Execute, Finished, Point, Task, error_text
-from adaptmg.study.in_worker import Order, identity, sent
+from adaptmg.study.execute import (
+    Execute,
+    Finished,
+    Order,
+    Point,
+    Task,
+    UnfitWorker,
+    error_text,
+    identity,
+    perform,
+    readied,
+    sent,
+)
+from adaptmg.study.processes import local_cluster
 
-__all__ = ["check_workers", "dask_setup", "local_cluster", "on_any_worker", "on_cluster", "opened", "revive",
-           "start_again"]
-
-_PR_SET_PDEATHSIG = 1
-
-
-def dask_setup(worker: object) -> None:
-    """Called by dask in the new process (Linux; elsewhere dask's way is the only one)."""
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
+__all__ = ["OnCluster", "check_workers", "local_cluster", "opened"]
 
 _log = logging.getLogger(__name__)
 
-#: starts of a run until it is given up, as workers died
+#: starts of a run until it counts as failed, as workers died
 MOST_TRIES = 3
-#: runs are sent ahead as far as they take so long together
+#: seconds that runs which are sent ahead may take together
 _SHORT_S = 0.2
-#: seconds after which one says that there are no workers; between two looks
-_PATIENCE_S, _LOOK_S = 60.0, 0.5
-#: seconds that a scheduler may take to answer
-CONNECT_S = 10.0
+#: seconds that a cluster may take to have a worker, between two looks, and for a scheduler to answer
+PATIENCE_S, _LOOK_S, CONNECT_S = 60.0, 0.5, 10.0
+#: looks without a process of this machine until the study gives up
+_TRIES = 3
+_GONE = "the processes that compute runs ended, and dask does not start them again (is the system out of memory?); " \
+        "finished runs are stored: run the study again, with fewer workers"
 
 
 @contextmanager
-def opened(workers: int | None, scheduler: Any, runs: int) -> Iterator[Execute]:
-    """An executor on a cluster of its own, or on that of the user."""
+def opened(workers: int | None, scheduler: str | Client | Cluster | None, runs: int) -> Iterator[Execute]:
+    """Yield an executor on new processes of this machine, or on the cluster of the user."""
     if scheduler is None:
         with local_cluster(min(checks.integer("workers", workers, minimum=1), max(runs, 1))) as client:
-            yield on_cluster(client)
+            yield OnCluster(client)
     elif isinstance(scheduler, Client):
-        yield on_cluster(scheduler)
+        yield OnCluster(scheduler)
     elif isinstance(scheduler, str | Cluster):
-        # a client that was given none hangs for a while when it is collected
+        # a client that cannot read the address blocks for a while when it is collected
         if isinstance(scheduler, str) and not re.fullmatch(r"\S+:\d+", scheduler):
             raise ValueError(f"scheduler must be an address such as 'tcp://host:8786', got {checks.shown(scheduler)}")
         try:
@@ -94,7 +84,7 @@ def opened(workers: int | None, scheduler: Any, runs: int) -> Iterator[Execute]:
             raise OSError(f"scheduler: nobody answers at {scheduler}: start one with 'dask scheduler' ({error})") \
                 from error
         with client:
-            yield on_cluster(client)
+            yield OnCluster(client)
     else:
         raise TypeError(f"scheduler must be an address such as 'tcp://host:8786', a distributed.Client or a cluster of "
                         f"dask, got {checks.described(scheduler)}")
@@ -108,69 +98,141 @@ class OnCluster:
 
     @property
     def running(self) -> int:
+        """Runs that are being computed."""
         return 0 if self._runs is None else self._runs.running
 
     def __call__(self, task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, Finished]]]:
         """Compute ``task`` at ``points``."""
-        seen = task.fingerprint.seen()
-        order = in_worker.Order(sent(task.function), identity(), seen.code, task.depends, seen.uses_adaptmg,
-                                task.limit_s, task.memory_limit)
-        check_workers(self._client, order, seen.parts)
-        self._runs = _Runs(self._client, order, points)
+        order = Order(sent(task.function), identity(), task.fingerprint.seen(), task.depends)
+        check_workers(self._client, order, limited=task.limit_s is not None or task.memory_limit is not None)
+        self._runs = _Runs(self._client, order, points, task.limit_s, task.memory_limit)
         yield from self._runs.finished()
 
 
-def on_cluster(client: Client) -> OnCluster:
-    """An executor that computes on the workers of ``client``."""
-    return OnCluster(client)
+def check_workers(client: Client, order: Order, limited: bool) -> None:
+    """Raise ValueError or RuntimeError for workers that cannot compute the runs, or would compute others."""
+    address = client.scheduler.address
+    _wait_for_one(client, address)
+    for name, worker in client.scheduler_info(n_workers=-1)["workers"].items():
+        if worker["nthreads"] != 1:
+            raise ValueError(f"the worker {name} has {worker['nthreads']} threads: start workers with one each ('dask "
+                             f"worker {address} --nthreads 1 --nworkers N'), as libraries below are not safe for more")
+        if limited and not worker["nanny"]:
+            raise ValueError(f"the worker {name} has no nanny, which would restart it after limit_s or memory_limit: "
+                             "start workers without --no-nanny")
+    for name, error in client.run(_check, order, on_error="return").items():
+        if isinstance(error, CommClosedError):
+            _log.warning("the worker %s left during the check", name)
+        elif error is not None:
+            words = error if isinstance(error, UnfitWorker) else error_text(error)
+            raise RuntimeError(f"the worker {name} cannot compute this study: {words}")
+
+
+def _check(order: Order) -> None:
+    readied(order)
+
+
+def _wait_for_one(client: Client, address: str) -> None:
+    """Wait until there is a worker; without end where jobs were submitted, which may wait in a queue for hours."""
+    while True:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+            return
+        except TimeoutError:
+            if isinstance(client.cluster, LocalCluster):
+                raise OSError(_GONE) from None
+            if not getattr(client.cluster, "worker_spec", None):
+                raise OSError(f"the scheduler {address} has no workers after {PATIENCE_S:g} s: start some with 'dask "
+                              f"worker {address} --nthreads 1', or, where they come later, wait for the first "
+                              "(client.wait_for_workers(1)); a cluster that adapts needs a minimum of them") from None
+            _log.warning("the scheduler %s has no workers yet: %d were requested", address,
+                         len(client.cluster.worker_spec))
+
+
+def _on_worker(order: Order, point: Point, tries: int, name: str, topic: str) -> Finished:
+    """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts.
+
+    A function that holds Python's lock would keep a report that is only on its way.
+    """
+    worker = get_worker()
+    return perform(order, point, tries, lambda: topic and sync(
+        worker.loop, worker.scheduler.log_event, topic=topic, msg={"run": name, "worker": worker.address}))
+
+
+def _kill_worker(dask_worker: Nanny) -> None:
+    """Kill the process of a nanny, which starts another."""
+    with contextlib.suppress(psutil.Error):
+        psutil.Process(dask_worker.pid).kill()
+
+
+def _allowed_failures(dask_scheduler: Scheduler) -> int:
+    return int(dask_scheduler.allowed_failures)
+
+
+class _MemoryWatch(NannyPlugin):
+    """Reports workers that hold more than ``limit`` bytes."""
+
+    def __init__(self, limit: int, topic: str) -> None:
+        self.limit, self.topic = limit, topic
+
+    def setup(self, nanny: Nanny) -> None:
+        self.looks = PeriodicCallback(lambda: self._look(nanny), 100)
+        self.looks.start()
+
+    def _look(self, nanny: Nanny) -> None:
+        with contextlib.suppress(psutil.Error):
+            if nanny.pid and psutil.Process(nanny.pid).memory_info().rss > self.limit:
+                nanny.log_event(self.topic, {"run": None, "worker": nanny.worker_address})
+
+    def teardown(self, nanny: Nanny) -> None:
+        self.looks.stop()
 
 
 @dataclass(eq=False)
 class _Run:
-    """A run that is out; when its clock began, where there is a limit."""
+    """A run that is out."""
 
     point: Point
     tries: int
     sent: float
     future: Future
-    alone: bool
-    began: float = math.inf
-
-
-def _allowed_failures(dask_scheduler: Any) -> int:
-    return int(dask_scheduler.allowed_failures)
+    worker: str = ""  # where it has begun, if there are limits
+    clock: object = None  # handle of its time limit
+    stopped: bool = False
 
 
 class _Runs:
     """All runs of one call."""
 
-    def __init__(self, client: Client, order: in_worker.Order, points: Sequence[Point]) -> None:
-        self._client = client
+    def __init__(self, client: Client, order: Order, points: Sequence[Point], limit_s: float | None,
+                 memory_limit: int | None) -> None:
+        self._client, self._order, self._limit_s, self._memory_limit = client, order, limit_s, memory_limit
         self._name = f"adaptmg-{uuid.uuid4().hex[:12]}"
-        self._perform, self._order = on_any_worker(), pickle.dumps(order)
-        self._limit_s = math.inf if order.limit_s is None else order.limit_s
+        self._limited = limit_s is not None or memory_limit is not None
         self._numbers = itertools.count()
         self._left: deque[tuple[Point, int]] = deque((point, 1) for point in points)
-        #: last tries, one at a time when all else is done: whose worker dies then was not there by chance
+        #: last tries, one at a time when all else is done: a worker that dies then dies because of the run
         self._alone: deque[tuple[Point, int]] = deque()
         self._out: dict[str, _Run] = {}
-        self._over: dict[str, str] = {}
-        self._back: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
-        self._ahead, self._died, self._slots, self._looked = 1, False, 1, -math.inf
+        self._back: queue.SimpleQueue[tuple[str, Finished | BaseException]] = queue.SimpleQueue()
+        self._slots, self._looked, self._died = 1, -math.inf, False
         self._recent: deque[float] = deque(maxlen=8)
         #: how often dask itself starts a run again; unless set otherwise three times
         self._allowed = 3
 
     @property
     def running(self) -> int:
-        """How many are out, without those that wait at their worker."""
+        """Number of runs that are out, without those that wait at their worker."""
         return min(len(self._out), self._slots)
 
     def finished(self) -> Iterator[list[tuple[Point, Finished]]]:
-        """Runs as they finish, those of one moment together."""
-        self._client.subscribe_topic(self._name, self._told)
-        with contextlib.suppress(Exception):  # some clusters let nobody look
+        """Yield runs as they finish, those of one moment together."""
+        with contextlib.suppress(Exception):  # some clusters refuse this
             self._allowed = self._client.run_on_scheduler(_allowed_failures)
+        if self._limited:
+            self._client.subscribe_topic(self._name, self._event)
+        if self._memory_limit is not None:
+            self._client.register_plugin(_MemoryWatch(self._memory_limit, self._name), name=self._name)
         try:
             self._send()
             while self._out:
@@ -181,372 +243,126 @@ class _Runs:
                     yield done
         finally:
             with contextlib.suppress(Exception):  # the scheduler may be gone, and its client closed
-                self._client.unsubscribe_topic(self._name)
                 self._drop()
+                if self._memory_limit is not None:
+                    self._client.unregister_worker_plugin(self._name, nanny=True)
+                if self._limited:
+                    self._client.unsubscribe_topic(self._name)
 
     def _drop(self) -> None:
-        """Give up what is out; on a cluster that goes on, workers that compute it are started anew."""
+        """Cancel the runs that are out; on a cluster that goes on, nannies restart the workers that compute them."""
         if not self._out:
             return
+        busy = []
         if self._allowed:
-            # what was sent a moment ago is not told of yet
+            # the scheduler does not know yet where a run of a moment ago is
             time.sleep(0.2)
-        busy = [address for address, keys in self._client.processing().items() if set(keys) & set(self._out)] \
-            if self._allowed else []
+            busy = [address for address, keys in self._client.processing().items() if set(keys) & set(self._out)]
         self._client.cancel([run.future for run in self._out.values()], force=True)
         if busy:
-            self._client.restart_workers(busy, timeout=3, raise_for_error=False)
+            self._client.run(_kill_worker, nanny=True, workers=busy, on_error="ignore")
 
     def _send(self) -> None:
-        """As many runs as there are workers free for."""
+        """Send as many runs as there are free workers."""
         now = time.monotonic()
         if now - self._looked > 1.0:
             self._slots, self._looked = max(len(self._client.nthreads()), 1), now
-        while (self._left and len(self._out) < self._ahead * self._slots) or (self._alone and not self._out):
+        while (self._left and len(self._out) < self._ahead() * self._slots) or (self._alone and not self._out):
             point, tries = (self._left or self._alone).popleft()
             name = f"{self._name}-{next(self._numbers)}"
-            future = self._client.submit(self._perform, self._order, point, tries, name, self._name, key=name,
-                                         pure=False)
-            self._out[name] = _Run(point, tries, time.monotonic(), future, tries >= MOST_TRIES)
+            future = self._client.submit(_on_worker, self._order, point, tries, name, self._name * self._limited,
+                                         key=name, pure=False)
+            self._out[name] = _Run(point, tries, time.monotonic(), future)
             self._client.loop.add_callback(self._wait_for, name, future)
 
+    def _ahead(self) -> int:
+        """Number of runs that a worker gets together: more than one while they are short and no worker has died."""
+        if self._died or self._allowed or self._limited or not self._recent:
+            return 1
+        known = len(self._recent) == self._recent.maxlen
+        return min(max(int(_SHORT_S / max(*self._recent, 0.02)), 1), 10 if known else 2)
+
     async def _wait_for(self, name: str, future: Future) -> None:
-        """In the thread of dask: fetch what comes of a run. (as_completed sleeps .1 s where it misses a wake-up.)"""
+        """Fetch the result of a run, in the thread of dask (as_completed sleeps .1 s where it misses a wake-up)."""
         try:
             result = await future._result(raiseit=False)
         except BaseException as error:
             result = error
-        if name in self._over and self._allowed:
-            # its worker lives a moment longer, and should get no other run
-            await asyncio.sleep(2 * in_worker.LEAVE_S)
-        self._back.put((name, result))
+        run = self._out.get(name)
+        if run is not None and not run.stopped:
+            self._back.put((name, result[1] if isinstance(result, tuple) else result))
 
-    def _come_back(self) -> list[tuple[str, Any]]:
-        """What is back, at least one."""
-        waited, without = 0.0, 0
+    def _event(self, event: tuple[float, dict[str, str | None]]) -> None:
+        """A worker reports that a run begins, or a nanny that its worker holds too much memory."""
+        name, address = event[1]["run"], event[1]["worker"]
+        if name is None:
+            for busy in [key for key, run in list(self._out.items()) if run.worker == address]:
+                self._client.loop.add_callback(
+                    self._stop, busy, "MemoryLimit: stopped as its process held more than "
+                                      f"memory_limit={self._memory_limit} bytes")
+        elif (run := self._out.get(name)) is not None:
+            run.worker = address
+            if run.clock is not None:  # dask started it again on another worker
+                self._client.loop.remove_timeout(run.clock)
+            if self._limit_s is not None:
+                run.clock = self._client.loop.call_later(self._limit_s, self._stop, name,
+                                                         f"TimeLimit: stopped after limit_s={self._limit_s:g} s")
+
+    async def _stop(self, name: str, why: str) -> None:
+        """Stop a run that is over a limit, in the thread of dask."""
+        run = self._out.get(name)
+        if run is None or run.stopped or run.future.done():
+            return
+        run.stopped = True
+        try:
+            # cancelled first, so that dask does not start it elsewhere
+            await self._client._cancel([run.future], force=True)
+            await self._client._run(_kill_worker, nanny=True, workers=[run.worker], on_error="ignore")
+        except Exception as error:
+            _log.warning("the worker %s of a run over its limit was not killed: %s", run.worker, error_text(error))
+        self._back.put((name, Finished(error=why, seconds=time.monotonic() - run.sent, tries=run.tries)))
+
+    def _come_back(self) -> list[tuple[str, Finished | BaseException]]:
+        """Return what is back, at least one result; OSError if the processes of this machine are gone for good."""
+        begin, empty = time.monotonic(), 0
         while True:
             try:
                 found = [self._back.get(timeout=_LOOK_S)]
                 break
             except queue.Empty:
-                waited += _LOOK_S
-                if waited % _PATIENCE_S < _LOOK_S:
-                    without = 0 if self._client.nthreads() else without + 1
-                    self._tell_of_no_workers(without)
+                if time.monotonic() - begin < PATIENCE_S:
+                    continue
+            begin = time.monotonic()
+            empty = 0 if self._client.nthreads() else empty + 1
+            if empty:
+                _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
+                             len(self._out) + len(self._left) + len(self._alone))
+            if empty == _TRIES and isinstance(self._client.cluster, LocalCluster):
+                raise OSError(_GONE)
         while not self._back.empty():
             found.append(self._back.get())
         return found
 
-    def _tell_of_no_workers(self, times: int) -> None:
-        """A cluster of the user's may get some; the processes of this machine should have been there again long ago."""
-        if not times:
-            return
-        _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
-                     len(self._out) + len(self._left) + len(self._alone))
-        if isinstance(self._client.cluster, LocalCluster):
-            start_again(self._client.cluster, times)
-
-    def _far_ahead(self) -> int:
-        """How many runs a worker is given at once: more where they are so short that the way would count."""
-        if self._died or self._allowed:
-            return 1
-        known = len(self._recent) == self._recent.maxlen
-        return min(max(int(_SHORT_S / max(*self._recent, 0.02)), 1), 10 if known else 2)
-
-    async def _told(self, event: tuple[float, Any]) -> None:
-        """A worker says that a run begins, or ends as it is over its limit; dask must not start that elsewhere."""
-        message = event[1]
-        run = self._out.get(message["run"]) if isinstance(message, dict) else None
-        if run is not None and not message["why"]:
-            run.began = time.monotonic()
-        elif run is not None:
-            self._over[message["run"]] = message["why"]
-            if self._allowed:
-                await self._client._cancel([run.future], force=True)
-
-    def _outcome(self, name: str, result: Any) -> tuple[Point, Finished] | None:
-        """What came of a run; None if it is tried again."""
+    def _outcome(self, name: str, result: Finished | BaseException) -> tuple[Point, Finished] | None:
+        """Return the outcome of a run; None if it is tried again."""
         run = self._out.pop(name)
-        why = self._over.pop(name, "")
         if isinstance(result, Finished):
             self._recent.append(result.seconds)
-            self._ahead = self._far_ahead()
             return run.point, result
         seconds = time.monotonic() - run.sent
-        error = result[1] if isinstance(result, tuple) else result
-        ended_hard = self._limit_s + 0.5 * in_worker.HARD_S
-        if not why and isinstance(error, KilledWorker) and time.monotonic() - run.began >= ended_hard:
-            # in code that holds Python's lock, so that the worker could not say it; one that died earlier may be told
-            # of late
-            why = f"TimeLimit: stopped after limit_s={self._limit_s:g} s"
-        if why:
-            return run.point, Finished(error=why, seconds=seconds, tries=run.tries)
-        if isinstance(error, KilledWorker):
-            self._died, self._ahead = True, 1
-            # dask on its own starts a run again as often as the scheduler allows
-            tries = run.tries + error.allowed_failures
-            if not run.alone:
-                (self._alone if tries + 1 >= MOST_TRIES else self._left).append((run.point, tries + 1))
-                _log.warning("a worker died during %s: tried again", run.point)
-                return None
-            return run.point, Finished(error=f"WorkerDied: worker died {tries} times during this run", seconds=seconds,
-                                       tries=tries)
-        if isinstance(error, asyncio.CancelledError | concurrent.futures.CancelledError):
-            raise OSError(f"scheduler: the connection to {self._client.scheduler.address} was lost; what is done is "
-                          "stored") from error
-        if type(error).__name__ == "UnfitWorker":
-            raise RuntimeError(f"a worker that joined cannot compute this study: {error}") from error
-        return run.point, Finished(error=error_text(error), seconds=seconds, exception=error, tries=run.tries)
-
-
-#: how long a cluster may take to have a worker
-PATIENCE_S = 60.0
-#: how often it is looked for before processes of this machine are given up
-_TRIES = 3
-
-
-def check_workers(client: Client, order: Order, parts: dict[str, str]) -> None:
-    """Tell of workers that could not compute the runs, or would compute others; ``parts`` are those of the fingerprint.
-    """
-    address = client.scheduler.address
-    _wait_for_one(client, address)
-    for name, worker in client.scheduler_info(n_workers=-1)["workers"].items():
-        if worker["nthreads"] != 1:
-            raise ValueError(f"the worker {name} has {worker['nthreads']} threads: start workers with one each ('dask "
-                             f"worker {address} --nthreads 1 --nworkers N'), as libraries below are not safe for more")
-        if not worker["nanny"] and (order.limit_s is not None or order.memory_limit is not None):
-            raise ValueError(f"the worker {name} has no nanny, which would start it again after limit_s or "
-                             "memory_limit ended it: start workers without --no-nanny")
-    for name, found in client.run(_fitness(pickle.dumps((order, parts))), on_error="return").items():
-        told = found if isinstance(found, str) else error_text(found)
-        if isinstance(found, CommClosedError):
-            _log.warning("the worker %s left while it was looked at", name)
-        elif told:
-            raise RuntimeError(f"the worker {name} cannot compute this study: {told}")
-
-
-def _wait_for_one(client: Client, address: str) -> None:
-    """Until there is a worker: as long as it takes where jobs were submitted, which may wait in a queue for hours."""
-    for tries in itertools.count(1):
-        try:
-            client.wait_for_workers(1, timeout=PATIENCE_S)
-        except TimeoutError:
-            if isinstance(client.cluster, LocalCluster):
-                start_again(client.cluster, tries)
-            elif not getattr(client.cluster, "worker_spec", None):
-                raise OSError(f"the scheduler {address} has no workers after {PATIENCE_S:g} s: start some with 'dask "
-                              f"worker {address} --nthreads 1', or, where they come later, wait for the first "
-                              "(client.wait_for_workers(1)); a cluster that adapts needs a minimum of them") from None
-            else:
-                _log.warning("the scheduler %s has no workers yet: %d were asked for", address,
-                             len(client.cluster.worker_spec))
-        else:
-            return
-
-
-def start_again(cluster: LocalCluster, tries: int) -> None:
-    """Start processes of this machine anew, of which none is left; OSError after some tries."""
-    if tries == _TRIES:
-        raise OSError("the processes that compute runs ended, and the system does not start them again (is it out of "
-                      "memory, or very busy?); what is done is stored: run the study again, with fewer workers")
-    _log.warning("no process that computes runs is left: starting %d", len(cluster.worker_spec))
-    revive(cluster)
-
-
-def _fitness(order: bytes) -> Callable[[], str]:
-    """A check as a function inside a function, which is sent by value: the worker may not have this module."""
-    def check(order: bytes) -> str:
-        import pickle
-
-        try:
-            from adaptmg.study.in_worker import UnfitWorker, readied
-
-            unpacked, parts = pickle.loads(order)
-        except Exception as error:
-            return f"it lacks adaptmg, or has another version ({type(error).__name__}: {error})"
-        try:
-            readied(unpacked, parts)
-        except UnfitWorker as error:
-            return str(error)
-        return ""
-
-    return functools.partial(check, order)
-
-
-def on_any_worker() -> Callable[..., Any]:
-    """What computes one run on a worker, by value too: a worker that joins later may not have this module."""
-    def perform(order: bytes, point: dict[str, Any], tries: int, name: str, topic: str) -> Any:
-        import pickle
-
-        from distributed import get_worker
-
-        try:
-            from adaptmg.study import in_worker
-
-            unpacked = pickle.loads(order)
-        except Exception as error:
-            class UnfitWorker(RuntimeError):
-                pass
-
-            raise UnfitWorker(f"it lacks adaptmg, or has another version ({type(error).__name__}: {error})") from None
-        worker = get_worker()
-        return in_worker.perform(unpacked, point, tries,
-                                 lambda why: worker.log_event(topic, {"run": name, "why": why}))
-
-    return perform
-
-
-#: how often the processes are started until the system is called unfit
-_STARTS = 3
-
-#: set before a worker imports anything: one thread everywhere
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
-                             "VECLIB_MAXIMUM_THREADS", "NGS_NUM_THREADS"), "1")
-_CONFIG = {
-    # a dead worker is told at once, and the study counts the tries
-    "distributed.scheduler.allowed-failures": 0,
-    # a worker that waits because memory is short would wait for ever: runs hand nothing on
-    "distributed.worker.memory.target": False, "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False, "distributed.worker.memory.terminate": False,
-    # a process may be slow to start again where the machine is busy: after 15 s dask would give it up for good
-    "distributed.deploy.lost-worker-timeout": "1h",
-    "distributed.worker.multiprocessing-method": "spawn",
-    # nobody looks at the dashboard: no samples of what is running a hundred times a second
-    "distributed.worker.profile.enabled": False, "distributed.admin.system-monitor.interval": "5s",
-}
-#: how dask calls its processes
-_NAME = "Dask Worker process"
-
-
-@contextmanager
-def local_cluster(workers: int) -> Iterator[Client]:
-    """Start a cluster of processes on this machine, and end it.
-
-    Parameters
-    ----------
-    workers : int
-        How many.
-
-    Yields
-    ------
-    distributed.Client
-        For :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies can share it.
-    """
-    count = checks.integer("workers", workers, minimum=1)
-    if multiprocessing.current_process().daemon:
-        raise RuntimeError("a process that computes runs cannot start workers: leave workers= out of a study inside a "
-                           "run")
-    # tells at length, and late, of connections to processes that were ended
-    logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
-    with _scripts_not_run_again(), _environment_kept(), \
-            tempfile.TemporaryDirectory(prefix="adaptmg-workers-", ignore_cleanup_errors=True) as folder, \
-            dask.config.set(_CONFIG | {"temporary-directory": folder}):
-        cluster = client = None
-        try:
-            with _interrupt_held_back() as interrupted:
-                cluster = _started(count, interrupted)
-                client = Client(cluster, set_as_default=False)
-            yield client
-        finally:
-            if cluster is not None:
-                _end(cluster, client)
-
-
-def _started(count: int, interrupted: list[Any]) -> LocalCluster:
-    """All processes: dask gives up where one ends while it starts, killed as memory is short, or by Ctrl-C."""
-    tries = 1
-    while True:
-        try:
-            return LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
-                                memory_limit=0, silence_logs=logging.CRITICAL, host="127.0.0.1",
-                                worker_dashboard_address=None, env=_ONE_THREAD,
-                                preload=["adaptmg.study.cluster"])
-        except (RuntimeError, OSError) as error:
-            if tries == _STARTS or interrupted:
-                raise OSError(f"workers: {count} processes could not be started ({error.__cause__ or error}): give "
-                              "fewer workers, or make memory free") from error
-            _log.warning("a process that computes runs ended while it started: starting %d again", count)
-            tries += 1
-
-
-def revive(cluster: LocalCluster) -> None:
-    """Start processes anew that dask gave up, or could not start; those that are starting are left alone."""
-    async def forget() -> None:
-        for name, nanny in list(cluster.workers.items()):
-            if nanny.status in (Status.closed, Status.failed):
-                del cluster.workers[name]
-
-    cluster.sync(forget)
-    # as many as before: starts what is not there
-    cluster.scale(len(cluster.worker_spec))
-
-
-def _end(cluster: LocalCluster, client: Client | None) -> None:
-    """At once, whatever runs still go on; a second Ctrl-C does not get in between."""
-    with _interrupt_held_back():
-        for nanny in list(cluster.workers.values()):
-            process = getattr(nanny, "process", None)
-            # no longer started anew when it ends
-            nanny.close_gracefully()
-            if process is not None and process.pid is not None:
-                with contextlib.suppress(OSError):
-                    os.kill(process.pid, signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
-        if client is not None:
-            with contextlib.suppress(Exception):
-                client.close(timeout=1)
-        with contextlib.suppress(Exception):
-            cluster.close(timeout=3)
-
-
-@contextmanager
-def _interrupt_held_back() -> Iterator[list[Any]]:
-    """Let Ctrl-C wait for the end of the block, where this is the main thread; what came so far."""
-    came: list[Any] = []
-    try:
-        before = signal.signal(signal.SIGINT, lambda *signalled: came.append(signalled))
-    except ValueError:
-        yield came
-        return
-    try:
-        yield came
-    finally:
-        signal.signal(signal.SIGINT, before)
-        if came:
-            signal.raise_signal(signal.SIGINT)
-
-
-@contextmanager
-def _environment_kept() -> Iterator[None]:
-    """dask sets variables for its processes in this one too; numba objects to a number of threads that changes."""
-    before = dict(os.environ)
-    with dask.config.set({"distributed.nanny.pre-spawn-environ": _ONE_THREAD}):
-        try:
-            yield
-        finally:
-            for name in _ONE_THREAD:
-                if name in before:
-                    os.environ[name] = before[name]
-                else:
-                    os.environ.pop(name, None)
-
-
-@contextmanager
-def _scripts_not_run_again() -> Iterator[None]:
-    """Spawned processes run the user's script again, as far as its ``if __name__ == "__main__"``, if it has one.
-
-    Run functions come by value: dask's processes need not. Those of others are left as they are.
-    """
-    prepare = multiprocessing.spawn.get_preparation_data
-
-    def prepared(name: str) -> dict[str, Any]:
-        data = prepare(name)
-        if name.startswith(_NAME):
-            data.pop("init_main_from_name", None)
-            data.pop("init_main_from_path", None)
-        return data
-
-    multiprocessing.spawn.get_preparation_data = prepared
-    try:
-        yield
-    finally:
-        multiprocessing.spawn.get_preparation_data = prepare
+        if isinstance(result, KilledWorker):
+            self._died = True
+            # dask itself starts a run again as often as the scheduler allows
+            tries = run.tries + result.allowed_failures
+            if run.tries >= MOST_TRIES:
+                return run.point, Finished(error=f"WorkerDied: worker died {tries} times during this run",
+                                           seconds=seconds, tries=tries)
+            (self._alone if tries + 1 >= MOST_TRIES else self._left).append((run.point, tries + 1))
+            _log.warning("a worker died during %s: tried again", run.point)
+            return None
+        if isinstance(result, asyncio.CancelledError | concurrent.futures.CancelledError):
+            raise OSError(f"scheduler: the connection to {self._client.scheduler.address} was lost; finished runs are "
+                          "stored") from result
+        if isinstance(result, UnfitWorker | ImportError | AttributeError):
+            raise RuntimeError(f"a worker that joined cannot compute this study: {result}") from result
+        return run.point, Finished(error=error_text(result), seconds=seconds, exception=result, tries=run.tries)

@@ -1,61 +1,62 @@
-"""Execution of runs: the seam between a study and whatever computes its rows.
+"""Execution of one run, in this process or on a worker of dask.
 
 An executor takes a task (the run function and its limits) and the points to compute, and yields what is finished as
-lists of ``(point, outcome)``, in any order. The study stores each list when it comes, so what was yielded is never
-lost. :func:`in_turn` computes in this process; :mod:`adaptmg.study.cluster` on the workers of dask.
-
-The most memory that a process held since a moment, as the system counts it.
-
-The commit of adaptmg, where it runs from a git repository; read from its files, as git need not be installed.
+lists of ``(point, outcome)``, in any order; the study stores each list when it comes. :func:`in_turn` computes in this
+process, :mod:`adaptmg.study.cluster` on workers by :func:`perform`. A worker is checked once for each run function: it
+must have the same versions, and the run function must have the same fingerprint there.
 """
 
 from __future__ import annotations
 
+import functools
+import importlib.metadata
+import io
+import pickle
 import platform
+import subprocess
 import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from adaptmg._fingerprint import Fingerprint
+from adaptmg._fingerprint import Fingerprint, environment, fingerprint
 from adaptmg._text import printable
 from adaptmg.study.kept_files import Packed, pack
-from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, check_size, plain_results
+from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, plain_results
 
-__all__ = ["Execute", "Finished", "Point", "RunFunction", "Task", "commit", "compute", "error_text", "forget_peak",
-           "held_memory", "in_turn", "peak_memory"]
+__all__ = ["Execute", "Finished", "Order", "Point", "RunFunction", "Task", "UnfitWorker", "commit", "compute",
+           "error_text", "identity", "in_turn", "perform", "readied", "sent"]
 
 Point = dict[str, Value]
-RunFunction = Callable[..., Any]
+RunFunction = Callable[..., Mapping[str, object]]
 
 
 @dataclass(frozen=True)
 class Task:
     """What is to be done at each point."""
 
-    function: RunFunction  # the run function
-    fingerprint: Fingerprint  # what it depends on
-    depends: tuple[str, ...] = ()  # names that were left out of that, see Study
+    function: RunFunction
+    fingerprint: Fingerprint
+    depends: tuple[str, ...] = ()  # names that the fingerprint leaves out, see Study
     limit_s: float | None = None  # seconds after which a run is stopped
     memory_limit: int | None = None  # bytes that the process of a run may hold
 
 
 @dataclass(frozen=True)
 class Finished:
-    """What came of one run."""
+    """Outcome of one run."""
 
     results: dict[str, Scalar] = field(default_factory=dict)  # empty if it failed
-    packed: dict[str, Packed] = field(default_factory=dict)
+    packed: dict[str, Packed] = field(default_factory=dict)  # results that are kept as files
     error: str = ""  # type and text of the exception, empty if it did not fail
     traceback: str = ""
-    exception: BaseException | None = None  # the exception itself, where it can be had
+    exception: BaseException | None = None  # None where it cannot be sent
     seconds: float = 0.0
-    peak_memory: int = 0
+    peak_memory: int = 0  # bytes
     started: str = ""
     machine: str = ""
     tries: int = 1
@@ -64,45 +65,53 @@ class Finished:
 Execute = Callable[[Task, Sequence[Point]], Iterator[list[tuple[Point, Finished]]]]
 
 
-def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
-    """One run. Whatever the function raises, or results that cannot be stored, are part of the outcome.
-
-    ``interruptible``: but for KeyboardInterrupt, which is Ctrl-C where a user sits.
-    """
-    started = now()
-    forget_peak()
-    begin = time.perf_counter()
-    try:
-        returned = function(**point)
-        seconds = time.perf_counter() - begin
-        results, packed = _sorted_out(returned, point)
-    except BaseException as error:  # of sys.exit, asyncio, or a class of the user's
-        if interruptible and isinstance(error, KeyboardInterrupt):
-            raise
-        return Finished(error=error_text(error), traceback=_trace(error), exception=error,
-                        seconds=time.perf_counter() - begin, peak_memory=peak_memory(), started=started,
-                        machine=platform.node())
-    return Finished(results, packed, seconds=seconds, peak_memory=peak_memory(), started=started,
-                    machine=platform.node())
-
-
 def in_turn(task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, Finished]]]:
     """Run after run, in this process."""
     for point in points:
         yield [(point, compute(task.function, point))]
 
 
+def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
+    """Compute one run; what the function raises, and results that cannot be stored, are part of the outcome.
+
+    KeyboardInterrupt passes if ``interruptible``: it is Ctrl-C of the user.
+    """
+    started = now()
+    _reset_peak()
+    begin = time.perf_counter()
+    seconds, outcome = 0.0, Finished()
+    try:
+        returned = function(**point)
+        seconds = time.perf_counter() - begin
+        outcome = _sorted_out(returned, point)
+    except BaseException as error:  # of sys.exit, asyncio, or a class of the user
+        if interruptible and isinstance(error, KeyboardInterrupt):
+            raise
+        seconds = time.perf_counter() - begin
+        outcome = Finished(error=error_text(error), traceback=_trace(error), exception=error)
+    return replace(outcome, seconds=seconds, peak_memory=_peak_memory(), started=started, machine=platform.node())
+
+
+def _sorted_out(returned: object, point: Point) -> Finished:
+    """Separate the results that go into the row from those that are kept as files, which are empty in the row."""
+    packed = {}
+    if isinstance(returned, Mapping):
+        packed = {name: item for name, value in returned.items() if (item := pack(value)) is not None}
+        returned = {name: "" if name in packed else value for name, value in returned.items()}
+    return Finished(plain_results(returned, point), packed)
+
+
 def now() -> str:
-    """UTC, ISO 8601."""
+    """Return the time, UTC, ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 def error_text(error: BaseException) -> str:
-    """Type and text of an exception, bounded, whatever it does when it is asked for its text."""
+    """Return type and text of an exception, bounded, even where its ``__str__`` fails."""
     try:
         text = str(error)
     except BaseException as worse:
-        text = f"<its text cannot be had: {type(worse).__name__}>"
+        text = f"<its text raises {type(worse).__name__}>"
     return bounded(printable(f"{type(error).__name__}: {text}"), MOST_ERROR)
 
 
@@ -110,24 +119,12 @@ def _trace(error: BaseException) -> str:
     try:
         text = "".join(traceback.format_exception(error))
     except BaseException as worse:
-        text = f"<the traceback cannot be had: {type(worse).__name__}>"
+        text = f"<its traceback raises {type(worse).__name__}>"
     return bounded(printable(text), MOST_TRACEBACK)
 
 
-def _sorted_out(returned: Any, point: Point) -> tuple[dict[str, Scalar], dict[str, Packed]]:
-    """Results that go into the row, and those that are kept as files (empty texts in the row for now)."""
-    packed = {}
-    if isinstance(returned, Mapping):
-        found = {name: pack(value) for name, value in returned.items()}
-        packed = {name: item for name, item in found.items() if item is not None}
-        returned = {name: "" if name in packed else value for name, value in returned.items()}
-    results = plain_results(returned, point)
-    check_size(results)
-    return results, packed
-
-
-def forget_peak() -> None:
-    """Count the peak anew from here, where the system can (Linux); elsewhere it stays that of the process."""
+def _reset_peak() -> None:
+    """Count the peak of memory from here, where the system can (Linux); elsewhere it is that of the process."""
     try:
         with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
             file.write("5")
@@ -135,10 +132,13 @@ def forget_peak() -> None:
         return
 
 
-def peak_memory() -> int:
-    """The peak, bytes; 0 where the system does not say."""
-    if (told := _told_by_linux("VmHWM")) is not None:
-        return told
+def _peak_memory() -> int:
+    """Return the peak, bytes; 0 where the system does not say."""
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+        return 1024 * int(status.partition("VmHWM:")[2].split(maxsplit=1)[0])
+    except (OSError, ValueError, IndexError):
+        pass
     try:
         import resource
     except ImportError:
@@ -147,54 +147,131 @@ def peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def held_memory() -> int:
-    """What the process holds now, bytes; 0 where the system does not say."""
-    if (told := _told_by_linux("VmRSS")) is not None:
-        return told
+@cache
+def commit() -> str:
+    """Return the commit of adaptmg; empty where it does not lie in a git repository, or git is not installed."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return ""
     try:
-        import psutil
-    except ImportError:
-        return 0
-    return psutil.Process().memory_info().rss
+        return subprocess.run(["git", "-C", root, "rev-parse", "HEAD"], capture_output=True, text=True,
+                              timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""
 
 
-def _told_by_linux(name: str) -> int | None:
-    """A line of the status of this process, bytes; None elsewhere."""
-    try:
-        with open("/proc/self/status", encoding="ascii", errors="replace") as file:
-            for line in file:
-                if line.startswith(f"{name}:"):
-                    return 1024 * int(line.split()[1])
-    except (OSError, ValueError, IndexError):
-        pass
-    return None
+# on a worker
+
+
+class UnfitWorker(RuntimeError):
+    """A worker that would not compute what the process of the study would; the message says why."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a worker gets with each run."""
+
+    function: bytes  # the run function, see sent
+    identity: dict[str, str]  # of the process of the study
+    fingerprint: Fingerprint
+    depends: tuple[str, ...]  # names that the fingerprint leaves out
 
 
 @cache
-def commit() -> str:
-    """Hexadecimal, empty where there is no repository."""
+def identity() -> dict[str, str]:
+    """Return the versions on which a run depends, and those of the packages that send it."""
+    return environment() | {name: importlib.metadata.version(name) for name in ("cloudpickle", "dask", "distributed")}
+
+
+_MOST_FUNCTIONS = 32
+#: run functions by their bytes and fingerprint
+_functions: dict[tuple[bytes, str], RunFunction] = {}
+
+
+def readied(order: Order) -> RunFunction:
+    """Check this process against the one of the study, and unpack the run function.
+
+    Modules that are loaded here may have been edited since, and values that a script set in a module are not here: the
+    function would compute something else under the fingerprint of the study.
+    """
+    known = order.function, order.fingerprint.code
+    if known in _functions:
+        return _functions[known]
+    here = identity()
+    if different := [f"{name} {here.get(name, 'none')} instead of {value}" for name, value in order.identity.items()
+                     if here.get(name) != value]:
+        raise UnfitWorker(f"it has {', '.join(different)}")
     try:
-        return _head(Path(__file__).resolve().parents[2])
-    except (OSError, ValueError):
-        return ""
+        function = pickle.loads(order.function)
+    except ModuleNotFoundError as error:
+        raise UnfitWorker(f"it has no module {error.name!r}, which the run function needs: install it there, put it on "
+                          "PYTHONPATH, or send it with client.upload_file") from error
+    except Exception as error:
+        raise UnfitWorker(f"it cannot unpack the run function ({error_text(error)})") from error
+    if changes := fingerprint(function, dict.fromkeys(order.depends)).seen().differences(order.fingerprint.parts):
+        raise UnfitWorker(f"it would compute something else than this process ({', '.join(changes[:5])}): bring the "
+                          "same files there and start the worker again; give values that a script sets in a module as "
+                          "parameters or fixed={...}")
+    while len(_functions) >= _MOST_FUNCTIONS:
+        del _functions[next(iter(_functions))]
+    _functions[known] = function
+    return function
 
 
-def _head(root: Path) -> str:
-    git = root / ".git"
-    if git.is_file():  # a working tree beside its repository
-        git = root / git.read_text(encoding="utf-8").removeprefix("gitdir:").strip()
-    if not git.is_dir():
-        return ""
-    head = (git / "HEAD").read_text(encoding="utf-8").strip()
-    if not head.startswith("ref:"):
-        return head
-    name = head.removeprefix("ref:").strip()
-    common = git / "commondir"
-    base = git / common.read_text(encoding="utf-8").strip() if common.is_file() else git
-    for place in (git, base):
-        if (place / name).is_file():
-            return (place / name).read_text(encoding="utf-8").strip()
-    for line in (base / "packed-refs").read_text(encoding="utf-8").splitlines():
-        if line.endswith(f" {name}"):
-            return line.split()[0]
-    return ""
+@cache
+def warm() -> None:
+    """Compile the kernels of the default method, or read them from the cache, before a clock starts."""
+    import adaptmg as am
+    from adaptmg._runtime import one_blas_thread
+
+    with one_blas_thread():
+        am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)), am.FullMultigrid(), throw=False)
+
+
+def perform(order: Order, point: Point, tries: int, begin: Callable[[], None]) -> Finished:
+    """Compute one run on a worker; ``begin`` is called when its clock starts."""
+    import cloudpickle
+
+    function = readied(order)
+    if order.fingerprint.uses_adaptmg:
+        warm()
+    begin()
+    finished = compute(function, point, interruptible=False)
+    error = finished.exception
+    try:
+        sendable = error and cloudpickle.loads(cloudpickle.dumps(error.with_traceback(None)))
+    except Exception:  # its text arrives in any case
+        sendable = None
+    return replace(finished, exception=sendable, tries=tries)
+
+
+_MOST = 50 * 2**20
+
+
+def _cached_again(function: RunFunction, parameters: dict[str, int | bool]) -> RunFunction:
+    return functools.lru_cache(**parameters)(function)
+
+
+def sent(function: RunFunction) -> bytes:
+    """Return a function as bytes: by value what has no module on a worker (scripts, closures), else by name."""
+    import cloudpickle
+
+    class Pickler(cloudpickle.Pickler):
+        """Cached functions of ``__main__`` too, which cloudpickle would look for in the worker's ``__main__``."""
+
+        def reducer_override(self, obj: object) -> object:
+            if isinstance(obj, functools._lru_cache_wrapper) and getattr(obj, "__module__", None) == "__main__":
+                return _cached_again, (obj.__wrapped__, obj.cache_parameters())
+            return super().reducer_override(obj)
+
+    buffer = io.BytesIO()
+    try:
+        Pickler(buffer).dump(function)
+    except Exception as error:  # whatever the objects it carries raise
+        raise TypeError(f"the run function {function.__qualname__} cannot be sent to a worker, as something it reads "
+                        f"cannot ({type(error).__name__}: {error}): build that inside the function") from error
+    content = buffer.getvalue()
+    if len(content) > _MOST:
+        raise TypeError(f"the run function {function.__qualname__} carries {len(content) / 1e6:.0f} MB of values with "
+                        "it, with each run: let it read them from a file, or build them")
+    return content

@@ -1,10 +1,8 @@
-"""Record: one run of a study as plain values, and the canonical text by which a run is known.
+"""Record: one run of a study as plain values, and the canonical text that identifies it.
 
-A run is known by the JSON of its parameters with sorted keys, so the order in which parameters are given does not
-matter. Values are the same where their texts are: 1, 1.0, True and "1" are four different values (``1``, ``1.0``,
-``true``, ``"1"``), a number of numpy is Python's number of the same kind, NaN is itself (``NaN``), and 0.0 is not -0.0.
-
-How far a study is, and why what is stored cannot be taken.
+A run is identified by the JSON of its parameters with sorted keys: the order of the parameters does not matter. Values
+are equal where their texts are: 1, 1.0, True and "1" are four values (``1``, ``1.0``, ``true``, ``"1"``), a number of
+numpy is Python's number of the same kind, NaN is itself (``NaN``), and 0.0 is not -0.0.
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from json.encoder import encode_basestring
-from typing import Any
 
 import numpy as np
 
@@ -27,11 +24,9 @@ __all__ = ["DETAILS", "RESERVED", "Record", "Scalar", "StudyStatus", "Value", "b
 Scalar = bool | int | float | str | None
 Value = Scalar | tuple["Value", ...]
 
-#: columns that :meth:`adaptmg.study.Study.table` adds to parameters and results
+#: columns that :meth:`adaptmg.study.Study.table` adds to parameters and results, and those it adds as details
 RESERVED = ("status", "seconds", "error")
-#: columns that it adds beside those when it is asked for details
 DETAILS = ("tries", "peak_memory", "started", "finished", "machine", "commit", "traceback")
-
 #: characters of an error and of a traceback that are stored
 MOST_ERROR, MOST_TRACEBACK = 4_000, 20_000
 #: characters of all results of a run as JSON; longer texts are kept as files
@@ -40,63 +35,32 @@ MOST_RESULTS = 200_000
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """What is known of one run.
+    """One run: what it was given, what it returned, and where it ran."""
 
-    Attributes
-    ----------
-    parameters : dict
-        All of them, the fixed ones too.
-    status : {"done", "failed"}
-    results : dict of str to bool, int, float, str or None
-        Empty where the run failed. A result that is kept as a file stands there with the name of the file.
-    error : str
-        Type and text of the exception of a failed run, else empty.
-    seconds : float
-        Wall time of the run.
-    code : str
-        Fingerprint of what the run depends on, see :mod:`adaptmg._fingerprint`.
-    versions : dict of str to str
-        Of Python and of the packages the results depend on.
-    finished, started : str
-        When, UTC, ISO 8601.
-    traceback : str
-        Of a failed run, its middle left out where it is long.
-    peak_memory : int
-        The most memory that the process held during the run, bytes; 0 where the system does not say.
-    machine : str
-        On which it ran.
-    commit : str
-        Of adaptmg, where it lies in a git repository.
-    tries : int
-        How often it was started until it came to this end: more than once where workers died.
-    files : dict of str to str
-        Results that are kept as files, by name of the result: path from the folder of the store's files.
-    """
-
-    parameters: dict[str, Value]
-    status: str
-    results: dict[str, Scalar] = field(default_factory=dict)
-    error: str = ""
-    seconds: float = 0.0
-    code: str = ""
-    versions: dict[str, str] = field(default_factory=dict)
-    finished: str = ""
-    traceback: str = ""
-    peak_memory: int = 0
-    started: str = ""
+    parameters: dict[str, Value]  # the fixed ones too
+    status: str  # "done" or "failed"
+    results: dict[str, Scalar] = field(default_factory=dict)  # the path of a file where a result is kept as one
+    error: str = ""  # type and text of the exception of a failed run
+    seconds: float = 0.0  # wall time
+    code: str = ""  # fingerprint, see :mod:`adaptmg._fingerprint`
+    versions: dict[str, str] = field(default_factory=dict)  # of Python and of the packages
+    finished: str = ""  # UTC, ISO 8601
+    traceback: str = ""  # of a failed run
+    peak_memory: int = 0  # largest memory of the process during the run, bytes; 0 where the system does not say
+    started: str = ""  # UTC, ISO 8601
     machine: str = ""
-    commit: str = ""
-    tries: int = 1
-    files: dict[str, str] = field(default_factory=dict)
+    commit: str = ""  # of adaptmg, where it lies in a git repository
+    tries: int = 1  # number of starts: more than one where workers died
+    files: dict[str, str] = field(default_factory=dict)  # results kept as files: path in the folder of the store
 
 
-def _scalar(value: Any) -> Any:
-    """Numpy scalars, and arrays without an axis, as Python's own."""
+def _scalar(value: object) -> object:
+    """Return numpy scalars, and arrays without an axis, as Python's numbers."""
     return value.item() if isinstance(value, np.generic | np.ndarray) and not value.ndim else value
 
 
-def parameter_value(name: str, value: Any) -> Value:
-    """``value`` as a plain number, string, bool, None or tuple of those; TypeError for anything else."""
+def parameter_value(name: str, value: object) -> Value:
+    """Return a number, string, bool, None or tuple of those; TypeError for anything else."""
     value = _scalar(value)
     if isinstance(value, tuple):
         return tuple(parameter_value(name, v) for v in value)
@@ -108,8 +72,8 @@ def parameter_value(name: str, value: Any) -> Value:
                     f"{checks.shown(value)}; pass a name or a number and build the object in the run function")
 
 
-def plain_results(results: Any, parameters: Mapping[str, Value]) -> dict[str, Scalar]:
-    """What a run function returned, checked: a flat mapping of names to numbers, strings, bools or None."""
+def plain_results(results: object, parameters: Mapping[str, Value]) -> dict[str, Scalar]:
+    """Return the results of a run function, checked: a flat mapping of names to numbers, strings, bools or None."""
     if not isinstance(results, Mapping):
         raise TypeError(f"the run function must return a dict of numbers, strings and bools, got "
                         f"{checks.shown(results)}")
@@ -125,19 +89,15 @@ def plain_results(results: Any, parameters: Mapping[str, Value]) -> dict[str, Sc
             raise TypeError(f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "
                             "reduce arrays to numbers, or return a numpy array, which is kept as a file")
         plain[name] = value
-    return plain
-
-
-def check_size(results: Mapping[str, Scalar]) -> None:
-    """ValueError if results are too long, or of numbers too long, to be stored in a row."""
-    length = len(json.dumps(results))
+    length = len(json.dumps(plain))
     if length > MOST_RESULTS:
         raise ValueError(f"the results take {length} characters, at most {MOST_RESULTS} go into a row; return arrays, "
                          "which are kept as files")
+    return plain
 
 
 def bounded(text: str, most: int) -> str:
-    """A text with its middle left out where it is longer than ``most`` characters."""
+    """Return a text of at most ``most`` characters, its middle left out where it is longer."""
     if len(text) <= most:
         return text
     half = (most - 60) // 2
@@ -145,12 +105,12 @@ def bounded(text: str, most: int) -> str:
 
 
 def canonical(parameters: Mapping[str, Value]) -> str:
-    """The text by which a run is known."""
+    """Return the text that identifies a run."""
     return "{" + ",".join([f"{_encoded(name)}:{_encoded(parameters[name])}" for name in sorted(parameters)]) + "}"
 
 
 def _encoded(value: Value) -> str:
-    """As ``json.dumps(value, separators=(",", ":"), ensure_ascii=False)``, five times as fast for what is short."""
+    """As ``json.dumps(value, separators=(",", ":"), ensure_ascii=False)``, five times as fast for short values."""
     kind = type(value)
     if kind is str:
         return encode_basestring(value)
@@ -163,39 +123,26 @@ def _encoded(value: Value) -> str:
     return json.dumps(value)
 
 
-def restored(value: Any) -> Any:
+def restored(value: Scalar | list) -> Value:
     """Undo what JSON does to tuples."""
-    if isinstance(value, list):
-        return tuple(restored(v) for v in value)
-    return value
+    return tuple(map(restored, value)) if isinstance(value, list) else value
 
 
-#: reasons that are told one by one
+#: reasons that are listed
 _MOST = 12
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyStatus:
-    """Counts of the runs of a study.
+    """Counts of the runs of a study, and why runs are stale or failed."""
 
-    Attributes
-    ----------
-    name : str
-    done, failed, stale, missing : int
-        Stored and valid; stored, valid and failed; stored for another state of code, values or packages; not there.
-    reasons : dict of str to int
-        Why runs are stale, and how many for that reason; one run may have several.
-    errors : dict of str to int
-        Errors of failed runs, and how many have each.
-    """
-
-    name: str
-    done: int
-    failed: int
-    stale: int
+    name: str  # of the study
+    done: int  # stored and valid
+    failed: int  # stored, valid and failed
+    stale: int  # stored for another state of code, values or packages
     missing: int
-    reasons: dict[str, int] = field(default_factory=dict)
-    errors: dict[str, int] = field(default_factory=dict)
+    reasons: dict[str, int] = field(default_factory=dict)  # why runs are stale, with their number
+    errors: dict[str, int] = field(default_factory=dict)  # errors of failed runs, with their number
 
     @property
     def total(self) -> int:
@@ -215,17 +162,15 @@ class StudyStatus:
 
 def reasons(stale: Iterable[Record], now: Fingerprint, versions: Mapping[str, str],
             origins: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
-    """Why records are stale, with the number of records."""
-    kinds: Counter[tuple[str, tuple[tuple[str, str], ...]]] = Counter(
-        (record.code, tuple(record.versions.items())) for record in stale)
+    """Return why records are stale, with the number of records."""
+    kinds = Counter((record.code, tuple(record.versions.items())) for record in stale)
     found: Counter[str] = Counter()
     for (code, stored), count in kinds.items():
         then = dict(stored)
-        told = [f"{name} {then.get(name, 'none')} -> {versions.get(name, 'none')}"
-                for name in sorted({*then, *versions}) if then.get(name) != versions.get(name)]
+        changes = [f"{name} {then.get(name, 'none')} -> {versions.get(name, 'none')}"
+                   for name in sorted({*then, *versions}) if then.get(name) != versions.get(name)]
         if code != now.code:
-            told += now.differences(origins[code]) if code in origins else \
-                ["stored by a version of adaptmg that did not say what a run depends on"]
-        for text in told:
+            changes += now.differences(origins.get(code, {}))
+        for text in changes:
             found[text] += count
     return dict(found)

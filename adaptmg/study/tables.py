@@ -1,14 +1,11 @@
-"""Tables of a study as aligned text and as HTML: units in the headers, a caption above, a note below.
-
-Rows of a study as a table, column by column, as tables may have 100 000 rows; pandas is loaded when asked for.
-"""
+"""Tables of a study: runs as a table of pandas, and tables as aligned text and as HTML with units in the headers."""
 
 from __future__ import annotations
 
 import math
 import numbers
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,66 +15,71 @@ from adaptmg.study.record import DETAILS, RESERVED, Record, Value
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["as_html", "as_text", "cells", "columns", "frame", "from_columns", "numeric", "shown_cells"]
+    Table = pd.DataFrame | Mapping[str, Sequence[object]]
 
-if TYPE_CHECKING:
+__all__ = ["as_html", "as_text", "cells", "frame", "numeric", "shown_cells"]
+
+_NAN = float("nan")
+
+
+def frame(names: Sequence[str], rows: Sequence[tuple[Mapping[str, Value], Record | None, str]],
+          details: bool = False) -> pd.DataFrame:
+    """Return a table of runs: parameters by ``names``, results, status, seconds, error, and details."""
     import pandas as pd
 
-    Table = pd.DataFrame | Mapping[str, Sequence[Any]]
-
+    results = dict.fromkeys(name for _, record, _ in rows if record is not None for name in record.results)
+    made: dict[str, list[object]] = {name: [point.get(name) for point, _, _ in rows] for name in names}
+    # NaN where a row lacks a result, as a table of dicts has it
+    made |= {name: [_NAN if record is None else record.results.get(name, _NAN) for _, record, _ in rows]
+             for name in results}
+    made["status"] = [status for _, _, status in rows]
+    made["seconds"] = [_NAN if record is None else record.seconds for _, record, _ in rows]
+    made["error"] = ["" if record is None else record.error for _, record, _ in rows]
+    for name in DETAILS if details else ():
+        made.setdefault(name, [None if record is None else getattr(record, name) for _, record, _ in rows])
+    order = [*names, *results, *RESERVED, *(name for name in made if name in DETAILS and name not in results)]
+    # texts that are not UTF-8 are refused by the text columns of pandas with pyarrow
+    return pd.DataFrame({name: pd.Series(made[name], dtype=object if any(isinstance(v, str) for v in made[name])
+                                         else None) for name in order})
 
 
 def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
             formats: Mapping[str, str] | None = None) -> str:
-    """A table as text in aligned columns.
+    """Return a table as text in aligned columns.
 
     Parameters
     ----------
     table : pandas.DataFrame, or mapping of names to columns
         The index is not shown.
-    caption : str
-        What the table shows; say the grid and the tolerance.
-    note : str
-        Below it: norms, sources, what differs from a reference.
+    caption, note : str
+        Above and below the table.
     units : mapping of column to str
         Shown in the header: ``{"seconds": "s"}`` gives 'seconds [s]'.
     formats : mapping of column to str
-        Format of its numbers, as in ``format(x, ".2e")``; default ``.4g`` for floats.
-
-    Returns
-    -------
-    str
-        Lines without trailing blanks, no newline at the end.
+        Format of numbers, as in ``format(x, ".2e")``; default ``.4g`` for floats.
     """
     headers, columns = cells(table, units, formats)
-    widths = [max(map(len, (header, *cells)), default=0) for header, cells in zip(headers, columns, strict=True)]
+    widths = [max(map(len, (header, *column)), default=0) for header, column in zip(headers, columns, strict=True)]
     right = [numeric(column) for _, column in table.items()]
 
-    def line(cells: list[str]) -> str:
+    def line(row: Sequence[str]) -> str:
         padded = (cell.rjust(width) if is_right else cell.ljust(width)
-                  for cell, width, is_right in zip(cells, widths, right, strict=True))
+                  for cell, width, is_right in zip(row, widths, right, strict=True))
         return "  ".join(padded).rstrip()
 
-    rows = [line(list(row)) for row in zip(*columns, strict=True)]
+    rows = [line(row) for row in zip(*columns, strict=True)]
     body = [line(headers), "  ".join("-" * width for width in widths), *rows]
     return printable("\n".join([caption] * bool(caption) + body + [note] * bool(note)))
 
 
 def as_html(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
             formats: Mapping[str, str] | None = None) -> str:
-    """A table as an HTML ``<figure>``; everything escaped, numbers right-aligned by class ``n``.
-
-    Parameters
-    ----------
-    table, caption, note, units, formats
-        As in :func:`as_text`.
-    """
+    """Return a table as an HTML ``<figure>``, escaped, numbers in class ``n``; arguments as of :func:`as_text`."""
     headers, columns = cells(table, units, formats)
     classes = [' class="n"' if numeric(column) else "" for _, column in table.items()]
     head = "".join(f"<th{c}>{in_html(h)}</th>" for h, c in zip(headers, classes, strict=True))
-    rows = ("".join(f"<td{c}>{in_html(cell)}</td>" for cell, c in zip(row, classes, strict=True))
-            for row in zip(*columns, strict=True))
-    body = "\n".join(f"<tr>{row}</tr>" for row in rows)
+    body = "\n".join("<tr>" + "".join(f"<td{c}>{in_html(cell)}</td>" for cell, c in zip(row, classes, strict=True))
+                     + "</tr>" for row in zip(*columns, strict=True))
     top = f"<figcaption>{in_html(caption)}</figcaption>\n" if caption else ""
     bottom = f'\n<p class="note">{in_html(note)}</p>' if note else ""
     return (f'<figure class="table">\n{top}<div class="scroll"><table>\n<thead><tr>{head}</tr></thead>\n'
@@ -86,28 +88,25 @@ def as_html(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
 
 def shown_cells(table: Table, *, units: Mapping[str, str] | None = None,
                 formats: Mapping[str, str] | None = None) -> tuple[list[list[str]], list[bool]]:
-    """The cells as text, column by column, and which columns hold numbers; arguments as of :func:`as_text`."""
+    """Return the cells as text, column by column, and whether each column holds numbers."""
     return cells(table, units, formats)[1], [numeric(column) for _, column in table.items()]
 
 
-def cells(table: Table, units: Mapping[str, str] | None,
-          formats: Mapping[str, str] | None) -> tuple[list[str], list[list[str]]]:
-    """Headers, and the texts of each column."""
-    units, formats = units or {}, formats or {}
-    given = list(table.items())
+def cells(table: Table, units: Mapping[str, str] | None = None,
+          formats: Mapping[str, str] | None = None) -> tuple[list[str], list[list[str]]]:
+    """Return headers, and the texts of each column."""
+    units, formats, given = units or {}, formats or {}, list(table.items())
     names = [name for name, _ in given]
     if len(set(names)) < len(names):
         raise ValueError(f"table has columns of the same name: {names}")
     for what, mapping in (("units", units), ("formats", formats)):
-        unknown = sorted(set(mapping) - set(names))
-        if unknown:
+        if unknown := sorted(set(mapping) - set(names)):
             raise ValueError(f"{what} names columns the table does not have: {unknown}; it has {names}")
     headers = [f"{_line(name)} [{_line(units[name])}]" if units.get(name) else _line(name) for name in names]
-    columns = [[_cell(value, formats.get(name)) for value in column] for name, column in given]
-    return headers, columns
+    return headers, [[_cell(value, formats.get(name)) for value in column] for name, column in given]
 
 
-def _cell(value: Any, spec: str | None) -> str:
+def _cell(value: object, spec: str | None) -> str:
     if value is None or type(value).__name__ == "NAType" or (isinstance(value, numbers.Real) and math.isnan(value)):
         return "-"
     if isinstance(value, bool | np.bool_):
@@ -121,52 +120,12 @@ def _cell(value: Any, spec: str | None) -> str:
     return _line(value)
 
 
-def _line(value: Any) -> str:
-    """A text in one line, as wide as it is printed."""
+def _line(value: object) -> str:
+    """Return a text in one line, as wide as it is printed."""
     return printable(" ".join(str(value).split()))
 
 
-def numeric(column: Iterable[Any]) -> bool:
-    """Whether a column holds numbers, apart from what is not there."""
+def numeric(column: Iterable[object]) -> bool:
+    """Whether a column holds numbers, apart from missing values."""
     values = [v for v in column if v is not None]
     return bool(values) and all(isinstance(v, numbers.Real) and not isinstance(v, bool) for v in values)
-
-
-_NAN = float("nan")
-
-
-def frame(names: Sequence[str], rows: Sequence[tuple[dict[str, Value], Record | None, str]],
-          details: bool = False) -> pd.DataFrame:
-    """A table of runs; arguments as of :func:`columns`."""
-    return from_columns(columns(names, rows, details))
-
-
-def from_columns(made: Mapping[str, Sequence[Any]]) -> pd.DataFrame:
-    """A table of columns, whatever their texts are."""
-    import pandas as pd
-
-    try:
-        return pd.DataFrame(made)
-    except UnicodeEncodeError:
-        # texts that are not UTF-8: pandas cannot hold them as its own kind where pyarrow is installed
-        return pd.DataFrame({name: pd.Series(column, dtype=object if any(isinstance(v, str) for v in column) else None)
-                             for name, column in made.items()})
-
-
-def columns(names: Sequence[str], rows: Sequence[tuple[dict[str, Value], Record | None, str]],
-            details: bool = False) -> dict[str, list[Any]]:
-    """The columns of a table of runs."""
-    results = dict.fromkeys(name for _, record, _ in rows if record is not None for name in record.results)
-    made: dict[str, list[Any]] = {name: [point[name] for point, _, _ in rows] for name in names}
-    found = [{} if record is None else record.results for _, record, _ in rows]
-    # NaN where a row lacks a result, as a table of dicts has it
-    made |= {name: [values.get(name, _NAN) for values in found] for name in results}
-    made["status"] = [status for _, _, status in rows]
-    made["seconds"] = [_NAN if record is None else record.seconds for _, record, _ in rows]
-    made["error"] = ["" if record is None else record.error for _, record, _ in rows]
-    if details:
-        taken = [name for name in DETAILS if name in made]
-        made |= {name: [None if record is None else getattr(record, name) for _, record, _ in rows]
-                 for name in DETAILS if name not in taken}
-    order = [*names, *results, *RESERVED, *(name for name in made if name in DETAILS and name not in results)]
-    return {name: made[name] for name in order}

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import json
 import os
 import signal
 import subprocess
 import sys
 import textwrap
 import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import adaptmg as am
-from adaptmg.study import Study, local_cluster
+from adaptmg.study import Study, execute, local_cluster
+from adaptmg.study import cluster as executor
+from adaptmg.study.store import Store
 
 distributed = pytest.importorskip("distributed")
+psutil = pytest.importorskip("psutil")
 
 SETTING = 1
 
@@ -49,16 +56,24 @@ def test_results_are_those_of_one_process_bit_by_bit(cluster, tmp_path):
     assert isinstance(spread.load(3, "result"), am.Result)
 
 
-def test_a_closure_runs_in_other_processes_with_one_thread(cluster):
+def test_a_closure_runs_in_other_processes_with_one_thread_and_warm_kernels(cluster):
+    import dask
+
     factor, here = 3, os.getpid()
 
     def run(n):
+        from adaptmg.study import execute
+
         return {"m": factor * n, "here": os.getpid() == here, "threads": os.environ["OMP_NUM_THREADS"],
-                "numba": os.environ["NUMBA_NUM_THREADS"]}
+                "numba": os.environ["NUMBA_NUM_THREADS"], "warm": bool(execute.warm.cache_info().currsize),
+                "problem": am.cases.greco_bar().name}
 
     table = Study(run, {"n": range(7)}).run(progress=False, scheduler=cluster)
-    assert table["m"].tolist() == [3 * n for n in range(7)]
+    assert table["m"].tolist() == [3 * n for n in range(7)] and table["warm"].all()
     assert not table["here"].any() and set(table["threads"]) == set(table["numba"]) == {"1"}
+    folder = cluster.run_on_scheduler(lambda dask_scheduler: dask_scheduler._original_local_dir)
+    assert os.path.isdir(folder) and folder.startswith(dask.config.get("temporary-directory"))
+    assert set(cluster.run(lambda dask_worker: dask_worker._original_local_dir).values()) == {folder}
 
 
 def test_a_worker_that_dies_is_survived(cluster, tmp_path):
@@ -84,75 +99,19 @@ def test_runs_over_their_limits_are_stopped(cluster):
     def run(what):
         if what == "long":
             time.sleep(60)
+        if what == "locked":
+            ctypes.PyDLL(None).sleep(60)  # keeps Python's lock
         if what == "large":
             kept = [np.ones(2**22) for _ in range(40)]
             time.sleep(60)
             return {"m": len(kept)}
         return {"m": 1}
 
-    timed = Study(run, {"what": ["short", "long"]}).run(progress=False, scheduler=cluster, limit_s=1)
-    assert timed["error"].tolist() == ["", "TimeLimit: stopped after limit_s=1 s"] and timed["m"][0] == 1
+    over = "TimeLimit: stopped after limit_s=1 s"
+    timed = Study(run, {"what": ["short", "long", "locked"]}).run(progress=False, scheduler=cluster, limit_s=1)
+    assert timed["error"].tolist() == ["", over, over] and timed["m"][0] == 1
     held = Study(run, {"what": ["short", "large"]}).run(progress=False, scheduler=cluster, memory_limit=1e9)
     assert held["status"].tolist() == ["done", "failed"] and held["error"][1].startswith("MemoryLimit")
-
-
-def test_code_that_holds_the_lock_of_python_is_stopped_too(cluster):
-    def run(n):
-        if n:
-            ctypes.PyDLL(None).sleep(60)
-        return {"m": n}
-
-    table = Study(run, {"n": [0, 1]}).run(progress=False, scheduler=cluster, limit_s=1)
-    assert table["error"].tolist() == ["", "TimeLimit: stopped after limit_s=1 s"]
-
-
-@pytest.mark.parametrize("when", ["before", "while it runs"])
-def test_processes_that_dask_gave_up_are_started_anew(when, monkeypatch, caplog):
-    """As on a machine that is so busy that they are slow to start."""
-    import dask
-
-    from adaptmg.study import cluster as executor
-    from adaptmg.study import cluster as fitness
-    from adaptmg.study.cluster import local_cluster
-
-    def run(n):
-        return {"m": n, "here": os.getpid()}
-
-    with local_cluster(1) as client:
-        assert dask.config.get("distributed.deploy.lost-worker-timeout") == "1h"
-        monkeypatch.setattr(executor, "_PATIENCE_S", 2.0)
-        monkeypatch.setattr(fitness, "PATIENCE_S", 2.0)
-        monkeypatch.setattr(fitness, "_TRIES", 50)
-        study = Study(run, {"n": range(3)})
-        first = study.run(progress=False, scheduler=client)
-
-        def give_up():
-            client.cluster.sync(client.cluster.workers[0].close)
-
-        if when == "before":
-            give_up()
-        else:
-            monkeypatch.setattr(executor, "check_workers", lambda *_: give_up())
-        again = study.run(progress=False, scheduler=client, rerun=True)
-    assert again["m"].tolist() == [0, 1, 2] and set(again["here"]).isdisjoint(first["here"])
-    assert "no process that computes runs is left: starting 1" in caplog.text
-
-
-def test_scratch_files_of_dask_lie_in_a_folder_that_goes(cluster):
-    import dask
-
-    folder = cluster.run_on_scheduler(lambda dask_scheduler: dask_scheduler._original_local_dir)
-    assert os.path.isdir(folder) and folder.startswith(dask.config.get("temporary-directory"))
-    assert set(cluster.run(lambda dask_worker: dask_worker._original_local_dir).values()) == {folder}
-
-
-def test_kernels_are_warm_before_a_clock_starts(cluster):
-    def run(n):
-        from adaptmg.study import in_worker
-
-        return {"warm": in_worker._warmed, "problem": am.cases.greco_bar().name}
-
-    assert Study(run, {"n": range(2)}).run(progress=False, scheduler=cluster)["warm"].tolist() == [True, True]
 
 
 def test_errors_come_with_type_text_and_traceback(cluster):
@@ -181,8 +140,6 @@ def test_what_a_worker_lacks_is_told_at_once(cluster, tmp_path, monkeypatch):
 
 
 def test_another_adaptmg_on_a_worker_is_told_at_once(cluster, monkeypatch):
-    from adaptmg.study import cluster as executor
-
     monkeypatch.setattr(executor, "identity", lambda: {"numpy": "1.0"})
     with pytest.raises(RuntimeError, match=r"worker tcp.*numpy .* instead of 1\.0"):
         Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=cluster)
@@ -231,7 +188,7 @@ def test_studies_can_share_a_cluster_from_several_threads(cluster, tmp_path):
     assert [table["m"].sum() for table in tables] == [0, 45, 90]
 
 
-def test_wrong_clusters_are_refused():
+def test_wrong_clusters_and_functions_are_refused(monkeypatch):
     study = Study(lambda n: {"m": n}, {"n": [1]})
     with pytest.raises(ValueError, match="not both"):
         study.run(workers=1, scheduler="tcp://127.0.0.1:1")
@@ -244,6 +201,12 @@ def test_wrong_clusters_are_refused():
     for address in ("", "tcp://", "host", "tcp://host: 8786"):
         with pytest.raises(ValueError, match="scheduler must be an address"):
             study.run(scheduler=address)
+    monkeypatch.setattr(executor, "CONNECT_S", 0.5)
+    with pytest.raises(OSError, match=r"nobody answers at tcp:..127\.0\.0\.1:9"):
+        study.run(scheduler="tcp://127.0.0.1:9")
+    large = np.ones(execute._MOST // 8 + 1)
+    with pytest.raises(TypeError, match=r"carries 52 MB of values"):
+        execute.sent(lambda n: {"m": large[n]})
 
 
 SCRIPT = """
@@ -270,9 +233,6 @@ SCRIPT = """
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
 def test_a_script_that_is_ended_keeps_what_is_done_and_leaves_nothing(tmp_path, kind):
     """A script without a guard for ``__main__``, whose runs cannot be interrupted, and then again."""
-    psutil = pytest.importorskip("psutil")
-    from adaptmg.study.store import Store
-
     script, path = tmp_path / "script.py", tmp_path / "s.sqlite"
     script.write_text(textwrap.dedent(SCRIPT), encoding="utf-8")
     started = subprocess.Popen([sys.executable, str(script), str(path), "--hang"], stdout=subprocess.DEVNULL,
@@ -297,3 +257,222 @@ def test_the_serial_way_does_not_load_dask():
             "Study(lambda n: {'m': n}, {'n': [1, 2]}).run()\n"
             "sys.exit(bool({'dask', 'distributed', 'cloudpickle'} & (set(sys.modules) - before)))")
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+# a cluster of the user, started as the README says: ``dask scheduler`` and ``dask worker`` in a shell
+
+
+@contextlib.contextmanager
+def dask(*arguments: str):
+    """A command of dask, ended with all it started; dask itself starts a run that ended its worker once more."""
+    started = subprocess.Popen([sys.executable, "-m", "dask", *arguments], stdout=subprocess.DEVNULL,
+                               stderr=subprocess.DEVNULL,
+                               env=os.environ | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"})
+    try:
+        yield started
+    finally:
+        children = psutil.Process(started.pid).children(recursive=True) if started.poll() is None else []
+        for process in [*children, started]:
+            with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
+                process.kill()
+        started.wait()
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """Of a scheduler with two workers of one thread."""
+    file = tmp_path_factory.mktemp("dask") / "scheduler.json"
+    with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0",
+              "--scheduler-file", str(file)):
+        end = time.monotonic() + 120
+        while not file.exists() and time.monotonic() < end:
+            time.sleep(0.1)
+        found = json.loads(file.read_text(encoding="utf-8"))["address"]
+        with dask("worker", found, "--nthreads", "1", "--nworkers", "2", "--host", "127.0.0.1",
+                  "--dashboard-address", "127.0.0.1:0", "--local-directory", str(file.parent)):
+            yield found
+
+
+def test_runs_and_limits(address, tmp_path):
+    def run(n):
+        if n == 5:
+            time.sleep(600)
+        time.sleep(0.05)
+        return {"m": n * n}
+
+    study = Study(run, {"n": range(12)}, tmp_path / "s.sqlite")
+    study.run(progress=False, scheduler=address, limit_s=3)
+    table = study.table(details=True)
+    assert table["status"].tolist() == ["done"] * 5 + ["failed"] + ["done"] * 6
+    assert table["error"][5] == "TimeLimit: stopped after limit_s=3 s" and table["tries"][5] == 1
+
+
+def test_a_run_that_ends_its_worker(address):
+    def run(n):
+        if n == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"m": n}
+
+    # as often as dask itself starts it again, and then again alone
+    assert Study(run, {"n": range(4)}).run(progress=False, scheduler=address)["error"].tolist() == [
+        "", "WorkerDied: worker died 4 times during this run", "", ""]
+
+
+def test_runs_that_are_given_up_do_not_go_on(address, tmp_path):
+    mark = str(tmp_path / "pid")
+
+    def run(n):
+        if n:
+            with open(f"{mark}.part", "w", encoding="ascii") as file:
+                file.write(str(os.getpid()))
+            os.rename(f"{mark}.part", mark)
+            time.sleep(600)
+        end = time.monotonic() + 240
+        while not os.path.exists(mark) and time.monotonic() < end:
+            time.sleep(0.05)
+        raise ValueError("so")
+
+    with distributed.Client(address, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=240)  # after the test before
+    with pytest.raises(ValueError, match="so"):
+        Study(run, {"n": [0, 1]}).run(progress=False, scheduler=address, throw=True)
+    given_up = int(Path(mark).read_text(encoding="ascii"))
+    end = time.monotonic() + 60
+    while psutil.pid_exists(given_up) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not psutil.pid_exists(given_up)
+    table = Study(lambda n: {"m": n}, {"n": range(6)}).run(progress=False, scheduler=address)
+    assert (table["status"] == "done").all()
+
+
+def test_workers_of_several_threads_are_refused(address):
+    with dask("worker", address, "--nthreads", "2", "--no-nanny", "--host", "127.0.0.1",
+              "--dashboard-address", "127.0.0.1:0"), distributed.Client(address, set_as_default=False) as client:
+        client.wait_for_workers(3, timeout=120)
+        with pytest.raises(ValueError, match=r"has 2 threads.*--nthreads 1"):
+            Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=client)
+
+
+# what a cluster rarely does
+
+
+def _client(workers=None, **given):
+    return SimpleNamespace(scheduler=SimpleNamespace(address="tcp://s"), wait_for_workers=lambda n, timeout: None,
+                           scheduler_info=lambda n_workers: {"workers": workers or {}}, **given)
+
+
+def test_limits_are_refused_where_no_nanny_restarts_a_worker():
+    with pytest.raises(ValueError, match="has no nanny"):
+        executor.check_workers(_client({"tcp://w": {"nthreads": 1, "nanny": None}}), None, limited=True)
+
+
+def test_a_worker_that_leaves_during_the_check_is_not_unfit(caplog):
+    found = {"tcp://w": distributed.comm.CommClosedError("reset by peer"), "tcp://v": None}
+    client = _client(run=lambda *a, **k: found)
+    executor.check_workers(client, None, limited=False)
+    assert "the worker tcp://w left during the check" in caplog.text
+    found["tcp://v"] = ModuleNotFoundError("No module named 'adaptmg'")
+    with pytest.raises(RuntimeError, match="tcp://v cannot compute this study: ModuleNotFoundError: No module named"):
+        executor.check_workers(client, None, limited=False)
+
+
+def test_no_more_processes_are_started_than_there_are_runs(monkeypatch):
+    asked = []
+
+    @contextlib.contextmanager
+    def pretended(workers):
+        asked.append(workers)
+        yield None
+
+    monkeypatch.setattr(executor, "local_cluster", pretended)
+    for workers, runs in ((64, 3), (2, 100), (4, 0)):
+        with executor.opened(workers, None, runs):
+            pass
+    assert asked == [3, 2, 1]
+
+
+class _Processes:
+    """Stands for dask's cluster, which fails to start, or starts while Ctrl-C arrives."""
+
+    def __init__(self, fails, signals):
+        self.fails, self.signals, self.workers, self.closed = fails, signals, {}, []
+
+    def __call__(self, **options):
+        if self.signals:
+            signal.raise_signal(signal.SIGINT)
+        if self.fails:
+            raise RuntimeError("Nanny failed to start.")
+        return self
+
+    def close(self, timeout=None):
+        self.closed.append(timeout)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+@pytest.mark.parametrize("signals", [False, True])
+def test_a_start_that_fails_or_is_interrupted_leaves_nothing(fails, signals, monkeypatch):
+    from adaptmg.study import processes
+
+    started, heard = _Processes(fails, signals), signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(processes, "LocalCluster", started)
+    monkeypatch.setattr(processes, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # in a shell's background it comes ignored
+    try:
+        with pytest.raises(KeyboardInterrupt) if signals else pytest.raises(OSError, match="fewer workers") if fails \
+                else contextlib.nullcontext(), local_cluster(2):
+            assert not signals and not started.closed
+    finally:
+        signal.signal(signal.SIGINT, heard)
+    assert bool(started.closed) == (not fails)
+
+
+def _runs(**given):
+    runs = object.__new__(executor._Runs)
+    vars(runs).update({"_died": False, "_allowed": 0, "_limited": False, "_out": {}, "_left": executor.deque(),
+                       "_alone": executor.deque(), "_recent": executor.deque([1e-3] * 8, maxlen=8),
+                       "_back": executor.queue.SimpleQueue()} | given)
+    return runs
+
+
+def test_runs_are_sent_ahead_only_while_no_worker_has_died_and_they_are_short():
+    runs = _runs()
+    assert runs._ahead() == 10
+    runs._recent.append(0.1)
+    assert runs._ahead() == 2
+    assert [_runs(**given)._ahead() for given in ({"_died": True}, {"_allowed": 3}, {"_limited": True},
+                                                  {"_recent": executor.deque(maxlen=8)})] == [1] * 4
+
+
+@pytest.mark.parametrize("since", [3.2, 60.0])
+def test_the_death_of_a_worker_is_not_a_time_limit(since):
+    """Whenever it is reported: only a run that this process stopped is over its limit."""
+    run = executor._Run({"n": 6}, 1, time.monotonic() - since, None)
+    runs = _runs(_limit_s=3.0, _limited=True, _out={"run": run})
+    assert runs._outcome("run", executor.KilledWorker("run", None, 0)) is None
+    assert list(runs._left) == [({"n": 6}, 2)]
+
+
+@pytest.mark.parametrize("local", [True, False])
+def test_a_study_waits_for_a_queue_but_not_for_processes_that_do_not_come_back(local, monkeypatch, caplog):
+    from distributed.core import Status
+
+    monkeypatch.setattr(executor, "PATIENCE_S", 0.02)
+    monkeypatch.setattr(executor, "_LOOK_S", 0.01)
+    looks = iter(range(20))
+
+    def looked(look):
+        if look == 8:
+            runs._back.put(("run", None))
+        return {"w": 1} if look == 2 else {}
+
+    processes = object.__new__(executor.LocalCluster)
+    processes.status = Status.closed  # it cannot be closed
+    runs = _runs(_client=SimpleNamespace(cluster=processes if local else None, nthreads=lambda: looked(next(looks)),
+                                         scheduler=SimpleNamespace(address="tcp://s")))
+    if local:
+        with pytest.raises(OSError, match="does not start them again"):
+            runs._come_back()
+        assert next(looks) == 6  # three looks in turn
+    else:
+        assert runs._come_back() == [("run", None)]
+    assert "has no workers: 0 runs wait" in caplog.text

@@ -29,12 +29,8 @@ def test_grids_lists_and_zips():
     assert Study(run, Points(pd.DataFrame(rows))).run(progress=False)["m"].tolist() == [1, -2]
 
 
-def test_designs_are_multiplied_and_added():
-    both = Zip({"n": [1, 2], "law": ["a", "b"]}) * Grid({"seed": [5, 6]})
-    assert points(both) == [(1, "a", 5), (1, "a", 6), (2, "b", 5), (2, "b", 6)] and len(both) == 4
-    assert points(Grid({"n": [1, 2]}) + Grid({"n": [2, 3]})) == [(1,), (2,), (3,)]
+def test_points_repeat_with_seeds():
     assert points(Repeated({"n": [1, 2]}, 2, first=3)) == [(1, 3), (1, 4), (2, 3), (2, 4)]
-    assert points(Grid({"n": [1]}) * {"law": ["b"]}) == [(1, "b")]
 
 
 @pytest.mark.parametrize("kind", [Random, LatinHypercube, Sobol])
@@ -52,11 +48,8 @@ def test_samples_lie_in_their_ranges_and_come_again(kind):
         assert np.histogram(x, 16, (0.5, 2.0))[0].tolist() == [4] * 16
 
 
-def test_more_runs_of_a_sobol_sequence_keep_the_first_ones():
+def test_a_sobol_sequence_is_extended_and_points_of_whole_numbers_are_run_once():
     assert points(Sobol({"x": (0.0, 1.0)}, 100))[:40] == points(Sobol({"x": (0.0, 1.0)}, 40))
-
-
-def test_points_of_whole_numbers_that_meet_are_run_once():
     assert sorted(points(Random({"n": (1, 3)}, 50))) == [(1,), (2,), (3,)]
 
 
@@ -66,15 +59,14 @@ def test_points_of_whole_numbers_that_meet_are_run_once():
     (lambda: Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
     (lambda: Grid({"n": range(10**30)}), ValueError, "at most"),
     (lambda: Grid({name: range(1000) for name in "abc"}), ValueError, "1000000000 points"),
-    (lambda: Grid({"n": range(2000)}) * Grid({"m": range(2000)}), ValueError, "4000000 points"),
     (lambda: Repeated({"n": [1]}, 10**9), ValueError, "1000000000 points"),
     (lambda: Random({"x": (0.0, 1.0)}, 10**9), ValueError, "1000000000 points"),
     (lambda: Zip({"n": [1, 2], "m": [1]}), ValueError, "one length"),
     (lambda: Zip({"n": [1, 1]}), ValueError, "points 0 and 1 are the same"),
     (lambda: Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
     (lambda: Points([]), TypeError, "list of mappings"),
-    (lambda: Grid({"n": [1]}) * Grid({"n": [2]}), ValueError, "both designs have"),
-    (lambda: Grid({"n": [1]}) + Grid({"m": [2]}), ValueError, "same parameters"),
+    (lambda: Repeated({"seed": [1]}, 2), ValueError, "must not be a parameter"),
+    (lambda: Study(run, {"n": [1]}).add({"law": ["a"]}), ValueError, "same parameters"),
     (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "must go up"),
     (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
     (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["y"]), ValueError, "log names"),

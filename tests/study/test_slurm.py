@@ -33,9 +33,9 @@ def test_jobs_that_wait_and_one_that_is_cancelled(jobs, tmp_path, monkeypatch, c
     from dask.distributed import Client
     from dask_jobqueue import SLURMCluster
 
-    from adaptmg.study import cluster as fitness
+    from adaptmg.study import cluster as executor
 
-    monkeypatch.setattr(fitness, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(executor, "PATIENCE_S", 0.3)
 
     def run(n):
         if n == 1:
@@ -49,7 +49,7 @@ def test_jobs_that_wait_and_one_that_is_cancelled(jobs, tmp_path, monkeypatch, c
         with Client(cluster, set_as_default=False) as client:
             study = Study(run, {"n": range(6)}, tmp_path / "s.sqlite")
             table = study.run(progress=False, scheduler=client, limit_s=4)
-            assert "no workers yet: 2 were asked for" in caplog.text
+            assert "no workers yet: 2 were requested" in caplog.text
             assert table["status"].tolist() == ["done", "failed", *["done"] * 4]
             assert table["error"][1].startswith("TimeLimit") and set(table["job"].dropna()) <= set(jobs())
             os.killpg(jobs()[0], signal.SIGTERM)

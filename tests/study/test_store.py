@@ -1,10 +1,11 @@
-"""The store: two processes at once, and everything that can happen to a file while it is in use."""
+"""The store: two processes that write, a file that changes while it is in use, results that are kept as files."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import re
-import shlex
 import shutil
 import sqlite3
 import subprocess
@@ -16,9 +17,9 @@ import pytest
 from matplotlib.figure import Figure
 
 import adaptmg as am
-from adaptmg.cli import app
-from adaptmg.study import Study
+from adaptmg.study import Study, kept_files
 from adaptmg.study import store as study_store
+from adaptmg.study.kept_files import pack
 from adaptmg.study.record import Record, bounded, canonical
 from adaptmg.study.store import Store
 
@@ -27,172 +28,155 @@ def squares(n):
     return {"square": n * n}
 
 
-def _rescued(error: pytest.ExceptionInfo) -> Path:
-    """The file that an error names."""
-    found = Path(re.search(r"safe in (\S+): bring", str(error.value))[1])
-    assert len(list(found.parent.glob("*.rescued-*"))) == 1
-    return found
+def _removed(path):
+    path.unlink()
 
 
-def _taken_back(store: Path, error: pytest.ExceptionInfo) -> dict[str, Record]:
-    """Runs after the advice of the error was followed, command and all."""
-    rescued, command = _rescued(error), shlex.split(str(error.value).split("bring them back with: ")[1])
-    assert command == ["adaptmg", "runs", str(store), "--take-in", str(rescued)]
-    if "Move the damaged file away" in str(error.value):
-        store.rename(store.with_suffix(".damaged"))
-    with pytest.raises(SystemExit) as end:
-        app(command[1:], prog_name="adaptmg")
-    assert not end.value.code
-    rescued.unlink()
-    return Store(store).get("squares")
+def _replaced(path):
+    path.unlink()
+    Store(path)
 
 
-def _sweep(path: Path, change) -> pytest.ExceptionInfo:
-    """Four of eight points are there; of the others the third changes the store while it is in use."""
-    Study(squares, {"n": range(4)}, path).run(progress=False)
+def _folder_removed(path):
+    shutil.rmtree(path.parent)
+
+
+def _damaged(path):
+    path.write_bytes(b"\xa5" * os.path.getsize(path))
+
+
+def _locked(path):
+    _locked.other = sqlite3.connect(path, isolation_level=None)
+    _locked.other.execute("BEGIN EXCLUSIVE")
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    (_removed, "was removed"), (_replaced, "replaced by another file"), (_folder_removed, "was removed"),
+    (_damaged, "damaged"), (_locked, "another process holds it")])
+def test_a_store_that_changes_while_it_is_in_use_is_named(tmp_path, monkeypatch, change, words):
+    path = tmp_path / "deep" / "s.sqlite"
+    monkeypatch.setattr(study_store, "_PATIENCE_S", 0.05)
 
     def run(n):
         if n == 6:
-            change()
+            change(path)
         return squares(n)
 
-    study = Study(run, {"n": range(4, 8)}, path, name="squares", depends={"change": None})
-    with pytest.raises((OSError, ValueError), match=re.escape(str(path))) as error:
+    study = Study(run, {"n": range(8)}, path, depends={"change": None})
+    with pytest.raises((OSError, ValueError), match=rf"{re.escape(str(path))}.*{words}"):
         study.run(progress=False)
-    return error
-
-
-@pytest.mark.parametrize("how", ["removed", "replaced", "folder removed"])
-def test_a_store_that_is_removed_or_replaced_while_in_use(tmp_path, how):
-    path = tmp_path / "deep" / "s.sqlite"
-
-    def change():
-        if how == "folder removed":
-            shutil.rmtree(path.parent)
-        else:
-            path.unlink()
-        if how == "replaced":
-            Store(path)
-
-    error = _sweep(path, change)
-    assert ("replaced by another file" if how == "replaced" else "was removed") in str(error.value)
-    back = _taken_back(path, error)
-    assert [r.results["square"] for r in back.values()] == [k * k for k in range(7)]
-
-
-def test_a_store_that_is_damaged_while_in_use(tmp_path):
-    path = tmp_path / "s.sqlite"
-
-    def change():
-        with open(path, "r+b") as file:
-            file.write(b"\xa5" * os.path.getsize(path))
-
-    error = _sweep(path, change)
-    assert "damaged" in str(error.value)
-    back = _taken_back(path, error)
-    # what this process computed; the rest was damaged
-    assert {n for n in range(4, 7)} <= {r.parameters["n"] for r in back.values()}
-
-
-def test_a_store_that_is_locked_while_in_use(tmp_path, monkeypatch):
-    path = tmp_path / "s.sqlite"
-    monkeypatch.setattr(study_store, "_PATIENCE_S", 0.05)
-    others = []
-
-    def change():
-        others.append(sqlite3.connect(path, isolation_level=None))
-        others[0].execute("BEGIN EXCLUSIVE")
-
-    error = _sweep(path, change)
-    assert "another process holds it" in str(error.value)
-    others[0].close()
-    assert len(_taken_back(path, error)) == 7
+    if change is _locked:
+        _locked.other.close()
+        assert [record.results["square"] for record in Store(path).get("run").values()] == [n * n for n in range(6)]
 
 
 @pytest.mark.parametrize(("pragma", "words"), [("PRAGMA query_only = ON", "write-protected"),
                                                ("PRAGMA max_page_count = 1", "make room")])
-def test_a_disk_that_is_full_or_a_store_that_is_read_only(tmp_path, pragma, words):
-    """As root may write everywhere and a disk is not filled in a test: SQLite is told so."""
+def test_a_full_disk_or_a_store_that_is_read_only(tmp_path, pragma, words):
+    """Root may write everywhere and a test does not fill a disk: SQLite is told so."""
     path = tmp_path / "s.sqlite"
     Study(squares, {"n": range(4)}, path).run(progress=False)
     study = Study(squares, {"n": range(8)}, path)
     study._store._connection.execute(pragma)
-
-    def long(n):
-        return {"square": n * n, "text": "x" * 9000}
-
-    study._function = long
-    with pytest.raises(OSError, match=words) as error:
+    study._store._prepare()
+    assert study.table()["status"].tolist()[:4] == ["done"] * 4
+    study._function = lambda n: {"square": n * n, "text": "x" * 9000}
+    with pytest.raises(OSError, match=rf"s\.sqlite: .*{words}"):
         study.run(progress=False)
-    assert study.table()["status"].tolist()[:4] != []  # it can be read all the same
-    assert len(_taken_back(path, error)) >= 4
+    assert len(Store(path).get("squares")) >= 4
 
 
-def test_two_sweeps_on_one_store_do_not_disturb_each_other(tmp_path):
+def test_processes_that_share_a_store_do_not_disturb_each_other(tmp_path):
     path = tmp_path / "s.sqlite"
     code = ("import sys\nfrom adaptmg.study import Study\n"
             "def run(n):\n    return {'m': n}\n"
+            "sys.stdout.write('x'); sys.stdout.flush(); sys.stdin.read(1)\n"
             "Study(run, {'n': range(*map(int, sys.argv[2:4]))}, sys.argv[1], name=sys.argv[4]).run(progress=False)\n")
-    started = [subprocess.Popen([sys.executable, "-c", code, str(path), first, last, name])
+    started = [subprocess.Popen([sys.executable, "-c", code, str(path), first, last, name], stdin=subprocess.PIPE,
+                                stdout=subprocess.PIPE)
                for first, last, name in (("0", "40", "one"), ("20", "60", "one"), ("0", "40", "two"))]
-    assert [process.wait() for process in started] == [0, 0, 0]
+    for process in started:
+        process.stdout.read(1)
+    for process in started:
+        process.communicate(b"x")
+    assert [process.returncode for process in started] == [0, 0, 0]
     assert sorted(r.results["m"] for r in Store(path).get("one").values()) == list(range(60))
     assert len(Store(path).get("two")) == 40
 
 
-def test_a_store_of_the_first_version_is_read_and_brought_up_to_date(tmp_path):
-    path = tmp_path / "s.sqlite"
-    with sqlite3.connect(path) as old:
-        old.execute("CREATE TABLE runs (study TEXT NOT NULL, parameters TEXT NOT NULL, status TEXT NOT NULL CHECK "
-                    "(status IN ('done', 'failed')), results TEXT NOT NULL, error TEXT NOT NULL, seconds REAL NOT NULL,"
-                    " code TEXT NOT NULL, versions TEXT NOT NULL, finished TEXT NOT NULL, "
-                    "PRIMARY KEY (study, parameters))")
-        old.execute("INSERT INTO runs VALUES ('squares', '{\"n\":2}', 'done', '{\"square\": 4}', '', 0.5, 'abc', "
-                    "'{\"python\": \"3\"}', '2025-01-01T00:00:00+00:00')")
-        old.execute("PRAGMA user_version = 1")
-    old.close()
-    study = Study(squares, {"n": [2, 3]}, path)
-    assert study.table()["status"].tolist() == ["stale", "missing"]
-    assert study.table()["square"][0] == 4 and study.table(details=True)["tries"][0] == 1
-    assert any("did not say" in reason for reason in study.status().reasons)
-    assert study.run(progress=False)["status"].tolist() == ["done", "done"]
+def test_a_row_survives_a_power_cut(tmp_path):
+    """That cannot be tested, but SQLite says whether it waits for the disk (2: FULL)."""
+    store = Store(tmp_path / "s.sqlite")
+    assert store._connection.execute("PRAGMA synchronous").fetchone() == (2,)
+    assert store._connection.execute("PRAGMA journal_mode").fetchone() == ("delete",)
 
 
-def test_texts_are_bounded_and_any_text_is_stored(tmp_path):
+def test_a_row_whose_writing_was_interrupted_is_written_in_the_end(tmp_path, monkeypatch):
+    study, turns = Study(squares, {"n": range(4)}, tmp_path / "s.sqlite"), iter(range(100))
+    check = study._store._check_there
+
+    def interrupted():
+        if next(turns) == 2:
+            raise KeyboardInterrupt
+        check()
+
+    monkeypatch.setattr(study._store, "_check_there", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        study.run(progress=False)
+    assert [record.parameters["n"] for record in Store(tmp_path / "s.sqlite").get("squares").values()] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("later", ["mine", "theirs"])
+def test_of_two_runs_at_a_point_the_later_stays(tmp_path, later):
+    for name in ("mine", "theirs"):
+        Store(tmp_path / name).put("s", Record(parameters={"n": 1}, status="done", results={"from": name},
+                                               finished="2026-01-02" if name == later else "2026-01-01"))
+    mine = Store(tmp_path / "mine")
+    assert mine.take_in(tmp_path / "theirs") == (later == "theirs")
+    assert [record.results["from"] for record in mine.get("s").values()] == [later]
+
+
+def test_rows_that_adaptmg_cannot_have_written_are_named(tmp_path):
+    store = Store(tmp_path / "s.sqlite")
+    store.put("s", Record(parameters={"n": 1}, status="failed", error="\udcff\x00", machine="\udcff"))
+    assert store.get("s")[canonical({"n": 1})].error
+    for column, value in (("seconds", "long"), ("finished", b"x"), ("peak_memory", "x"), ("files", '{"a": 1}')):
+        with store._connection as connection:
+            (before,) = connection.execute(f"SELECT {column} FROM runs").fetchone()
+            connection.execute(f"UPDATE runs SET {column} = ?", (value,))
+        with pytest.raises(ValueError, match="is damaged: the run"):
+            store.get("s")
+        with store._connection as connection:
+            connection.execute(f"UPDATE runs SET {column} = ?", (before,))
+    assert len(store.get("s")) == 1
+
+
+def test_texts_and_results_are_bounded_and_any_text_is_stored(tmp_path):
     def run(n):
         if n == 0:
             raise ValueError("x" * 10**6 + "\udcff\x00 the end")
+        if n == 2:
+            return {f"r{k}": "z" * 9000 for k in range(40)}
         return {"name": "\udcff.msh", "long": "y" * 50_000}
 
-    study = Study(run, {"n": [0, 1]}, tmp_path / "s.sqlite")
+    study = Study(run, {"n": [0, 1, 2]}, tmp_path / "s.sqlite")
     table = study.run(progress=False)
     assert len(table["error"][0]) < 5000 and "characters left out" in table["error"][0]
-    assert table["error"][0].endswith("the end")
+    assert table["error"][0].endswith("the end") and "return arrays" in table["error"][2]
     assert len(study.table(details=True)["traceback"][0]) < 21_000
     assert table["name"][1] == "\udcff.msh" and len(table["long"][1]) < 200
     assert study.load(1, "long") == "y" * 50_000
     assert bounded("abc", 100) == "abc"
 
 
-def test_results_too_large_for_a_row_are_a_failure():
-    table = Study(lambda n: {f"r{k}": "z" * 9000 for k in range(40)}, {"n": [1]}).run(progress=False)
-    assert table["status"][0] == "failed" and "return arrays" in table["error"][0]
-    table = Study(lambda n: {"r": 10**5000}, {"n": [1]}).run(progress=False)
-    assert table["status"][0] == "failed"
-
-
 @pytest.mark.parametrize("where", ["file", "memory"])
-def test_arrays_meshes_results_and_figures_are_kept_and_given_back(tmp_path, where):
+def test_arrays_meshes_results_and_figures_are_kept(tmp_path, where):
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
     result = am.solve(grids, am.FullMultigrid(), throw=False)
     given = {"array": np.arange(6.0).reshape(2, 3), "mesh": grids.finest.mesh, "result": result, "n_nodes": 25,
              "figure": Figure()}
-
-    def run(n):
-        return given
-
-    path = tmp_path / "s.sqlite" if where == "file" else None
-    study = Study(run, {"n": [1]}, path, depends={"given": None})
+    study = Study(lambda n: given, {"n": [1]}, tmp_path / "s.sqlite" if where == "file" else None, name="s",
+                  depends={"given": None})
     table = study.run(progress=False)
     assert table["status"][0] == "done" and table["n_nodes"][0] == 25, table["error"][0]
     back = study.load(table.iloc[0])
@@ -201,18 +185,16 @@ def test_arrays_meshes_results_and_figures_are_kept_and_given_back(tmp_path, whe
     assert back["mesh"].boundaries == grids.finest.mesh.boundaries
     np.testing.assert_array_equal(back["result"].displacement, result.displacement)
     assert back["figure"].read_text(encoding="utf-8").lstrip().startswith("<?xml")
-    if path is not None:
-        assert all((tmp_path / "s.sqlite.files" / table[name][0]).is_file() for name in ("array", "mesh", "figure"))
-        given["array"] = given["array"] + 1
-        study.run(progress=False, rerun=True)
-        assert study.load(0, "array")[0, 0] == 1.0
-        # the old one is gone
-        assert len(list((tmp_path / "s.sqlite.files").rglob("array*.npy"))) == 1
+    given["array"] = given["array"] + 1
+    study.run(progress=False, rerun=True)
+    assert study.load(0, "array")[0, 0] == 1.0
+    # the old one is gone
+    assert len(list(study._files.path.rglob("array*.npy"))) == 1
     with pytest.raises(ValueError, match="did you mean 'array'"):
         study.load(0, "arrey")
 
 
-def test_a_kept_file_that_is_gone_or_damaged_is_named_and_made_again(tmp_path):
+def test_a_kept_file_that_is_missing_or_damaged_is_named_and_made_again(tmp_path):
     study = Study(lambda n: {"a": np.arange(3), "t": "x" * 20_000, "f": Figure()}, {"n": [1]}, tmp_path / "s.sqlite")
     table = study.run(progress=False)
     for name in "atf":
@@ -225,21 +207,87 @@ def test_a_kept_file_that_is_gone_or_damaged_is_named_and_made_again(tmp_path):
         study.run(progress=False, rerun=True)
         assert study.load(0, name) is not None
     file.unlink()
-    with pytest.raises(FileNotFoundError, match="no longer there"):
+    with pytest.raises(FileNotFoundError, match=r"rerun=True"):
         study.load(0)
+
+
+def test_kept_files_are_whole_and_the_same_each_time(tmp_path, monkeypatch):
+    def drawn():
+        figure = Figure()
+        figure.subplots().plot([1, 2], [3, 4], "o")
+        return pack(figure)
+
+    assert drawn() == drawn() and b"clip-path" in drawn().content
+    folder = kept_files.Folder(tmp_path / "s.sqlite")
+    (tmp_path / "s.sqlite.files").write_text("in the way", encoding="utf-8")
+    with pytest.raises(OSError, match=r"s\.sqlite\.files: .*in the way"):
+        folder.write("s", "{}", {"a": kept_files.Packed(".txt", b"x")})
+    (tmp_path / "s.sqlite.files").unlink()
+
+    def dies(target, content):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(kept_files, "write_bytes", dies)
+    with pytest.raises(KeyboardInterrupt):
+        folder.write("s", "{}", {"a": kept_files.Packed(".txt", b"x")})
+    assert not [path for path in folder.path.rglob("*") if path.is_file()]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="symbolic links and pipes")
+@pytest.mark.parametrize("kind", ["..", "absolute", "link", "linked folder", "pipe"])
+def test_paths_in_a_row_from_elsewhere_are_neither_read_nor_removed(tmp_path, kind):
+    secret, folder = tmp_path / "secret.txt", tmp_path / "s.sqlite.files"
+    secret.write_text("x", encoding="utf-8")
+    folder.mkdir()
+    (folder / "link.txt").symlink_to(secret)
+    (folder / "linked").symlink_to(tmp_path)
+    os.mkfifo(folder / "pipe.txt")
+    path = {"..": "../secret.txt", "absolute": str(secret), "link": "link.txt", "linked folder": "linked/secret.txt",
+            "pipe": "pipe.txt"}[kind]
+    study = Study(squares, {"n": [1]}, tmp_path / "s.sqlite")
+    study._store.put("squares", Record(parameters={"n": 1}, status="done", files={"a": path}))
+    with pytest.raises(ValueError, match="does not name a file of this store"):
+        study.load(0)
+    assert study.run(progress=False)["status"].tolist() == ["done"]
+    assert secret.exists() and (folder / "link.txt").is_symlink() and (folder / "pipe.txt").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="symbolic links")
+def test_a_link_to_a_store_is_followed(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link.sqlite").symlink_to(tmp_path / "real" / "s.sqlite")
+    Study(lambda n: {"a": np.ones(2)}, {"n": [1]}, tmp_path / "link.sqlite", name="s").run(progress=False)
+    assert sorted(path.name for path in (tmp_path / "real").iterdir()) == ["s.sqlite", "s.sqlite.files"]
+    assert (tmp_path / "link.sqlite").is_symlink()
 
 
 @pytest.mark.parametrize("value", [1, -2.5, 1e300, -0.0, "a\"\\\n\u00e9", True, None, (1, (2.0, "b")), float("inf"),
                                    float("nan"), 10**30, ()])
-def test_the_text_of_a_point_is_that_of_json(value):
-    import json
-
+def test_the_text_of_a_point_is_that_of_json_and_gives_it_back(tmp_path, value):
     point = {"b": value, "a\u00e9": 1}
     assert canonical(point) == json.dumps(point, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    store = Store(tmp_path / "s.sqlite")
+    store.put("s", Record(parameters=point, status="done"))
+    (back,) = store.get("s").values()
+    assert repr(back.parameters["b"]) == repr(value)
 
 
 def test_values_that_look_alike_are_different_points():
-    values = [1, 1.0, True, "1", 0, 0.0, -0.0, False, None, "None", (1,), (1.0,), float("nan")]
+    values = [1, 1.0, True, "1", 0, 0.0, -0.0, False, None, "None", (1,), (1.0,), math.nan]
     assert len({canonical({"x": value}) for value in values}) == len(values)
     table = Study(lambda x: {"kind": type(x).__name__}, {"x": values}).run(progress=False)
     assert table["kind"].tolist() == [type(value).__name__ for value in values]
+    assert canonical({"a": 1, "b": (2, "c")}) == canonical({"b": (2, "c"), "a": 1})
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "a.txt").write_text("this is not a database" * 99)
+    for name, statements in (("other", ["CREATE TABLE mine (x)"]),
+                             ("same version", ["CREATE TABLE runs (a, b)", "PRAGMA user_version = 2"])):
+        with sqlite3.connect(tmp_path / name) as connection:
+            for statement in statements:
+                connection.execute(statement)
+        connection.close()
+    for name in ("a.txt", "other", "same version"):
+        with pytest.raises(ValueError, match="not a store"):
+            Store(Path(tmp_path, name))

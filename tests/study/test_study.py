@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import os
+import functools
+import math
 import signal
 import subprocess
 import sys
 import textwrap
+import time
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from adaptmg.study import Study, as_html, as_text, study
-from adaptmg.study.record import canonical, parameter_value, restored
+from adaptmg.study.execute import compute
+from adaptmg.study.record import Record, canonical
 from adaptmg.study.store import Store
+from adaptmg.study.study import in_order
 
 CALLS: list[dict] = []
+GRID = {"sweeps": [1, 2, 3], "friction": [0.0, 1.0]}
 
 
 @pytest.fixture(autouse=True)
@@ -37,9 +42,6 @@ def another(sweeps, friction=0.3):
     return {"work": 0.0}
 
 
-GRID = {"sweeps": [1, 2, 3], "friction": [0.0, 1.0]}
-
-
 def test_rows_come_in_grid_order_with_plain_results():
     table = Study(case, {"sweeps": [2, 1], "friction": np.array([0.5, 1.0])}).run(progress=False)
     assert list(zip(table["sweeps"], table["friction"], strict=True)) == [(2, 0.5), (2, 1.0), (1, 0.5), (1, 1.0)]
@@ -53,46 +55,54 @@ def test_a_failed_run_is_a_row_and_is_tried_again(tmp_path):
     path = tmp_path / "deep" / "store.sqlite"
     table = Study(case, GRID, path).run(progress=False)
     assert table["status"].tolist() == ["done"] * 4 + ["failed"] * 2
-    assert table["error"].tolist()[-1] == "RuntimeError: three is too many"
-    assert np.isnan(table["work"].iloc[-1])
+    assert table["error"].tolist()[-1] == "RuntimeError: three is too many" and np.isnan(table["work"].iloc[-1])
     CALLS.clear()
-    again = Study(case, GRID, path).run(progress=False)
+    pd.testing.assert_frame_equal(Study(case, GRID, path).run(progress=False).iloc[:4], table.iloc[:4])
     assert [c["sweeps"] for c in CALLS] == [3, 3]
-    pd.testing.assert_frame_equal(again.iloc[:4], table.iloc[:4])
-
-
-def test_throw_raises_but_keeps_the_row(tmp_path):
-    sweep = Study(case, GRID, tmp_path / "s.sqlite")
-    with pytest.raises(RuntimeError, match="three"):
-        sweep.run(progress=False, throw=True)
-    assert sweep.table()["status"].tolist() == ["done"] * 4 + ["failed", "missing"]
-
-
-def test_rerun_computes_everything_anew(tmp_path):
-    sweep = Study(case, {"sweeps": [1, 2]}, tmp_path / "s.sqlite")
-    sweep.run(progress=False)
-    sweep.run(progress=False)
+    Study(case, GRID, path).run(progress=False, retry_failed=False)
     assert len(CALLS) == 2
-    sweep.run(progress=False, rerun=True)
-    assert len(CALLS) == 4
+    Study(case, GRID, path).run(progress=False, rerun=True)
+    assert len(CALLS) == 8
 
 
-def test_a_changed_function_makes_rows_stale(tmp_path):
+@pytest.mark.parametrize("how", ["throw", "interrupt"])
+def test_rows_before_an_end_are_stored(tmp_path, how):
+    def run(n):
+        if n == 2:
+            raise KeyboardInterrupt if how == "interrupt" else RuntimeError("two")
+        return {"m": n}
+
+    sweep = Study(run, {"n": range(4)}, tmp_path / "s.sqlite")
+    with pytest.raises(KeyboardInterrupt if how == "interrupt" else RuntimeError):
+        sweep.run(progress=False, throw=True)
+    ended = "missing" if how == "interrupt" else "failed"
+    assert sweep.table()["status"].tolist() == ["done", "done", ended, "missing"]
+
+
+def test_a_changed_function_or_version_makes_rows_stale(tmp_path, monkeypatch):
     path = tmp_path / "s.sqlite"
     Study(case, {"sweeps": [1, 2]}, path, name="one").run(progress=False)
     changed = Study(another, {"sweeps": [1, 2]}, path, name="one")
     assert changed.table()["status"].tolist() == ["stale", "stale"]
     assert changed.run(progress=False)["work"].tolist() == [0.0, 0.0]
     assert changed.table()["status"].tolist() == ["done", "done"]
+    monkeypatch.setattr(study, "environment", lambda: {"python": "3", "numpy": "2", "new": "3"})
+    assert changed.status().reasons == {"numpy 1 -> 2": 2, "new none -> 3": 2}
+    assert "stale: new none -> 3 (2)" in repr(changed.status())
 
 
-def test_a_changed_version_makes_rows_stale(tmp_path, monkeypatch):
-    sweep = Study(case, {"sweeps": [1]}, tmp_path / "s.sqlite")
-    sweep.run(progress=False)
-    monkeypatch.setattr(study, "environment", lambda: {"python": "3", "numpy": "2"})
-    assert sweep.table()["status"].tolist() == ["stale"]
-    sweep.run(progress=False)
-    assert len(CALLS) == 2
+def test_a_file_that_another_process_changes_is_not_taken_for_one_that_runs_changed(tmp_path):
+    file = tmp_path / "data.txt"
+    file.write_text("1", encoding="utf-8")
+
+    def run(n):
+        value = int(file.read_text(encoding="utf-8"))
+        file.write_text("2", encoding="utf-8")
+        return {"m": value}
+
+    study = Study(run, {"n": [1]}, depends={"data": file, "file": None})
+    assert study.run(progress=False)["m"][0] == 1 and study.table()["status"][0] == "stale"
+    assert study.run(progress=False)["m"][0] == 2 and study.table()["status"][0] == "done"
 
 
 def test_a_store_holds_several_studies_and_fixed_parameters_count(tmp_path):
@@ -103,13 +113,11 @@ def test_a_store_holds_several_studies_and_fixed_parameters_count(tmp_path):
         assert table.attrs == {"study": "case", "fixed": {"friction": friction}}
     Study(another, {"sweeps": [1]}, path).run(progress=False)
     assert len(CALLS) == 5
-    assert Store(path).studies() == ["another", "case"]
-    assert len(Store(path).get("case")) == 4
+    assert Store(path).studies() == ["another", "case"] and len(Store(path).get("case")) == 4
 
 
 def test_nothing_is_lost_when_the_process_is_killed(tmp_path):
-    path = tmp_path / "s.sqlite"
-    script = tmp_path / "script.py"
+    path, script = tmp_path / "s.sqlite", tmp_path / "script.py"
     script.write_text(textwrap.dedent("""
         import os, signal, sys
         from adaptmg.study import Study, study
@@ -133,144 +141,97 @@ def test_nothing_is_lost_when_the_process_is_killed(tmp_path):
     assert all(after[key] == before[key] for key in before)
 
 
-@pytest.mark.parametrize("value", [[1, 2], {"a": 1}, object(), (1, [2]), np.array([1.0, 2.0]), 1j])
-def test_values_that_cannot_be_stored_are_refused(value):
-    with pytest.raises(TypeError, match="sweeps"):
-        Study(case, {"sweeps": [value]})
+def test_long_runs_and_runs_without_a_record_go_first():
+    points = [{"n": n} for n in range(4)]
+    stored = {canonical({"n": n}): Record(parameters={"n": n}, status="done", seconds=known, results={"cost": known})
+              for n, known in ((0, 1.0), (2, 5.0))}
+    stored[canonical({"n": 3})] = Record(parameters={"n": 3}, status="done", seconds=math.nan)
+    assert [point["n"] for point in in_order(points, "seconds", stored)] == [1, 3, 2, 0]
+    assert [point["n"] for point in in_order(points, "cost", stored)] == [1, 3, 2, 0]
+    assert [point["n"] for point in in_order(points, "n", stored)] == [3, 2, 1, 0]
+    with pytest.raises(TypeError, match="cost must be"):
+        in_order(points, 3, stored)
+    table = Study(lambda n: {"began": time.monotonic_ns()}, {"n": range(4)}).run(progress=False, cost="n")
+    assert table["began"].is_monotonic_decreasing
 
 
-@pytest.mark.parametrize("value", [1, -2.5, "a", True, None, (1, (2.0, "b")), float("inf"), np.float32(0.5)])
-def test_values_come_back_from_their_text(value):
-    import json
-
-    plain = parameter_value("x", value)
-    back = restored(json.loads(canonical({"x": plain}))["x"])
-    assert back == plain and type(back) is type(plain)
+async def coroutine(sweeps):
+    return {"m": sweeps}
 
 
-def test_a_run_does_not_depend_on_the_order_of_parameters():
-    assert canonical({"a": 1, "b": (2, "c")}) == canonical({"b": (2, "c"), "a": 1})
-    assert canonical({"a": 1}) != canonical({"a": 1.0})
+def generator(sweeps):
+    yield {"m": sweeps}
 
 
-@pytest.mark.parametrize(("parameters", "fixed", "error", "match"), [
-    ({}, None, TypeError, "parameters"),
-    ({"sweeps": []}, None, ValueError, "empty"),
-    ({"sweeps": "abc"}, None, TypeError, "sequence"),
-    ({"sweeps": 3}, None, TypeError, "sequence"),
-    ({"sweeps": [1, 1]}, None, ValueError, "twice"),
-    ({"sweep": [1]}, None, TypeError, "does not take"),
-    ({"friction": [1]}, None, TypeError, "does not take"),
-    ({"sweeps": [1]}, {"sweeps": 2}, ValueError, "both"),
-    ({"sweeps": [1], "status": [1]}, None, ValueError, "column"),
+@pytest.mark.parametrize(("run", "parameters", "fixed", "error", "match"), [
+    (case, {}, None, TypeError, "parameters"),
+    (case, {"sweeps": []}, None, ValueError, "empty"),
+    (case, {"sweeps": "abc"}, None, TypeError, "sequence"),
+    (case, {"sweeps": 3}, None, TypeError, "sequence"),
+    (case, {"sweeps": [1, 1]}, None, ValueError, "twice"),
+    (case, {"sweep": [1]}, None, TypeError, "does not take"),
+    (case, {"friction": [1]}, None, TypeError, "does not take"),
+    (case, {"sweeps": [1]}, {"sweeps": 2}, ValueError, "both"),
+    (case, {"sweeps": [1], "status": [1]}, None, ValueError, "column"),
+    *((case, {"sweeps": [value]}, None, TypeError, "sweeps")
+      for value in ([1, 2], {"a": 1}, object(), (1, [2]), np.array([1.0, 2.0]), 1j)),
+    (functools.partial(case, friction=1.0), {"sweeps": [1]}, None, TypeError, "plain function"),
+    (coroutine, {"sweeps": [1]}, None, TypeError, "generator or a coroutine"),
+    (generator, {"sweeps": [1]}, None, TypeError, "generator or a coroutine"),
 ])
-def test_a_wrong_grid_is_refused_before_anything_runs(parameters, fixed, error, match):
+def test_a_wrong_study_is_refused_before_anything_runs(run, parameters, fixed, error, match):
     with pytest.raises(error, match=match):
-        Study(case, parameters, fixed=fixed)
+        Study(run, parameters, fixed=fixed)
     assert not CALLS
 
 
 @pytest.mark.parametrize(("returned", "match"), [
-    (3.0, "must return a dict"),
-    ({"x": [1, 2]}, "reduce arrays"),
-    ({"n": 1}, "a parameter"),
-    ({"status": "CONVERGED"}, "solver_status"),
-    ({1: 1}, "strings"),
-])
+    (3.0, "must return a dict"), ({"x": [1, 2]}, "reduce arrays"), ({"n": 1}, "a parameter"),
+    ({"status": "CONVERGED"}, "solver_status"), ({1: 1}, "strings"), ({"r": 10**5000}, "ValueError"),
+    ({"a": np.ma.array([1, 2], mask=[False, True])}, "mask would be lost")])
 def test_results_that_cannot_be_stored_are_failures(returned, match):
-    def wrong(n):
-        return returned
-
-    table = Study(wrong, {"n": [1]}).run(progress=False)
-    assert table["status"].tolist() == ["failed"]
-    assert match in table["error"].iloc[0]
+    table = Study(lambda n: returned, {"n": [1]}, depends={"returned": None}).run(progress=False)
+    assert table["status"].tolist() == ["failed"] and match in table["error"].iloc[0]
 
 
-def test_only_plain_functions_are_taken():
-    import functools
-
-    with pytest.raises(TypeError, match="plain function"):
-        Study(functools.partial(case, friction=1.0), {"sweeps": [1]})
+class OddBaseError(BaseException):
+    def __str__(self):
+        raise GeneratorExit
 
 
-def test_an_interrupt_stops_the_study_and_keeps_its_rows(tmp_path):
-    def interrupted(n):
-        if n == 2:
-            raise KeyboardInterrupt
-        return {"m": n}
+@pytest.mark.parametrize("error", [SystemExit(3), GeneratorExit(), OddBaseError(), KeyboardInterrupt()])
+def test_any_exception_of_a_run_is_its_failure(error):
+    def run(n):
+        raise error
 
-    sweep = Study(interrupted, {"n": [0, 1, 2, 3]}, tmp_path / "s.sqlite")
-    with pytest.raises(KeyboardInterrupt):
-        sweep.run(progress=False)
-    assert sweep.table()["status"].tolist() == ["done", "done", "missing", "missing"]
-
-
-def test_a_file_that_is_no_store_is_refused(tmp_path):
-    import sqlite3
-
-    text = tmp_path / "a.txt"
-    text.write_text("this is not a database, and it is long enough to be told from an empty one" * 20)
-    with pytest.raises(ValueError, match="not a store"):
-        Store(text)
-    other = tmp_path / "other.sqlite"
-    with sqlite3.connect(other) as connection:
-        connection.execute("CREATE TABLE mine (x)")
-    with pytest.raises(ValueError, match="not a store"):
-        Store(other)
+    found = compute(run, {"n": 1}, interruptible=False)
+    assert found.error.startswith(f"{type(error).__name__}: ") and found.exception is error
+    if isinstance(error, KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt):
+            compute(run, {"n": 1})
+    else:
+        table = Study(run, {"n": [1, 2]}, depends={"error": None}).run(progress=False)
+        assert table["status"].tolist() == ["failed", "failed"]
 
 
-def test_a_function_is_told_of_each_run(capsys):
-    told = []
-    study = Study(lambda n: {"m": 1 / n}, {"n": [1, 0, 2]}, name="told")
-    study.run(lambda watch: told.append((watch.name, watch.done, watch.total, watch.failed)))
-    assert told == [("told", 1, 3, 0), ("told", 2, 3, 1), ("told", 3, 3, 1)]
+def test_each_run_is_reported(capsys, caplog, monkeypatch):
+    def run(n):
+        return {"m": 1 / n}
+
+    reported = []
+    Study(run, {"n": [1, 0, 2]}).run(lambda watch: reported.append((watch.name, watch.done, watch.total, watch.failed)))
+    assert reported == [("run", 1, 3, 0), ("run", 2, 3, 1), ("run", 3, 3, 1)]
     assert capsys.readouterr().err == ""
-
-
-def test_a_progress_bar_goes_to_standard_error(capsys):
-    Study(case, {"sweeps": [1, 2]}).run(progress=True)
+    caplog.set_level("INFO", logger="adaptmg.study")
+    Study(run, {"n": [0, 1, 2]}).run(progress=False)
+    assert "study run: [1/3] n=0 failed: ZeroDivisionError" in caplog.text
+    assert "[2/3] n=1 done" in caplog.text and "1 failed, 1 running, 1 left, ends about" in caplog.text
+    Study(run, {"n": [0, 1]}).run(progress=True)
     out, err = capsys.readouterr()
-    assert out == "" and "2/2" in err
-
-
-@pytest.mark.parametrize("progress", [None, True])
-def test_a_process_without_standard_error_runs_a_study(progress, monkeypatch):
+    assert out == "" and "2/2" in err and "1 failed, the end" in err
     monkeypatch.setattr("sys.stderr", None)
-    assert Study(case, {"sweeps": [1]}).run(progress=progress)["status"].tolist() == ["done"]
-
-
-def test_two_processes_may_write_to_one_store(tmp_path):
-    path = tmp_path / "s.sqlite"
-    first, second = Study(case, {"sweeps": [1]}, path), Study(case, {"sweeps": [2]}, path)
-    first.run(progress=False)
-    second.run(progress=False)
-    assert len(Store(path).get("case")) == 2
-    assert os.path.getsize(path) > 0
-
-
-def test_a_store_is_made_once_by_processes_that_start_together(tmp_path):
-    code = ("import sys\nfrom adaptmg.study.store import Store\nfrom adaptmg.study.record import Record\n"
-            "sys.stdout.write('x'); sys.stdout.flush(); sys.stdin.read(1)\n"
-            "Store(sys.argv[1]).put(sys.argv[2], Record(parameters={}, status='done'))\n")
-    path = tmp_path / "s.sqlite"
-    started = [subprocess.Popen([sys.executable, "-c", code, str(path), f"study {k}"], stdin=subprocess.PIPE,
-                                stdout=subprocess.PIPE) for k in range(4)]
-    for process in started:
-        process.stdout.read(1)
-    for process in started:
-        process.communicate(b"x")
-    assert [process.returncode for process in started] == [0] * 4
-    assert Store(path).studies() == [f"study {k}" for k in range(4)]
-
-
-def test_a_store_that_cannot_be_written_is_read(tmp_path):
-    Study(case, {"sweeps": [1]}, tmp_path / "s.sqlite").run(progress=False)
-    sweep = Study(case, {"sweeps": [1]}, tmp_path / "s.sqlite")
-    sweep._store._connection.execute("PRAGMA query_only = ON")
-    sweep._store._prepare()
-    assert sweep.table()["status"].tolist() == ["done"]
-    with pytest.raises(OSError, match=r"s\.sqlite: .*write-protected"):
-        sweep.run(progress=False, rerun=True)
+    for progress in (None, True):
+        assert Study(case, {"sweeps": [1]}).run(progress=progress)["status"].tolist() == ["done"]
 
 
 TABLE = pd.DataFrame({"mesh <h>": ["33 x 33", "a&b"], "seconds": [0.123456, float("nan")], "cycles": [12, 7],
@@ -285,6 +246,8 @@ def test_text_tables_align_and_name_units():
                                  "33 x 33          0.12      12  yes",
                                  "a&b                 -       7  no",
                                  "rtol 1e-8"]
+    with pytest.raises(ValueError, match="second"):
+        as_text(TABLE, units={"second": "s"})
 
 
 def test_html_tables_escape_everything():
@@ -292,30 +255,3 @@ def test_html_tables_escape_everything():
     assert "<script>" not in page and "&lt;script&gt;" in page
     assert "mesh &lt;h&gt;" in page and "a&amp;b" in page and "x &lt; y" in page
     assert '<td class="n">12</td>' in page
-
-
-def test_units_of_unknown_columns_are_refused():
-    with pytest.raises(ValueError, match="second"):
-        as_text(TABLE, units={"second": "s"})
-
-
-def test_a_changed_helper_of_the_script_makes_rows_stale(tmp_path):
-    """Helpers in the script of the run function, and in modules beside it that the script uses, are seen."""
-    def hash_of(script: str, helper: str) -> str:
-        (tmp_path / "beside_it.py").write_text(helper, encoding="utf-8")
-        (tmp_path / "the_script.py").write_text(script, encoding="utf-8")
-        (tmp_path / "stranger.py").write_text(f"x = {len(seen)}", encoding="utf-8")
-        code = ("import sys; sys.path.insert(0, sys.argv[1]); import the_script; "
-                "from adaptmg._fingerprint import fingerprint; print(fingerprint(the_script.run).code)")
-        answer = subprocess.run([sys.executable, "-B", "-c", code, str(tmp_path)], capture_output=True, text=True,
-                                check=True)
-        return answer.stdout
-
-    seen: list[str] = []
-    script = "from beside_it import double\nLIMIT = 3\ndef run(n):\n    return {'m': double(n) + LIMIT}\n"
-    helper = "def double(n):\n    return 2 * n\n"
-    seen.append(hash_of(script, helper))
-    assert hash_of(script, helper) == seen[0]
-    seen.append(hash_of(script, helper.replace("2 * n", "n + n")))
-    seen.append(hash_of(script.replace("3", "4"), helper))
-    assert len(set(seen)) == 3
