@@ -13,14 +13,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg._runtime import made_on_demand
+from adaptmg._runtime import OnDemand, made_on_demand
 from adaptmg.problem.plane_domains import Box, Outline, Polygon, Rectangle
+
+if TYPE_CHECKING:
+    import ngsolve
 
 __all__ = [
     "BOX_SIDES",
@@ -36,6 +39,7 @@ __all__ = [
     "longest_edges",
     "require_simple",
     "same_orientation",
+    "sound_by_construction",
     "trusted",
 ]
 
@@ -174,6 +178,17 @@ def trusted(mesh: MeshArrays, source: Any, sound: bool = True) -> MeshArrays:
     result.__dict__.update(mesh.__dict__)
     result.__dict__.update(source=source, sound=sound)
     return result
+
+
+def sound_by_construction(mesh: MeshArrays) -> MeshArrays:
+    """The mesh, not checked (it was written down as it must be), with a source on demand."""
+    return trusted(mesh, OnDemand(_ngsolve_mesh))
+
+
+def _ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
+    from adaptmg.mesh.ngsolve_bridge import ngsolve_mesh
+
+    return ngsolve_mesh(mesh)
 
 
 MeshArrays.source = made_on_demand("source", "A straight ngsolve.Mesh of these arrays, or None.")

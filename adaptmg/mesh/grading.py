@@ -27,6 +27,7 @@ from adaptmg.mesh.arrays import MeshArrays, distance_to_boundaries, facet_keys, 
 from adaptmg.mesh.bisection.children import as_initial
 from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_plane import (
     SizeField,
     expected_nodes,
@@ -36,8 +37,8 @@ from adaptmg.mesh.netgen_plane import (
     plane_measures,
     refuse_too_many,
 )
-from adaptmg.mesh.netgen_solid import scaled_shape, solid_mesh
-from adaptmg.mesh.step import step_mesh, step_shapes
+from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
+from adaptmg.mesh.step import step_contents, step_mesh, step_shapes
 from adaptmg.mesh.structured import boundaries_of, merged, per_body
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
@@ -139,8 +140,7 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
     if isinstance(domain, SolidDomain):
         return solid_mesh(domain, size, dict.fromkeys(names, size / ratio), grading)
     if ratio == 1:
-        mesh = netgen_mesh(domain, lambda x: np.full(len(x), size), size, {}, grading, 0)
-        return finished(domain, mesh) if isinstance(domain, Outline) else mesh
+        return finished(domain, netgen_mesh(domain, lambda x: np.full(len(x), size), size, {}, grading, 0))
 
     def field(contact_size: float) -> SizeField:
         return lambda x: np.minimum(size, contact_size + grading * distance_to_boundaries(domain, names, x))
@@ -221,7 +221,7 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
 
 def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArrays:
     """Bisect until no element is too large for the field."""
-    mesh = finished(domain, mesh) if isinstance(domain, Outline) else mesh
+    mesh = finished(domain, mesh)
     for _ in range(_MAX_BISECTIONS):
         wanted = field(mesh.points[mesh.elements].mean(axis=1))
         large = _equilateral_size(mesh.volumes, mesh.dim) > _TOO_LARGE * wanted
@@ -278,5 +278,9 @@ def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
     if domain.dim == 2:
         area, lengths = plane_measures(domain)
         return [area], lengths
-    shapes = step_shapes(domain).values() if isinstance(domain, StepFile) else [scaled_shape(domain)]
-    return [shape.mass * scale**3 for shape, _, _, scale in shapes], {}
+    with netgen() as worker:
+        if isinstance(domain, StepFile):
+            shapes = [shape for _, shape in step_shapes(worker, domain, step_contents(worker, domain))]
+        else:
+            shapes = [built_shape(worker, domain)]
+    return [shape.volume * shape.scale**3 for shape in shapes], {}

@@ -32,9 +32,11 @@ from adaptmg.mesh.arrays import (
     facet_keys,
     facet_table,
     same_orientation,
+    sound_by_construction,
 )
 
-__all__ = ["MeshQuality", "check_mesh", "check_overlap", "overlapping_bodies", "quality"]
+__all__ = ["MeshQuality", "check_mesh", "check_overlap", "check_stranger", "overlapping_bodies", "quality",
+           "with_source"]
 
 # volume over longest edge to the power dim (0.43 for an equilateral triangle), below which an element is degenerate
 _FLAT = 1e-10
@@ -76,6 +78,19 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
         object.__setattr__(mesh, "sound", True)
     _check_names(mesh, (boundaries,) if isinstance(boundaries, str) else boundaries)
     return mesh
+
+
+def with_source(mesh: MeshArrays) -> MeshArrays:
+    """The checked mesh with an ``ngsolve.Mesh`` of the same node and element numbers as its ``source``.
+
+    The source is built when it is first read; one that is there is replaced.
+    """
+    return sound_by_construction(check_mesh(mesh))
+
+
+def check_stranger(mesh: MeshArrays) -> MeshArrays:
+    """The same for a mesh that was not made here: none of its bodies lies over itself either."""
+    return check_overlap(with_source(mesh))
 
 
 def _at(points: np.ndarray) -> str:

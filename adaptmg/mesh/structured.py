@@ -15,18 +15,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import permutations
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import OnDemand
-from adaptmg.mesh.arrays import BOX_SIDES, MOST_NODES, MeshArrays, facet_table, trusted
+from adaptmg.mesh.arrays import BOX_SIDES, MOST_NODES, MeshArrays, facet_table, sound_by_construction
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.plane_domains import Box, Rectangle
 from adaptmg.problem.solid_domains import Assembly
 
-__all__ = ["boundaries_of", "lattice_nodes", "merged", "per_body", "sound_by_construction", "structured"]
+__all__ = ["boundaries_of", "lattice_nodes", "merged", "per_body", "structured"]
 
 Divisions = int | Sequence[int]
 #: what making the mesh takes at its peak, measured
@@ -246,14 +245,3 @@ def per_body(name: str, value: Value | Mapping[str, Value], bodies: Sequence[str
 def boundaries_of(body: str, names: Sequence[str]) -> tuple[str, ...]:
     """Those of the names "body.edge" that belong to a body, without "body."."""
     return tuple(name.removeprefix(f"{body}.") for name in names if name.startswith(f"{body}."))
-
-
-def _ngsolve_mesh(mesh: MeshArrays) -> Any:
-    from adaptmg.mesh.ngsolve_bridge import ngsolve_mesh
-
-    return ngsolve_mesh(mesh)
-
-
-def sound_by_construction(mesh: MeshArrays) -> MeshArrays:
-    """The mesh, not checked (it was written down as it must be), with a source on demand."""
-    return trusted(mesh, OnDemand(_ngsolve_mesh))

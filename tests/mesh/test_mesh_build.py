@@ -179,7 +179,7 @@ def test_as_mesh_refuses_other_files(tmp_path):
     with pytest.raises(ValueError, match=r"not a \.msh, \.vol or \.vol\.gz file"):
         as_mesh(tmp_path / "mesh.stl")
     (tmp_path / "bad.vol").write_text("something else\n")
-    with pytest.raises(ValueError, match="not a Netgen mesh"):
+    with pytest.raises(ValueError, match="cannot be read as a Netgen mesh"):
         as_mesh(tmp_path / "bad.vol")
     (tmp_path / "bad.vol.gz").write_text("something else\n")
     with pytest.raises(ValueError, match="cannot be unpacked"):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, element_facets
+from adaptmg.mesh.arrays import MeshArrays, element_facets, sound_by_construction
 from adaptmg.mesh.bisection.children import (
     CODES,
     EVEN,
@@ -21,7 +21,6 @@ from adaptmg.mesh.bisection.children import (
     first_labels,
     with_refinement,
 )
-from adaptmg.mesh.structured import sound_by_construction
 
 __all__ = ["Refined", "cells_of", "mesh_of", "nodes_of", "parents_of", "tree_of"]
 
