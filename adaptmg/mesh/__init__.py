@@ -15,7 +15,7 @@ from adaptmg.mesh.structured import merged, structured
 
 # these modules import ngsolve or numba: they are loaded at the first use of a name (PEP 562)
 _LAZY = {"as_mesh": "read", "bisect": "bisection", "coarsen": "bisection.coarsen", "from_gmsh": "read",
-         "from_ngsolve": "ngsolve_bridge", "from_step": "step", "graded": "grading",
+         "from_ngsolve": "read", "from_step": "step", "graded": "grading",
          "onto_domain": "bisection.onto_domain", "refine_near": "bisection", "sized": "grading",
          "solid_mesh": "netgen_solid",
          "step_names": "step",

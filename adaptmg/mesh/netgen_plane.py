@@ -16,14 +16,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.mesh.arrays import BOX_SIDES, MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, normalised
+from adaptmg.mesh.domains import BOX_SIDES, boundary_measures, extent, plane_measures
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
-from adaptmg.mesh.ngsolve_bridge import normalised
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 
-__all__ = ["NODES_PER_CELL", "SizeField", "SizesAt", "expected_nodes", "extent", "finished", "guessed_nodes",
-           "netgen_error", "netgen_mesh", "one_mesh", "onto_outline", "plane_measures", "refuse_too_many"]
+__all__ = ["NODES_PER_CELL", "SizeField", "SizesAt", "expected_nodes", "finished", "guessed_nodes",
+           "netgen_error", "netgen_mesh", "one_mesh", "onto_outline", "refuse_too_many"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 SizesAt = list[tuple[np.ndarray, np.ndarray]]
@@ -69,23 +69,9 @@ def refuse_too_many(nodes: float, domain: Domain) -> float:
     return nodes
 
 
-def extent(domain: Domain) -> tuple[np.ndarray, float]:
-    """Lowest corner and largest side of the bounding box."""
-    return domain.lower, float((domain.upper - domain.lower).max())
-
-
-def _measures(domain: Domain) -> tuple[float, dict[str, float]]:
-    """Area or volume of a domain, and the lengths or areas of its boundaries by name."""
-    if not isinstance(domain, Box):
-        return plane_measures(domain)
-    lengths = domain.upper - domain.lower
-    volume = float(np.prod(lengths))
-    return volume, {name: volume / lengths[axis] for name, (axis, _) in BOX_SIDES.items()}
-
-
 def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float], grading: float) -> float:
     """Expected nodes from the sizes along the sides alone: the integral of (h + grading x)^-dim over x > 0."""
-    volume, areas = _measures(domain)
+    volume, areas = boundary_measures(domain)
     with np.errstate(over="ignore", divide="ignore"):
         cells = volume * np.float64(1 / max_size) ** domain.dim
         for name, h in side_sizes.items():
@@ -104,7 +90,7 @@ def one_mesh(domain: Domain, lower: np.ndarray, scale: float, sides: Mapping[str
         raise netgen_error(domain, error) from error
     mesh = replace(unit, points=lower + scale * unit.points, bodies=("body",))
     mesh = onto_outline(domain, mesh) if isinstance(domain, Outline) else _onto_planes(domain, mesh, scale)
-    volume = _measures(domain)[0] if isinstance(domain, Box) else _straight_area(domain, mesh)
+    volume = boundary_measures(domain)[0] if isinstance(domain, Box) else _straight_area(domain, mesh)
     if not abs(mesh.volumes.sum() - volume) <= 1e-9 * volume:
         raise ValueError(f"Netgen meshed {mesh.volumes.sum():.9g} instead of {volume:.9g} of {domain!r}; "
                           "change the sizes a little")
@@ -138,21 +124,6 @@ def _planes(domain: Domain) -> list[tuple[str, int, float]]:
     vertices = domain.polygon.vertices
     return [(name, axis, a[axis]) for name, a, b in zip(domain.boundaries, vertices, vertices[1:] + vertices[:1],
                                                         strict=True) for axis in (0, 1) if a[axis] == b[axis]]
-
-
-def plane_measures(domain: Rectangle | Polygon | Outline) -> tuple[float, dict[str, float]]:
-    """Exact area (m^2) of a plane domain, and the length (m) of its boundaries by name."""
-    if isinstance(domain, Outline):
-        area, lengths = domain.area, domain.lengths
-    else:
-        start = np.array(domain.polygon.vertices)
-        end = np.roll(start, -1, axis=0)
-        area = 0.5 * float(np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1]))
-        lengths = np.linalg.norm(end - start, axis=1).tolist()
-    perimeter = dict.fromkeys(domain.boundaries, 0.0)
-    for name, length in zip(domain.boundaries, lengths, strict=True):
-        perimeter[name] += length
-    return area, perimeter
 
 
 def _straight_area(domain: Rectangle | Polygon | Outline, mesh: MeshArrays) -> float:

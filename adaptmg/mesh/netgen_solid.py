@@ -23,10 +23,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, require_simple
+from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised
+from adaptmg.mesh.domains import extent, require_simple
 from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, meshing_limit, netgen
-from adaptmg.mesh.netgen_plane import SizesAt, expected_nodes, extent, netgen_error, refuse_too_many
-from adaptmg.mesh.ngsolve_bridge import normalised
+from adaptmg.mesh.netgen_plane import SizesAt, expected_nodes, netgen_error, refuse_too_many
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import (

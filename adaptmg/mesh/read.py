@@ -24,20 +24,21 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import OnDemand
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table
+from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
-from adaptmg.mesh.ngsolve_bridge import from_ngsolve, normalised
 from adaptmg.mesh.soundness import check_mesh, check_stranger
 
 if TYPE_CHECKING:
     import ngsolve
 
-__all__ = ["as_mesh", "from_gmsh"]
+__all__ = ["as_mesh", "from_gmsh", "from_ngsolve"]
 
 # meshio's names of the cells of first and second order, by dimension
 _CELLS = {0: ("vertex",), 1: ("line", "line3"), 2: ("triangle", "triangle6"), 3: ("tetra", "tetra10")}
 # unpacked over packed size: meshes reach about 30
 _MAX_PACKING = 200
+# Netgen's types of triangles and tetrahedra of second order
+_CURVED = (12, 21)
 # what a reader may take for each byte of a file
 _START_S, _S_PER_BYTE = 60.0, 1e-5
 _START_BYTES, _BYTES_PER_BYTE = 3e9, 100
@@ -101,6 +102,49 @@ def _fits(mesh: MeshArrays) -> bool:
     volume = ngmesh.Elements2D() if mesh.dim == 2 else ngmesh.Elements3D()
     return (mesh.source.dim == mesh.dim and len(volume) == len(mesh.elements)
             and np.array_equal(points[:, :mesh.dim], mesh.points))
+
+
+def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
+    """Read an NGSolve mesh.
+
+    Parameters
+    ----------
+    mesh : ngsolve.Mesh
+        Straight triangles or tetrahedra. Materials become bodies, those with the same name one body; boundaries inside
+        the mesh (interfaces of glued materials) are left out.
+
+    Returns
+    -------
+    MeshArrays
+        Copies: refining ``mesh`` later changes nothing here. The nodes keep their numbers unless some belong to no
+        element (these are dropped). ``source`` is a straight mesh of its own with the same node numbers.
+
+    Raises
+    ------
+    TypeError
+        If it is no NGSolve mesh.
+    ValueError
+        On other elements, curved or of second order, a deformation, periodic boundaries, dimensions other than 2 and 3,
+        or a mesh that is not sound (:func:`adaptmg.mesh.check_mesh`).
+    """
+    import ngsolve
+
+    from adaptmg.mesh.netgen_worker import tables
+
+    if not isinstance(mesh, ngsolve.Mesh):
+        raise TypeError(f"mesh must be an ngsolve.Mesh, got {type(mesh).__name__}")
+    types = np.concatenate([table.NumPy()["type"] for table in (mesh.ngmesh.Elements2D(), mesh.ngmesh.Elements3D())])
+    order = 2 if np.isin(types, _CURVED).any() else mesh.GetCurveOrder()
+    if order > 1:
+        raise ValueError(f"mesh has curved elements (order {order}), bodies are made of straight ones: give the mesh "
+                         "before SecondOrder() and Curve(), finer where its boundary is curved")
+    if mesh.deformation is not None:
+        raise ValueError("mesh has a deformation, which would be left out: call mesh.UnsetDeformation(), or move the "
+                         "nodes")
+    if mesh.ngmesh.GetIdentifications():
+        raise ValueError("mesh has identified nodes (periodic boundaries), which a contact problem does not know: make "
+                         "it without them")
+    return check_stranger(normalised(*tables(mesh.ngmesh, mesh.GetBoundaries(), mesh.GetMaterials())))
 
 
 def _file(name: str, path: str | Path) -> Path:

@@ -20,9 +20,10 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.domains import extent
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_guard import MAX_NODES, Netgen, NetgenUnfinished, netgen
-from adaptmg.mesh.netgen_plane import SizesAt, extent, finished, one_mesh, onto_outline
+from adaptmg.mesh.netgen_plane import SizesAt, finished, one_mesh, onto_outline
 from adaptmg.mesh.netgen_solid import CURVATURE, Shape, built_shape, check_volume, in_metres, ordered, shape_tables
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.mesh.step import step_contents, step_shapes

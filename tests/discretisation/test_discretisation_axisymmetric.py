@@ -39,7 +39,7 @@ def by_ngsolve(mesh: MeshArrays, material, rule=None, *, bonus: int = 0) -> np.n
     """The same form by NGSolve, dense; with a quadrature rule of ours, or its own of a higher order."""
     import ngsolve as ng
 
-    from adaptmg.mesh.ngsolve_bridge import with_source
+    from adaptmg.mesh import with_source
 
     space = ng.H1(with_source(mesh).source, order=1, dim=2)
     u, v = space.TnT()

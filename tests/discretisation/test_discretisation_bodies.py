@@ -112,7 +112,7 @@ def test_glued_materials_equal_ngsolve():
     mesh = replace(mesh, bodies=("left", "right"), source=None,
                    element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.0)
     materials = {"left": PlaneStrain(young=2.1e11, poisson=0.3), "right": PlaneStress(young=7e10, poisson=0.33)}
-    from adaptmg.mesh.ngsolve_bridge import with_source
+    from adaptmg.mesh import with_source
 
     source = with_source(mesh).source
     space = ng.H1(source, order=1, dim=2)

@@ -3,14 +3,12 @@
 from dataclasses import replace
 
 import meshio
-import netgen.meshing
 import ngsolve
 import numpy as np
 import pytest
 
 from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, from_gmsh, from_ngsolve, structured, to_ngsolve
-from adaptmg.mesh.arrays import facet_table
-from adaptmg.mesh.ngsolve_bridge import normalised
+from adaptmg.mesh.arrays import facet_table, normalised
 from adaptmg.mesh.soundness import check_overlap
 from adaptmg.problem import Box, Rectangle
 
@@ -57,14 +55,6 @@ def test_a_folded_node_is_found_from_every_source(tmp_path, mesh):
 
 
 @BOTH
-def test_the_same_files_unfolded_are_read(tmp_path, mesh):
-    mesh.source.ngmesh.Save(str(tmp_path / "good.vol"))
-    write_gmsh(tmp_path / "good.msh", mesh)
-    for back in (as_mesh(mesh.source), as_mesh(tmp_path / "good.vol"), as_mesh(tmp_path / "good.msh")):
-        assert back.volumes.sum() == pytest.approx(1, rel=1e-12)
-
-
-@BOTH
 def test_every_single_fold_of_a_boundary_node_is_found(mesh):
     # pulled across the body: elements turn over where no inner node moved
     for node in np.unique(mesh.facets)[::3]:
@@ -84,16 +74,6 @@ def test_a_mirrored_mesh_is_turned_as_a_whole(mesh):
     back = normalised(mirrored, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries, mesh.element_body,
                       mesh.bodies)
     assert check_overlap(check_mesh(back)).volumes.sum() == pytest.approx(1)
-
-
-@BOTH
-def test_an_element_given_twice_is_found(mesh):
-    one = MeshArrays(mesh.points[mesh.elements[0]], np.arange(mesh.dim + 1)[None],
-                     facet_table(np.arange(mesh.dim + 1)[None], mesh.dim + 1).facets,
-                     np.zeros(mesh.dim + 1, dtype=int), ("all",))
-    check_mesh(one)
-    with pytest.raises(ValueError, match="both their elements on the same side"):
-        check_mesh(replace(one, elements=np.repeat(one.elements, 2, axis=0), element_body=None))
 
 
 def test_elements_that_wind_twice_around_a_node():
@@ -142,28 +122,3 @@ def test_new_points_beside_an_old_source_are_seen():
     assert moved.source is mesh.source
     read = as_mesh(moved)
     np.testing.assert_array_equal(np.array(read.source.ngmesh.Coordinates())[:, :2], moved.points)
-
-
-def test_indices_of_ngsolve_meshes_are_checked():
-    mesh = SOUND["3D"]
-    raw = raw_ngsolve(mesh)
-    raw.ngmesh.Elements3D().NumPy()["index"][3] = 9
-    with pytest.raises(ValueError, match="the material number of an element must be from 1 to 1, got 1 to 9"):
-        from_ngsolve(raw)
-    assert isinstance(raw.ngmesh, netgen.meshing.Mesh)
-
-
-@pytest.mark.parametrize(("change", "error", "message"), [
-    ({"elements": [[0.5, 1, 2]]}, TypeError, "elements must be an array of integers, got an array of float64"),
-    ({"elements": [[2**32, 1, 2]]}, ValueError, r"elements must be below 2\*\*31"),
-    ({"facets": [[0.0, 1.0]]}, TypeError, "facets must be an array of integers"),
-    ({"facet_labels": [0.5]}, TypeError, "facet_labels must be an array of integers"),
-    ({"points": [["0", "1"]]}, TypeError, "points must be an array of real numbers"),
-    ({"points": [[1j, 0]]}, TypeError, "points must be an array of real numbers"),
-])
-def test_numbers_of_nodes_are_integers(change, error, message):
-    whole = {"points": [[0, 0], [1, 0], [0, 1]], "elements": [[0, 1, 2]], "facets": [[0, 1], [1, 2], [2, 0]],
-             "facet_labels": [0, 0, 0], "boundaries": ("all",)}
-    check_mesh(MeshArrays(**whole))
-    with pytest.raises(error, match=message):
-        MeshArrays(**(whole | change))

@@ -12,8 +12,7 @@ from adaptmg import _checks as checks
 from adaptmg._runtime import kernel
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection import check_marked
-from adaptmg.mesh.bisection.children import FOREBEAR
-from adaptmg.mesh.bisection.tables import Refined, cells_of, mesh_of
+from adaptmg.mesh.bisection.tables import FOREBEAR, Refined, cells_of, mesh_of
 from adaptmg.mesh.soundness import check_mesh
 
 __all__ = ["coarsen", "coarsened"]

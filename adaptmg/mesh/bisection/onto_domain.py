@@ -23,7 +23,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, sound_by_construction
-from adaptmg.mesh.bisection.children import with_refinement
+from adaptmg.mesh.bisection.tables import with_refinement
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.solid_domains import Assembly, Ball, Cylinder, Extrusion, Moved, Revolution

@@ -6,7 +6,7 @@ from bisected_meshes import SQUARE, as_sets, crooked, cube, random_mask
 
 import adaptmg as am
 from adaptmg.mesh import MeshArrays, bisect, check_mesh, coarsen, structured
-from adaptmg.mesh.bisection.children import history_arrays, with_history
+from adaptmg.mesh.bisection.tables import history_arrays, with_history
 
 MESHES = {"2D": crooked(SQUARE), "3D": crooked(cube(2))}
 
