@@ -9,8 +9,8 @@ import numpy as np
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
-__all__ = ["BOX_SIDES", "boundary_measures", "check_domain", "distance_to_boundaries", "extent", "plane_measures",
-           "require_simple"]
+__all__ = ["BOX_SIDES", "boundary_measures", "check_domain", "distance_to_boundaries", "distance_to_segments",
+           "extent", "plane_measures", "require_simple"]
 
 #: axis, and lower (0) or upper (1) end of it; the vertical axis of a rectangle is its last one
 BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
@@ -32,8 +32,7 @@ def distance_to_boundaries(domain: Rectangle | Polygon | Outline | Box, boundari
         if name in boundaries and curved and i in domain.arcs:
             distance = np.minimum(distance, domain.arc(i).distance(points))
         elif name in boundaries:
-            along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
-            distance = np.minimum(distance, np.linalg.norm(points - a - along[:, None] * (b - a), axis=1))
+            distance = np.minimum(distance, distance_to_segments(points, a, b))
     return distance
 
 
@@ -114,8 +113,8 @@ def _apart(a: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     """Distance between edges i and j (m,) of a closed polygon of corners a (n, 2); they must not cross."""
     b = np.roll(a, -1, axis=0)
     # it is reached at an end of one of them
-    return np.min([_to_segment(a[j], a[i], b[i]), _to_segment(b[j], a[i], b[i]), _to_segment(a[i], a[j], b[j]),
-                   _to_segment(b[i], a[j], b[j])], axis=0)
+    pairs = ((a[j], i), (b[j], i), (a[i], j), (b[i], j))
+    return np.min([distance_to_segments(p, a[k], b[k]) for p, k in pairs], axis=0)
 
 
 def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -124,8 +123,8 @@ def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
 
 
-def _to_segment(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance of points to segments, pair by pair."""
+def distance_to_segments(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance (n,) of points (n, 2) to one segment, or to one segment each."""
     u = b - a
-    along = np.clip(np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1), 0.0, 1.0)
+    along = np.clip(np.sum((p - a) * u, axis=-1) / np.sum(u * u, axis=-1), 0.0, 1.0)
     return np.linalg.norm(p - a - along[:, None] * u, axis=1)

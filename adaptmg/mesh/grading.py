@@ -20,19 +20,22 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table
+from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.bisection.tables import as_initial
 from adaptmg.mesh.domains import check_domain, distance_to_boundaries, plane_measures
 from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_plane import (
+    MAX_BISECTIONS,
     SizeField,
     expected_nodes,
     finished,
     guessed_nodes,
     netgen_mesh,
     refuse_too_many,
+    too_large,
+    unreachable,
 )
 from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
 from adaptmg.mesh.step import step_contents, step_mesh, step_shapes
@@ -48,10 +51,6 @@ _NETGEN_RATIO = 16.0
 # by which sizes may fall further in each round after the second, and the factor to the field for Netgen then: its
 # triangles have about 1.2 times the edges they are asked for
 _FURTHER, _FACTOR = 8.0, 0.85
-# an element is bisected when its size is this many times the field: halving then leaves it no smaller than 1 / sqrt(2)
-_TOO_LARGE = math.sqrt(2)
-# sizes down to 1e-9 of the domain; far below, neighbouring nodes would round to the same point
-_MAX_BISECTIONS = 30
 
 
 def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries: str | Sequence[str] = (),
@@ -214,34 +213,13 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
 def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArrays:
     """Bisect until no element is too large for the field."""
     mesh = finished(domain, mesh)
-    for _ in range(_MAX_BISECTIONS):
-        wanted = field(mesh.points[mesh.elements].mean(axis=1))
-        large = _equilateral_size(mesh.volumes, mesh.dim) > _TOO_LARGE * wanted
-        large[_owners_of_large_facets(mesh, field)] = True
+    for _ in range(MAX_BISECTIONS):
+        large, sizes = too_large(mesh, field)
         if not large.any():
             return as_initial(mesh)
-        refuse_too_many(expected_nodes(mesh, wanted), domain)
+        refuse_too_many(expected_nodes(mesh, sizes), domain)
         mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
-    raise ValueError(f"the size field cannot be reached: after {_MAX_BISECTIONS} bisections {large.sum()} elements of "
-                     f"{domain!r} are still too large; does it tend to zero at a point?")
-
-
-def _owners_of_large_facets(mesh: MeshArrays, field: SizeField) -> np.ndarray:
-    """Elements with a boundary facet that is too large for the field on the facet: centroids lie off the boundary."""
-    corners = mesh.points[mesh.facets]
-    sides = corners[:, 1:] - corners[:, :1]
-    gram = np.linalg.det(sides @ sides.transpose(0, 2, 1))
-    sizes = _equilateral_size(np.sqrt(gram) / (mesh.dim - 1), mesh.dim - 1)
-    large = sizes > _TOO_LARGE * field(corners.mean(axis=1))
-    table = facet_table(mesh.elements, mesh.n_nodes)
-    return table.first[table.find(facet_keys(mesh.facets[large], mesh.n_nodes))]
-
-
-def _equilateral_size(measure: np.ndarray, dim: int) -> np.ndarray:
-    """Edge of the equilateral simplex of the same measure: refinement halves it, unlike the longest edge."""
-    if dim == 1:
-        return measure
-    return np.sqrt(measure * 4 / math.sqrt(3)) if dim == 2 else np.cbrt(measure * 6 * math.sqrt(2))
+    raise unreachable(domain, large)
 
 
 def _grading(value: float) -> float:

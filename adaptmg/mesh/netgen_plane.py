@@ -11,24 +11,29 @@ that nodes of every arc are known even where edges share a name; :func:`finished
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, normalised
+from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised
 from adaptmg.mesh.domains import BOX_SIDES, boundary_measures, extent, plane_measures
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 
-__all__ = ["NODES_PER_CELL", "SizeField", "SizesAt", "expected_nodes", "finished", "guessed_nodes",
-           "netgen_error", "netgen_mesh", "one_mesh", "onto_outline", "refuse_too_many"]
+__all__ = ["MAX_BISECTIONS", "NODES_PER_CELL", "SizeField", "SizesAt", "expected_nodes", "finished", "guessed_nodes",
+           "netgen_error", "netgen_mesh", "one_mesh", "onto_outline", "refuse_too_many", "too_large", "unreachable"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 SizesAt = list[tuple[np.ndarray, np.ndarray]]
 """Points (n, dim) and sizes (n,) there, of the domain at unit size."""
 
+#: bisections at most: sizes down to 1e-9 of the domain; far below, neighbouring nodes would round to the same point
+MAX_BISECTIONS = 30
+# an element is bisected when its size is this many times the field: halving then leaves it no smaller than 1 / sqrt(2)
+_TOO_LARGE = math.sqrt(2)
 #: nodes over volume / h^dim
 NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
@@ -137,6 +142,36 @@ def _straight_area(domain: Rectangle | Polygon | Outline, mesh: MeshArrays) -> f
         turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
         area -= 0.5 * arc.radius**2 * float(np.sum(turns - np.sin(turns)))
     return area
+
+
+def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarray]:
+    """Mask of the elements to bisect, by their own size or that of a boundary facet; the field at their centroids.
+
+    A size is the edge of the equilateral simplex of the same measure: refinement halves it, unlike the longest edge.
+    Facets are looked at as well because centroids lie off the boundary.
+    """
+    sizes = field(mesh.points[mesh.elements].mean(axis=1))
+    large = _equilateral_size(mesh.volumes, mesh.dim) > _TOO_LARGE * sizes
+    corners = mesh.points[mesh.facets]
+    sides = corners[:, 1:] - corners[:, :1]
+    gram = np.linalg.det(sides @ sides.transpose(0, 2, 1))
+    facets = _equilateral_size(np.sqrt(gram) / (mesh.dim - 1), mesh.dim - 1)
+    facets_large = facets > _TOO_LARGE * field(corners.mean(axis=1))
+    table = facet_table(mesh.elements, mesh.n_nodes)
+    large[table.first[table.find(facet_keys(mesh.facets[facets_large], mesh.n_nodes))]] = True
+    return large, sizes
+
+
+def _equilateral_size(measure: np.ndarray, dim: int) -> np.ndarray:
+    if dim == 1:
+        return measure
+    return np.sqrt(measure * 4 / math.sqrt(3)) if dim == 2 else np.cbrt(measure * 6 * math.sqrt(2))
+
+
+def unreachable(domain: Domain, large: np.ndarray) -> ValueError:
+    """The error where bisection does not reach a size field."""
+    return ValueError(f"the size field cannot be reached: after {MAX_BISECTIONS} bisections {large.sum()} elements of "
+                      f"{domain!r} are still too large; does it tend to zero at a point?")
 
 
 def onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:

@@ -23,10 +23,18 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised
+from adaptmg.mesh.arrays import MeshArrays, facet_table, normalised
 from adaptmg.mesh.domains import extent, require_simple
 from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, meshing_limit, netgen
-from adaptmg.mesh.netgen_plane import SizesAt, expected_nodes, netgen_error, refuse_too_many
+from adaptmg.mesh.netgen_plane import (
+    MAX_BISECTIONS,
+    SizesAt,
+    expected_nodes,
+    netgen_error,
+    refuse_too_many,
+    too_large,
+    unreachable,
+)
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import (
@@ -46,9 +54,6 @@ __all__ = ["CURVATURE", "Shape", "SolidSizes", "built_shape", "check_volume", "c
 CURVATURE = 2.0
 """On curved faces edges are at most their radius of curvature over this, about."""
 _NETGEN_RATIO = 16.0
-# an element is bisected when its size is this many times the wanted one: then it is not halved below 1 / sqrt(2)
-_TOO_LARGE = math.sqrt(2)
-_MAX_BISECTIONS = 30
 # Netgen fails on curved faces, or makes slivers, where sizes grow faster; where it fails all the same, slower growth
 # (which only makes the mesh finer) often helps
 _MAX_GRADING = 0.6
@@ -269,23 +274,15 @@ def _bisected(worker: Netgen, unit: MeshArrays, shape: Shape, sizes: SolidSizes,
     """The mesh at unit size after bisection until no element is too large."""
     if sizes.function is None and not groups:
         return unit
-    for _ in range(_MAX_BISECTIONS):
+    for _ in range(MAX_BISECTIONS):
         mesh = _placed(unit, shape)
-        wanted = sizes.field(mesh.points[mesh.elements].mean(axis=1), mesh, groups)
-        large = np.cbrt(mesh.volumes * 6 * math.sqrt(2)) > _TOO_LARGE * wanted
-        corners = mesh.points[mesh.facets]
-        areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        at_facets = sizes.field(corners.mean(axis=1), mesh, groups)
-        on_boundary = np.sqrt(areas * 4 / math.sqrt(3)) > _TOO_LARGE * at_facets
-        table = facet_table(unit.elements, unit.n_nodes)
-        large[table.first[table.find(facet_keys(unit.facets[on_boundary], unit.n_nodes))]] = True
+        large, at_centroids = too_large(mesh, lambda x, mesh=mesh: sizes.field(x, mesh, groups))
         if not large.any():
             return unit
-        nodes = refuse_too_many(expected_nodes(mesh, wanted), domain)
+        nodes = refuse_too_many(expected_nodes(mesh, at_centroids), domain)
         # on the mesh with its geometry, so that new nodes go onto the surfaces
         unit = _sound(worker("bisect", large, seconds=meshing_limit(nodes, 3)))
-    raise ValueError(f"the size field cannot be reached: after {_MAX_BISECTIONS} bisections {large.sum()} elements of "
-                     f"{domain!r} are still too large; does it tend to zero at a point?")
+    raise unreachable(domain, large)
 
 
 def _placed(unit: MeshArrays, shape: Shape) -> MeshArrays:

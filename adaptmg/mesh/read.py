@@ -2,9 +2,8 @@
 
 meshio reads files of Gmsh (MSH 2.2 and 4.1), Netgen its own (.vol, .vol.gz), both in the process of
 :mod:`adaptmg.mesh.netgen_guard` with limits of time and memory: damaged numbers may lead a reader anywhere. What comes
-back is checked like every other mesh. Physical groups of Gmsh name boundaries and bodies; where bodies share the nodes
-of an interface they are glued, or split: then each body gets nodes of its own there, and the interface is a boundary of
-both.
+back is checked like every other mesh. Physical groups of Gmsh name boundaries and bodies; bodies that share the nodes
+of an interface are glued there, or split: then each has separate nodes, and the interface is a boundary of both.
 """
 
 from __future__ import annotations
@@ -117,7 +116,7 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     -------
     MeshArrays
         Copies: refining ``mesh`` later changes nothing here. The nodes keep their numbers unless some belong to no
-        element (these are dropped). ``source`` is a straight mesh of its own with the same node numbers.
+        element (these are dropped). ``source`` is another, straight mesh with the same node numbers.
 
     Raises
     ------
@@ -175,7 +174,7 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
     unnamed : str, optional
         Name for the boundary facets that belong to no physical group. By default there must be none.
     split_bodies : bool
-        Give each body nodes of its own, so that bodies touch only through contact. Boundaries are then called
+        Give each body separate nodes, so that bodies touch only through contact. Boundaries are then called
         "body.boundary" (a "." in the name of a body becomes "_"); a physical curve or surface between two bodies is a
         boundary of both. By default bodies stay glued where they share nodes, and boundaries keep their names.
 

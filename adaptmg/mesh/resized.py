@@ -1,7 +1,7 @@
-r"""resized: a mesh of a domain in one call of Netgen, told the wanted sizes at many points at once.
+r"""resized: a mesh of a domain in one call of Netgen, by sizes at many points.
 
 :func:`adaptmg.mesh.sized` learns a size function by drafts, as it knows nothing of it. Where sizes are known on a mesh
-and grow slowly (adaptive meshes, :mod:`adaptmg.estimate.remesh`), Netgen follows them at once. Uniform
+and grow slowly (adaptive meshes, :mod:`adaptmg.estimate.remesh`), Netgen follows them in one call. Uniform
 refinement of a mesh of twice the sizes, every element cut in four (3D: eight) with new nodes on the curves, is cheaper
 still: a k-fold refinement asks Netgen for :math:`2^k h` and so for :math:`2^{-kd}` of the nodes. Sizes must then grow
 :math:`2^k` times more slowly.
@@ -33,7 +33,7 @@ from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
 __all__ = ["PointSizes", "resized"]
 
-# Netgen takes no notice of sizes within 1.2 of what it knows: told twice, it keeps to within a tenth either way. Its
+# Netgen takes no notice of sizes within 1.2 of what it knows: given twice, it keeps to within a tenth either way. Its
 # drafts in the plane are finer than asked for, its tetrahedra are so where it is to improve them; with these factors
 # the expected number of nodes comes out
 _PASSES, _PLAIN = {2: (1.03, 0.935), 3: (1.1,)}, {3: (1.0,)}

@@ -167,7 +167,7 @@ def _check_bodies(mesh: MeshArrays, table: FacetTable) -> None:
         sizes = np.sort(elements_of[body_of == body])[::-1]
         shown = ", ".join(map(str, sizes[:8])) + (", ..." if len(sizes) > 8 else "")
         raise ValueError(f"body {name!r} consists of {len(sizes)} pieces, of {shown} elements; "
-                         "give each piece a body (material) name of its own, or join them")
+                         "give each piece another body (material) name, or join them")
 
 
 def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:

@@ -24,7 +24,7 @@ __all__ = ["from_step", "step_contents", "step_mesh", "step_names", "step_shapes
 Sizes = float | Mapping[str, float]
 # reading takes about a second a megabyte; twenty times that is the limit
 _START_S, _S_PER_BYTE, _BYTES_PER_BYTE = 60.0, 2e-5, 50
-# how many nodes round faces ask for is not known: the time for so many
+# nodes on round faces, whose number is not known: for the time limit
 _CURVED = 1e4
 
 
@@ -153,7 +153,7 @@ def _renamed(domain: StepFile, bodies: list[str], faces: list[list[str]]) -> dic
         solid = (body, f"solid{i + 1}")
         name = new(list(solid), body)
         if name in result:
-            raise ValueError(f"names: two solids are called {name!r}; each is a body with a name of its own")
+            raise ValueError(f"names: two solids are called {name!r}; each is a body and needs another name")
         result[name] = tuple(new([f"{s}.{f}" for s in solid for f in (face, f"face{j + 1}")], face)
                              for j, face in enumerate(own))
     if unused:

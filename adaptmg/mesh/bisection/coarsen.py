@@ -61,7 +61,7 @@ def coarsened(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -
 
 
 def _once(mesh: MeshArrays, marked: np.ndarray) -> Refined | None:
-    """All bisections taken back that can be at once, None if there are none."""
+    """All bisections taken back that can be in one pass, None if there are none."""
     n, corners = mesh.elements.shape
     history = mesh.refinement
     goes = np.zeros(mesh.n_nodes, dtype=np.bool_)

@@ -161,7 +161,7 @@ def _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before, st
     """Bisect the elements from e on that have a cut edge, as long as there is room.
 
     Which were there before the round are looked at if they were touched since the round before, and e in any case.
-    The tables are not bound anew in here: counting who holds them would take longer than all the rest.
+    The tables are not assigned again in here: counting references to them would take longer than all the rest.
     """
     corners, again = tree.shape[1] - 3, e
     while e < n_cells:

@@ -53,7 +53,7 @@ def parents_of(mesh: MeshArrays) -> np.ndarray:
 
 
 def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
-    """The elements as a table, labelled if the mesh was never bisected, with so many times the rows as room."""
+    """The elements as a table, labelled if the mesh was never bisected, with ``room`` times the rows as room."""
     n, corners = mesh.elements.shape
     cells = np.empty((n + int(room * n), columns_of_cells(mesh.dim)), dtype=np.int32)
     cells[:n, :corners] = mesh.elements
@@ -78,7 +78,7 @@ def tree_of(mesh: MeshArrays) -> np.ndarray:
 
 
 def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
-    """The nodes as a table in which no edge is cut, with so many times the rows as room."""
+    """The nodes as a table in which no edge is cut, with ``room`` times the rows as room."""
     n = mesh.n_nodes
     nodes = np.empty((n + int(room * n), NODE_COLUMNS), dtype=np.int32)
     nodes[:n, HEAD] = -1
