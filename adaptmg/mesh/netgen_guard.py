@@ -25,7 +25,7 @@ __all__ = ["LIMIT_S", "MAX_NODES", "Netgen", "NetgenFails", "NetgenUnfinished", 
 MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 #: by dimension, seconds: for the shape, and for each node (twenty times in 2D, five times in 3D what Netgen takes)
 LIMIT_S, _NODE_LIMIT_S = {2: 30.0, 3: 120.0}, {2: 4e-3, 3: 35e-3}
-# bytes of address space: twice the main memory of usual machines, so that a mesh without end is stopped
+# bytes of address space, if the system does not say how much main memory there is
 _MEMORY = 32e9
 
 _WORKER = Path(__file__).with_name("netgen_worker.py")
@@ -46,6 +46,13 @@ def meshing_limit(nodes: float, dim: int) -> float:
     return LIMIT_S[dim] + _NODE_LIMIT_S[dim] * nodes
 
 
+def _main_memory() -> float:
+    try:
+        return max(4e9, float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):
+        return _MEMORY
+
+
 class Netgen:
     """A process of :mod:`adaptmg.mesh.netgen_worker`."""
 
@@ -59,8 +66,9 @@ class Netgen:
         """Whether the process still runs."""
         return self.process.poll() is None
 
-    def __call__(self, function: str, *arguments: Any, seconds: float, memory: float = _MEMORY) -> Any:
+    def __call__(self, function: str, *arguments: Any, seconds: float, memory: float | None = None) -> Any:
         """Call a function of the worker; NetgenFails with its message, NetgenUnfinished after ``seconds``."""
+        memory = _main_memory() if memory is None else memory
         late = threading.Event()
 
         def stop() -> None:

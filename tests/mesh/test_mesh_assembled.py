@@ -138,11 +138,6 @@ class TestOutline:
         np.testing.assert_allclose(one.points, other.points, atol=1e-15)
         np.testing.assert_array_equal(one.facet_labels, other.facet_labels)
 
-    def test_distance(self):
-        points = np.array([[0.0, 0.0], [0.0, 0.5], [2.0, 2.0], [-1.0, -1.0]])
-        np.testing.assert_allclose(distance_to_boundaries(RING, ["in"], points),
-                                   [1, 0.5, math.sqrt(8) - 1, math.sqrt(5)])
-
     def test_crossing_outlines_are_refused(self):
         # the arc dips through the edge opposite
         sickle = Outline(vertices=((0, 0), (4, 0), (4, 0.5), (0, 0.5)), boundaries=("b", "r", "t", "l"),

@@ -32,12 +32,8 @@ def test_plane_sizes_are_achieved(domain, contact, size, ratio):
     relative = mesh.element_sizes / wanted
     assert relative.max() < 2.5 and 0.8 < np.median(relative) < 1.4
     assert quality(mesh).min_angle > 15
-
-
-def test_contact_edges_are_right_where_the_size_grows_fast():
-    # the centroid of an element at contact already asks for less than its edge does
-    at_contact = edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c") * 60 / 2
-    assert at_contact.max() < 1.5
+    # where the size grows fast, the centroid of an element at contact asks for less than its edge does
+    assert domain is not ANGLE or edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c").max() < 1.5 * 2 / 60
 
 
 def test_area_and_sides_are_exact():
@@ -79,12 +75,6 @@ def test_box_sizes_are_achieved(ratio):
     height = mesh.points[mesh.elements].mean(axis=1)[:, 2] - BOX.lower[2]
     if ratio == 16:
         assert np.median(mesh.element_sizes[height > 20e-3]) > 4 * np.median(mesh.element_sizes[height < 1e-3])
-
-
-def test_box_beyond_what_netgen_takes():
-    mesh = graded(BOX, 40e-3, "top", 24)
-    at_contact = edge_lengths(mesh, "top") * 24 / 40e-3
-    assert at_contact.max() < 2.2 and 0.8 < np.median(at_contact) < 1.3
 
 
 def test_sized_follows_a_field():

@@ -82,13 +82,6 @@ def test_solids(domain, refinements):
         np.testing.assert_allclose(radii, 0.02, rtol=1e-6)
 
 
-def test_the_same_arguments_give_the_same_mesh():
-    sizes = sizes_near(PLATE, PLATE.lower, 3e-3, 0.1)
-    first, second = (resized(PLATE, sizes, refinements=1) for _ in range(2))
-    for name in ("points", "elements", "facets", "facet_labels"):
-        assert (getattr(first, name) == getattr(second, name)).all()
-
-
 def test_bodies_have_their_own_sizes():
     left, right = am.Rectangle(width=1, height=1), am.Rectangle(width=1, height=1, origin=(1, 0))
     both = am.Assembly(parts={"left": left, "right": right})
