@@ -40,7 +40,7 @@ from adaptmg.estimate.goal_view import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level, joined, level_of, the_transfer
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.children import history_arrays, with_history
+from adaptmg.mesh.bisection.tables import history_arrays, with_history
 from adaptmg.solver.load_path import PathResult
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_file import DAMAGES, read_arrays

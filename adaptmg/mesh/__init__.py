@@ -10,17 +10,16 @@ from importlib import import_module
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.size_near import SizeNear
-from adaptmg.mesh.soundness import MeshQuality, check_mesh, quality
+from adaptmg.mesh.soundness import MeshQuality, check_mesh, quality, with_source
 from adaptmg.mesh.structured import merged, structured
 
 # these modules import ngsolve or numba: they are loaded at the first use of a name (PEP 562)
 _LAZY = {"as_mesh": "read", "bisect": "bisection", "coarsen": "bisection.coarsen", "from_gmsh": "read",
-         "from_ngsolve": "ngsolve_bridge", "from_step": "step", "graded": "grading",
+         "from_ngsolve": "read", "from_step": "step", "graded": "grading",
          "onto_domain": "bisection.onto_domain", "refine_near": "bisection", "sized": "grading",
          "solid_mesh": "netgen_solid",
          "step_names": "step",
-         "to_ngsolve": "ngsolve_bridge",
-         "with_source": "ngsolve_bridge"}
+         "to_ngsolve": "ngsolve_bridge"}
 
 __all__ = ["MeshArrays", "MeshQuality", "SizeNear", "as_mesh", "bisect", "check_mesh", "coarsen", "from_gmsh",
            "from_ngsolve", "from_step", "graded", "merged", "onto_domain", "quality", "refine_near", "sized",

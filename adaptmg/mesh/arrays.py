@@ -1,41 +1,38 @@
-"""MeshArrays: a simplicial mesh as frozen arrays, the form in which every other layer sees a mesh.
-
-Facets of a simplicial mesh: who shares them, which lie on the boundary. Arrays only.
+"""MeshArrays: a simplicial mesh as frozen arrays, the form in which every other layer sees a mesh; its facets.
 
 A facet (edge of a triangle, face of a tetrahedron) belongs to two elements inside a mesh and to one on its boundary. It
 is identified by its sorted nodes :math:`a < b (< c)`, packed into one integer :math:`(a N + b) N + c`.
-
-Geometry of domains: sides of a box, distance to named boundaries, whether an outline crosses itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg._runtime import made_on_demand
-from adaptmg.problem.plane_domains import Box, Outline, Polygon, Rectangle
+from adaptmg._runtime import OnDemand, made_on_demand
+
+if TYPE_CHECKING:
+    import ngsolve
 
 __all__ = [
-    "BOX_SIDES",
     "MOST_NODES",
     "FacetTable",
     "MeshArrays",
+    "Refinement",
     "components",
-    "distance_of_segments",
-    "distance_to_boundaries",
     "element_facets",
     "facet_keys",
     "facet_table",
     "longest_edges",
-    "require_simple",
+    "normalised",
     "same_orientation",
+    "sound_by_construction",
     "trusted",
 ]
 
@@ -61,6 +58,29 @@ def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
+class Refinement:
+    """The history of a bisected mesh, as frozen arrays.
+
+    The corners of such a mesh's elements are in the order of bisection: the edge between the first two is halved next.
+    An element that was bisected is a row of the tree.
+    """
+
+    parents: np.ndarray  # (n_nodes, 2) int32: a new node is halfway between them
+    marks: np.ndarray  # (n_elements,) int8: marked edges of tetrahedra; 0 of triangles
+    generation: np.ndarray  # (n_elements,) int16: how many bisections lead to the element
+    forebear: np.ndarray  # (n_elements,) int32: row of the tree that each element comes from, -1: none
+    tree: np.ndarray  # (n_bisected, dim + 4) int32: corners, marks, forebear and new node of each bisected element
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            getattr(self, one.name).flags.writeable = False
+
+    def __reduce__(self) -> tuple:
+        # by way of __init__: arrays come out of a pickle writable
+        return type(self), tuple(getattr(self, one.name) for one in fields(self))
+
+
+@dataclass(frozen=True, eq=False)
 class MeshArrays:
     """A mesh of triangles or tetrahedra with named boundaries.
 
@@ -82,19 +102,16 @@ class MeshArrays:
     bodies : tuple of str
         Names of the bodies.
     source : ngsolve.Mesh, optional
-        A straight ngsolve.Mesh of these arrays, with the same node and element numbers, for work in
-        NGSolve. Meshes made by adaptmg build it when it is first read. Neither saved nor pickled:
-        :func:`adaptmg.mesh.ngsolve_bridge.with_source` makes one anew. Copies share it.
+        A straight ngsolve.Mesh with the same node and element numbers, which meshes made by adaptmg build when it is
+        first read. Neither saved nor pickled: :func:`adaptmg.mesh.with_source` makes a new one.
 
     Attributes
     ----------
     sound : bool
-        Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction: the arrays are
-        frozen, so that it need not be checked again.
+        Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction.
     refinement : Refinement or None
-        Of a bisected mesh its history, see :class:`adaptmg.mesh.bisection.children.Refinement`: further bisection
-        goes on from it, coarsening takes it back. Pickled, but not saved in a result; a mesh made by
-        ``dataclasses.replace`` has none, and is an initial mesh.
+        The history of a bisected mesh, which further bisection and coarsening need. Pickled, but not saved in a result;
+        a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
     """
 
     points: np.ndarray
@@ -104,9 +121,9 @@ class MeshArrays:
     boundaries: tuple[str, ...]
     element_body: np.ndarray | None = None
     bodies: tuple[str, ...] = ("body",)
-    source: Any = field(default=None, repr=False)
+    source: ngsolve.Mesh | None = field(default=None, repr=False)
     sound: bool = field(default=False, init=False, repr=False)
-    refinement: Any = field(default=None, init=False, repr=False)
+    refinement: Refinement | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
@@ -117,7 +134,7 @@ class MeshArrays:
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
         return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
                             self.element_body, self.bodies), {"sound": self.sound, "refinement": self.refinement}
@@ -126,7 +143,7 @@ class MeshArrays:
         # what is frozen needs no second copy, and a source that nobody has asked for yet is built once
         return self
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> MeshArrays:
+    def __deepcopy__(self, memo: dict[int, object]) -> MeshArrays:
         return self
 
     @property
@@ -168,12 +185,24 @@ def longest_edges(corners: np.ndarray) -> np.ndarray:
     return np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)], axis=0)
 
 
-def trusted(mesh: MeshArrays, source: Any, sound: bool = True) -> MeshArrays:
+def trusted(mesh: MeshArrays, source: ngsolve.Mesh | OnDemand | None, sound: bool = True) -> MeshArrays:
     """The same arrays, not copied, as a mesh that is known to be sound, with another source."""
     result = object.__new__(MeshArrays)
     result.__dict__.update(mesh.__dict__)
     result.__dict__.update(source=source, sound=sound)
     return result
+
+
+def sound_by_construction(mesh: MeshArrays) -> MeshArrays:
+    """The mesh, not checked (it was written down as it must be), with a source on demand."""
+    return trusted(mesh, OnDemand(_ngsolve_mesh))
+
+
+def _ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
+    from adaptmg.mesh.ngsolve_bridge import to_ngsolve
+
+    return to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
+                      element_body=mesh.element_body, bodies=mesh.bodies)
 
 
 MeshArrays.source = made_on_demand("source", "A straight ngsolve.Mesh of these arrays, or None.")
@@ -192,10 +221,10 @@ class FacetTable:
 
     keys: np.ndarray  # (n,) int64: ascending, see facet_keys
     counts: np.ndarray  # (n,) int: how many elements share the facet
-    first: np.ndarray  # (n,) int: two of those elements; second is -1 on the boundary
-    second: np.ndarray  # (n,) int: two of those elements; second is -1 on the boundary
+    first: np.ndarray  # (n,) int: one of those elements
+    second: np.ndarray  # (n,) int: another one, -1 on the boundary
     facets: np.ndarray  # (n, dim) int: nodes, oriented outwards as seen from first
-    folded: np.ndarray  # (n,) bool
+    folded: np.ndarray  # (n,) bool: both elements lie on the same side
 
     def find(self, keys: np.ndarray) -> np.ndarray:
         """Rows of this table that hold ``keys``, -1 where there is no such facet."""
@@ -240,7 +269,7 @@ def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
 
 
 def same_orientation(facets: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Whether facets with the same nodes also have the same orientation, (n,) bool."""
+    """Whether facets of the same nodes also have the same orientation (n,)."""
     if facets.shape[1] == 2:
         return (facets == others).all(axis=1)
     return np.any([(facets == np.roll(others, k, axis=1)).all(axis=1) for k in range(3)], axis=0)
@@ -256,85 +285,42 @@ def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
     return connected_components(graph, directed=False)[1]
 
 
-# which side of a box a boundary is: axis, and lower (0) or upper (1) end; a rectangle's vertical axis is its last one
-BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
+def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_index: np.ndarray,
+               facet_names: Sequence[str], body_index: np.ndarray, body_names: Sequence[str]) -> MeshArrays:
+    """The MeshArrays of tables as files hold them: orientations set right, facets inside and unused nodes dropped."""
+    if len(elements) == 0:
+        raise ValueError("the mesh has no elements")
+    for name, array in (("elements", elements), ("facets", facets)):
+        if len(array) and (array.min() < 0 or array.max() >= len(points)):
+            raise ValueError(f"{name} name nodes {array.min()} to {array.max()}, there are {len(points)} "
+                             "(counted from 0)")
+    if not np.isfinite(points).all():
+        raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
+    dim = points.shape[1]
+    corners = points[elements]
+    negative = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+    elements = np.array(elements)
+    elements[negative, -2:] = elements[negative, :-3:-1]
+    number = np.full(len(points), -1, dtype=np.int64)
+    used = np.unique(elements)
+    number[used] = np.arange(len(used))
+    points, elements = points[used], number[elements]
+    facets = number[np.reshape(facets, (-1, dim))]
+    facet_index = np.asarray(facet_index)[(facets >= 0).all(axis=1)]
+    facets = facets[(facets >= 0).all(axis=1)]
+    table = facet_table(elements, len(points))
+    row = table.find(facet_keys(facets, len(points)))
+    outer = (row >= 0) & (table.counts[row] == 1)
+    boundaries, labels = _merged(facet_index[outer], facet_names)
+    bodies, element_body = _merged(np.asarray(body_index), body_names)
+    return MeshArrays(points, elements, table.facets[row[outer]], labels, boundaries, element_body, bodies)
 
 
-def distance_to_boundaries(domain: Rectangle | Polygon | Outline | Box, boundaries: Sequence[str],
-                           points: np.ndarray) -> np.ndarray:
-    """Distance of points to the nearest of some boundaries of a domain."""
-    distance = np.full(len(points), np.inf)
-    if isinstance(domain, Box):
-        for name in boundaries:
-            axis, end = BOX_SIDES[name]
-            distance = np.minimum(distance, np.abs(points[:, axis] - (domain.lower, domain.upper)[end][axis]))
-        return distance
-    curved = isinstance(domain, Outline)
-    start = np.array(domain.vertices if curved else domain.polygon.vertices)
-    end = np.roll(start, -1, axis=0)
-    for i, (name, a, b) in enumerate(zip(domain.boundaries, start, end, strict=True)):
-        if name in boundaries and curved and i in domain.arcs:
-            distance = np.minimum(distance, domain.arc(i).distance(points))
-        elif name in boundaries:
-            along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
-            distance = np.minimum(distance, np.linalg.norm(points - a - along[:, None] * (b - a), axis=1))
-    return distance
-
-
-def require_simple(outline: Polygon | Outline) -> None:
-    """Raise ValueError if edges of an outline cross, touch, or have no length (Netgen would not end, or err).
-
-    Arcs are taken as chords of at most 3 degrees.
-    """
-    a, owner = outline.chords() if isinstance(outline, Outline) else (np.array(outline.vertices), None)
-    b = np.roll(a, -1, axis=0)
-    n = len(a)
-    owner = np.arange(n) if owner is None else owner
-    what = type(outline).__name__.lower()
-
-    def edge_name(k: int) -> str:
-        return f"{owner[k]} ({outline.boundaries[owner[k]]!r})"
-
-    lengths = np.linalg.norm(b - a, axis=1)
-    tiny = 1e-12 * np.ptp(a, axis=0).max()
-    if not lengths.min() > tiny:
-        raise ValueError(f"vertices: edge {edge_name(int(np.argmin(lengths)))} of the {what} has no length")
-    edge, following = b - a, np.roll(b - a, -1, axis=0)
-    turn = edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0]
-    folded = (np.abs(turn) <= 1e-12 * lengths * np.roll(lengths, -1)) & ((edge * following).sum(axis=1) < 0)
-    if folded.any():
-        i = int(np.argmax(folded))
-        raise ValueError(f"vertices: edge {edge_name(i)} of the {what} folds back on itself at "
-                         f"{tuple(b[i].tolist())}")
-    i, j = np.triu_indices(n, 2)
-    apart = (i != 0) | (j != n - 1)
-    i, j = i[apart], j[apart]
-    distance = distance_of_segments(a, i, j)
-    crossing = (_side(a[i], b[i], a[j]) * _side(a[i], b[i], b[j]) < 0) & (
-        _side(a[j], b[j], a[i]) * _side(a[j], b[j], b[i]) < 0)
-    bad = crossing | (distance <= tiny) if len(i) else np.zeros(0, dtype=bool)
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise ValueError(f"vertices: edges {edge_name(i[k])} and {edge_name(j[k])} of the {what} meet; its boundary "
-                         "must not cross itself")
-
-
-def distance_of_segments(a: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """Distance between edges i and j (m,) of a closed polygon of corners a (n, 2); they must not cross."""
-    b = np.roll(a, -1, axis=0)
-    # it is reached at an end of one of them
-    return np.min([_to_segment(a[j], a[i], b[i]), _to_segment(b[j], a[i], b[i]), _to_segment(a[i], a[j], b[j]),
-                   _to_segment(b[i], a[j], b[j])], axis=0)
-
-
-def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Positive where c lies to the left of the line from a to b."""
-    u, v = b - a, c - a
-    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-
-
-def _to_segment(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance of points to segments, pair by pair."""
-    u = b - a
-    along = np.clip(np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1), 0.0, 1.0)
-    return np.linalg.norm(p - a - along[:, None] * u, axis=1)
+def _merged(index: np.ndarray, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
+    """The distinct names that are used, in their order, and the index into them."""
+    used = np.unique(index)
+    distinct = tuple(dict.fromkeys(names[i] for i in used))
+    new = np.full(len(names), -1)
+    for i in used:
+        new[i] = distinct.index(names[i])
+    return distinct, new[index]

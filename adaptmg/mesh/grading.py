@@ -4,15 +4,12 @@ The size field of :func:`graded`, for a bulk size H, a contact ratio q and a gra
 
 .. math:: h(x) = \min\bigl(H,\; H/q + g \,\mathrm{dist}(x, \text{contact boundaries})\bigr).
 
-Netgen loses its way where sizes differ by more than about 16 in a coarse mesh (it fails, or takes minutes): sizes up
-to that ratio are asked from Netgen, and the rest is bisected on top, element by element, until no element and no
-boundary facet is larger than sqrt(2) times the field, by the edge of the equilateral one of the same volume. Bisection
-makes sizes jump by halves; :func:`sized` with more than two rounds lets Netgen go on by itself, eight times the ratio a
-round, which follows the field more closely and takes longer. Nodes that
-bisection puts on the chord of an arc are moved onto the arc. Meshes of different sizes are not nested. The bodies of an
-:class:`~adaptmg.problem.Assembly` are meshed apart, each by the distance from its own contact boundaries.
-
-measures: areas or volumes of the bodies of a domain before it is meshed, and the lengths of plane boundaries.
+Netgen fails, or takes minutes, where sizes differ by more than about 16 in a coarse mesh: sizes up to that ratio are
+asked from Netgen, and the rest is bisected, until no element and no boundary facet is larger than sqrt(2) times the
+field, by the edge of the equilateral one of the same volume. Bisection makes sizes jump by halves; :func:`sized` with
+more than two rounds lets Netgen go on by itself, eight times the ratio a round, which follows the field more closely
+and takes longer. Nodes that bisection puts on the chord of an arc are moved onto the arc. Meshes of different sizes are
+not nested. The bodies of an :class:`~adaptmg.problem.Assembly` are meshed apart.
 """
 
 from __future__ import annotations
@@ -23,37 +20,37 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, distance_to_boundaries, facet_keys, facet_table, require_simple
-from adaptmg.mesh.bisection.children import as_initial
+from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.bisection.tables import as_initial
+from adaptmg.mesh.domains import check_domain, distance_to_boundaries, plane_measures
+from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_plane import (
+    MAX_BISECTIONS,
     SizeField,
     expected_nodes,
     finished,
     guessed_nodes,
     netgen_mesh,
-    plane_measures,
     refuse_too_many,
+    too_large,
+    unreachable,
 )
-from adaptmg.mesh.netgen_solid import scaled_shape, solid_mesh
-from adaptmg.mesh.step import step_mesh, step_shapes
+from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
+from adaptmg.mesh.step import step_contents, step_mesh, step_shapes
 from adaptmg.mesh.structured import boundaries_of, merged, per_body
-from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
+from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
-__all__ = ["check_domain", "graded", "measures", "sized"]
+__all__ = ["graded", "measures", "sized"]
 
 SizeFunction = float | Callable[[np.ndarray], np.ndarray]
 
 _NETGEN_RATIO = 16.0
-# by which sizes may fall further in each round after the second, and what Netgen is told of the field then: its
+# by which sizes may fall further in each round after the second, and the factor to the field for Netgen then: its
 # triangles have about 1.2 times the edges they are asked for
-_FURTHER, _TOLD = 8.0, 0.85
-# an element is bisected when its size is this many times the field: halving then leaves it no smaller than 1 / sqrt(2)
-_TOO_LARGE = math.sqrt(2)
-# sizes down to 1e-9 of the domain; far below, neighbouring nodes would round to the same point
-_MAX_BISECTIONS = 30
+_FURTHER, _FACTOR = 8.0, 0.85
 
 
 def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries: str | Sequence[str] = (),
@@ -74,8 +71,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     grading : float
         Growth of the edge length per distance from contact, above 0 and at most 1.
     rounds : int
-        How often Netgen meshes again by the size field (only for ratios above 1; solids have their own number, see
-        :func:`adaptmg.mesh.netgen_solid.solid_mesh`).
+        How often Netgen meshes again by the size field (for ratios above 1; not of solids).
 
     Returns
     -------
@@ -87,7 +83,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     ------
     TypeError, ValueError
         On an unknown domain or boundary, sizes <= 0, a ratio < 1, an outline that crosses itself, sizes that ask for
-        more than 5 million nodes (3D: 2 million), or where Netgen fails.
+        more than 5 million nodes (3D: 2 million), or where Netgen fails or does not finish.
     """
     check_domain(domain)
     names = (contact_boundaries,) if isinstance(contact_boundaries, str) else tuple(contact_boundaries)
@@ -139,8 +135,7 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
     if isinstance(domain, SolidDomain):
         return solid_mesh(domain, size, dict.fromkeys(names, size / ratio), grading)
     if ratio == 1:
-        mesh = netgen_mesh(domain, lambda x: np.full(len(x), size), size, {}, grading, 0)
-        return finished(domain, mesh) if isinstance(domain, Outline) else mesh
+        return finished(domain, netgen_mesh(domain, lambda x: np.full(len(x), size), size, {}, grading, 0))
 
     def field(contact_size: float) -> SizeField:
         return lambda x: np.minimum(size, contact_size + grading * distance_to_boundaries(domain, names, x))
@@ -161,31 +156,27 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
 
     Parameters
     ----------
-    domain : Rectangle, Polygon, Outline, Box, Cylinder, Cut or another solid, Assembly of these, or StepFile
-        What to mesh. A StepFile is treated like an assembly of its solids.
+    domain, grading
+        As of :func:`graded`.
     size_function : callable or float; of an assembly also a mapping of str to these
-        Points (n, dim) in m -> wanted edge length (n,) in m, for instance an
-        :class:`adaptmg.mesh.SizeNear`. It is read at centroids of elements: a dip much narrower than the elements
-        around it can be missed. A mapping names each body.
+        Points (n, dim) in m -> edge length (n,) in m, for instance an :class:`adaptmg.mesh.SizeNear`. It is read at
+        centroids of elements: a dip much narrower than the elements around it can be missed.
     max_size : float; of an assembly also a mapping of str to float
-        No edge is to be longer, m.
+        Largest edge length, m.
     rounds : int
         How often Netgen meshes again with the sizes at the centroids of the mesh before, >= 1; two bring it near
         the field within sixteenths of ``max_size``, each further one eight times as deep, and one or two more draw
         it close. Where it is still too coarse, elements are bisected.
-    grading : float
-        Growth of the edge length per distance that Netgen allows, above 0 and at most 1.
 
     Returns
     -------
     MeshArrays
-        With its source; the same arrays for the same arguments. See :func:`graded` for arcs and bodies.
+        As of :func:`graded`.
 
     Raises
     ------
     TypeError, ValueError
-        On an unknown domain, sizes <= 0 or not finite, sizes that ask for more than 5 million nodes (3D: 2
-        million), or where Netgen fails.
+        On an unknown domain, sizes <= 0 or not finite, or as :func:`graded`.
     """
     check_domain(domain)
     if isinstance(domain, StepFile):
@@ -209,56 +200,26 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
         return np.minimum(result, max_size)
 
     # Netgen alone sees a field that is cut off at the ratio it can take
-    def limited(told: float, ratio: float) -> SizeField:
-        return lambda x: np.maximum(told * wanted(x), max_size / ratio)
+    def limited(factor: float, ratio: float) -> SizeField:
+        return lambda x: np.maximum(factor * wanted(x), max_size / ratio)
 
     fields: SizeField | list[SizeField] = limited(1.0, _NETGEN_RATIO)
     if rounds > 2:
-        fields = [limited(_TOLD, _NETGEN_RATIO * _FURTHER**max(0, k - 1)) for k in range(rounds)]
+        fields = [limited(_FACTOR, _NETGEN_RATIO * _FURTHER**max(0, k - 1)) for k in range(rounds)]
     mesh = netgen_mesh(domain, fields, max_size, {}, grading, rounds)
     return _bisected_to(mesh, wanted, domain)
 
 
 def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArrays:
     """Bisect until no element is too large for the field."""
-    mesh = finished(domain, mesh) if isinstance(domain, Outline) else mesh
-    for _ in range(_MAX_BISECTIONS):
-        wanted = field(mesh.points[mesh.elements].mean(axis=1))
-        large = _equilateral_size(mesh.volumes, mesh.dim) > _TOO_LARGE * wanted
-        large[_owners_of_large_facets(mesh, field)] = True
+    mesh = finished(domain, mesh)
+    for _ in range(MAX_BISECTIONS):
+        large, sizes = too_large(mesh, field)
         if not large.any():
             return as_initial(mesh)
-        refuse_too_many(expected_nodes(mesh, wanted), domain)
+        refuse_too_many(expected_nodes(mesh, sizes), domain)
         mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
-    raise ValueError(f"the size field cannot be reached: after {_MAX_BISECTIONS} bisections {large.sum()} elements of "
-                     f"{domain!r} are still too large; does it tend to zero at a point?")
-
-
-def _owners_of_large_facets(mesh: MeshArrays, field: SizeField) -> np.ndarray:
-    """Elements with a boundary facet that is too large for the field on the facet: centroids lie off the boundary."""
-    corners = mesh.points[mesh.facets]
-    sides = corners[:, 1:] - corners[:, :1]
-    gram = np.linalg.det(sides @ sides.transpose(0, 2, 1))
-    sizes = _equilateral_size(np.sqrt(gram) / (mesh.dim - 1), mesh.dim - 1)
-    large = sizes > _TOO_LARGE * field(corners.mean(axis=1))
-    table = facet_table(mesh.elements, mesh.n_nodes)
-    return table.first[table.find(facet_keys(mesh.facets[large], mesh.n_nodes))]
-
-
-def _equilateral_size(measure: np.ndarray, dim: int) -> np.ndarray:
-    """Edge of the equilateral simplex of the same measure: refinement halves it, unlike the longest edge."""
-    if dim == 1:
-        return measure
-    return np.sqrt(measure * 4 / math.sqrt(3)) if dim == 2 else np.cbrt(measure * 6 * math.sqrt(2))
-
-
-def check_domain(domain: Domain) -> None:
-    """TypeError or ValueError unless it is a domain that can be meshed."""
-    if isinstance(domain, Polygon | Outline):
-        require_simple(domain)
-    elif not isinstance(domain, Rectangle | Box | SolidDomain | StepFile | Assembly):
-        raise TypeError("domain must be a Rectangle, a Polygon, an Outline, a Box or another solid, an Assembly of "
-                        f"these, or a StepFile, got {domain!r}")
+    raise unreachable(domain, large)
 
 
 def _grading(value: float) -> float:
@@ -278,5 +239,9 @@ def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
     if domain.dim == 2:
         area, lengths = plane_measures(domain)
         return [area], lengths
-    shapes = step_shapes(domain).values() if isinstance(domain, StepFile) else [scaled_shape(domain)]
-    return [shape.mass * scale**3 for shape, _, _, scale in shapes], {}
+    with netgen() as worker:
+        if isinstance(domain, StepFile):
+            shapes = [shape for _, shape in step_shapes(worker, domain, step_contents(worker, domain))]
+        else:
+            shapes = [built_shape(worker, domain)]
+    return [shape.volume * shape.scale**3 for shape in shapes], {}

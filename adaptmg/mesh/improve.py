@@ -1,31 +1,16 @@
-r"""The elements around each node of a mesh, and which of their corners it is.
+r"""Meshes refined uniformly (``halved``) and with better shapes (``improved``), their boundaries unchanged.
 
-halved: every edge of a mesh cut in two, and so every triangle in four, every tetrahedron in eight.
+halved: new nodes are the middles of edges. A tetrahedron without its corners is an octahedron, which is cut in four
+along the shortest of its three diagonals: on Netgen's meshes the children are then better shaped than along a fixed
+one.
 
-New nodes are the middles of edges. What is left of a tetrahedron without its corners is an octahedron, which is cut in
-four along the shortest of its three diagonals: measured on Netgen's meshes the children are better shaped than along
-always the same one.
+improved: an edge between triangles is swapped where the angles opposite to it sum up to more than :math:`\pi`
+(Delaunay). An inner node p goes to the minimum of the sum over its elements of
 
-improved: a mesh whose elements are better shaped; its boundary stays as it is.
+.. math:: \frac{\sum_{edges} l^2}{4\sqrt3\,A} \quad\text{or}\quad \frac{\sum_{edges} l^2}{12\,(3 V)^{2/3}} ,
 
-Better tetrahedra: inner nodes moved, those of boundaries stay.
-
-A node p goes to the minimum of the sum over its tetrahedra of
-
-.. math:: \frac{\sum_{edges} l^2}{12\,(3 V)^{2/3}} ,
-
-1 for a regular one of any size, so that grading stays. Squares over a power of at most 1 of a linear function are
-convex where volumes are positive: one Newton step is taken, halved until the sum falls.
-
-Better triangles: edges swapped and nodes moved, boundaries as they are.
-
-An edge is swapped where the angles opposite to it sum up to more than :math:`\pi` (Delaunay). A node p goes to the
-minimum of the sum over its triangles of
-
-.. math:: \frac{|p - a|^2 + |p - b|^2 + |a - b|^2}{4\sqrt3\,A} ,
-
-1 for an equilateral triangle of any size, so that grading stays. A sum of squares over a linear function, it is convex
-where areas are positive: one Newton step is taken, halved until the sum falls.
+which is 1 for an equilateral element of any size, so that grading stays. Squares over a power of at most 1 of a linear
+function are convex where measures are positive: one Newton step is taken, halved until the sum falls.
 """
 
 from __future__ import annotations
@@ -38,6 +23,7 @@ from adaptmg._runtime import inner_kernel, kernel, read_only
 from adaptmg.mesh.arrays import MeshArrays
 
 __all__ = ["cells_around", "halved", "improved", "improved_triangles", "moved_tetrahedra"]
+
 
 @kernel
 def _fill(elements, start, items):

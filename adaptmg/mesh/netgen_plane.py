@@ -1,47 +1,39 @@
-r"""generate: one Netgen mesh of a domain that follows a size field.
+r"""netgen_mesh: plane domains and boxes meshed by Netgen along a size field.
 
-Netgen is told a size along each side and, in the later rounds, the wanted size at the centroids of the mesh before
-(its own interpolation of sizes between sides misses the field by up to 4). It grows sizes by at most ``grading`` per
-distance. The domain is scaled to unit extent before, because Netgen and OCC compare lengths with absolute tolerances.
+Netgen is given a size along each side and, in the later rounds, the sizes at the centroids of the mesh before (its own
+interpolation of sizes between sides misses the field by up to 4). It grows sizes by at most ``grading`` per distance.
+The domain is scaled to unit extent before, because Netgen and OCC compare lengths with absolute tolerances.
 
 About :math:`\int c\, h^{-d} dx` nodes are expected, c = 1.15 in 2D and 1.4 in 3D; too many are refused before Netgen
-starts.
-
-Plane domains for Netgen: its spline geometry, exact measures, nodes back on the arcs, names of the edges.
-
-An arc becomes rational quadratic splines, which are exact circles: the middle control point is the meeting point of the
-tangents, at the distance :math:`r / \cos(\theta / 2)` from the centre. Pieces turn by at most 80 degrees.
-
-While an :class:`~adaptmg.problem.Outline` is meshed, its boundaries are called by the numbers of its edges, "0", "1",
-..., so that nodes of every arc are known even where edges share a name; :func:`finished` gives them their names.
+starts. While an :class:`~adaptmg.problem.Outline` is meshed, its boundaries are called by the numbers of its edges, so
+that nodes of every arc are known even where edges share a name; :func:`finished` gives them their names.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-import netgen.meshing
-import ngsolve
 import numpy as np
-from netgen.geom2d import SplineGeometry
-from netgen.occ import Box as OccBox
-from netgen.occ import OCCGeometry, Pnt, X, Y, Z
 
-from adaptmg.mesh.arrays import BOX_SIDES, MeshArrays
-from adaptmg.mesh.netgen_guard import MAX_NODES, interruptible, refuse_thin
-from adaptmg.mesh.ngsolve_bridge import own_mesh, raw_mesh, with_source
+from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised
+from adaptmg.mesh.domains import BOX_SIDES, boundary_measures, extent, plane_measures
+from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
+from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 
-__all__ = ["NODES_PER_CELL", "SizeField", "expected_nodes", "extent", "finished", "guessed_nodes", "netgen_mesh",
-           "one_mesh", "onto_outline", "plane_measures", "refine_uniformly", "refuse_too_many", "spline_geometry",
-           "straight_area"]
+__all__ = ["MAX_BISECTIONS", "NODES_PER_CELL", "SizeField", "SizesAt", "expected_nodes", "finished", "guessed_nodes",
+           "netgen_error", "netgen_mesh", "one_mesh", "onto_outline", "refuse_too_many", "too_large", "unreachable"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
+SizesAt = list[tuple[np.ndarray, np.ndarray]]
+"""Points (n, dim) and sizes (n,) there, of the domain at unit size."""
 
-# seconds: several times what meshes of that many nodes take
-_LIMIT_S = {2: 20_000.0, 3: 70_000.0}
+#: bisections at most: sizes down to 1e-9 of the domain; far below, neighbouring nodes would round to the same point
+MAX_BISECTIONS = 30
+# an element is bisected when its size is this many times the field: halving then leaves it no smaller than 1 / sqrt(2)
+_TOO_LARGE = math.sqrt(2)
 #: nodes over volume / h^dim
 NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
@@ -50,61 +42,41 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
                 grading: float, rounds: int) -> MeshArrays:
     """Mesh a domain by a size field."""
     lower, scale = extent(domain)
-    refuse_thin(domain, max_size, side_sizes)
-    refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
-    mesh = None
+    nodes = refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
+    options = {"maxh": max_size / scale, "grading": grading}
+    sides = {name: h / scale for name, h in side_sizes.items()}
+    at: SizesAt = []
     for step in range(rounds + 1):
         # the steps that improve shapes take most of the time; of a draft only the centroids are used
         draft = {"optsteps2d": 0} if not callable(sizes) and step < rounds else {}
-        # its threads spend more time waiting than the work takes
-        options = netgen.meshing.MeshingParameters(maxh=max_size / scale, grading=grading, parallel_meshing=False,
-                                                   **draft)
-        if mesh is not None:
+        mesh = one_mesh(domain, lower, scale, sides, options | draft, at, nodes)
+        if step < rounds:
             centroids = mesh.points[mesh.elements].mean(axis=1)
-            wanted = (sizes if callable(sizes) else sizes[step - 1])(centroids)
-            refuse_too_many(expected_nodes(mesh, wanted), domain)
+            wanted = (sizes if callable(sizes) else sizes[step])(centroids)
+            nodes = refuse_too_many(expected_nodes(mesh, wanted), domain)
             small = wanted < max_size
-            places = np.zeros((small.sum(), 3))
-            places[:, :mesh.dim] = (centroids[small] - lower) / scale
-            # one call a point is Netgen's only interface; it costs 1.4 us, meshing 100 times as much
-            for (x, y, z), h in zip(places.tolist(), (wanted[small] / scale).tolist(), strict=True):
-                options.RestrictH(x, y, z, h)
-        sides = {name: h / scale for name, h in side_sizes.items()}
-        mesh = one_mesh(domain, lower, scale, sides, options, draft=step < rounds)
+            at = [((centroids[small] - lower) / scale, wanted[small] / scale)]
     return with_source(mesh)
 
 
-def expected_nodes(mesh: MeshArrays, wanted: np.ndarray) -> float:
-    """About how many nodes a mesh with the sizes ``wanted`` (n_elements,) on the elements of ``mesh`` has."""
-    return NODES_PER_CELL[mesh.dim] * float(np.sum(mesh.volumes / wanted**mesh.dim))
+def expected_nodes(mesh: MeshArrays, sizes: np.ndarray) -> float:
+    """About how many nodes a mesh with ``sizes`` (n_elements,) on the elements of ``mesh`` has."""
+    with np.errstate(divide="ignore"):
+        return NODES_PER_CELL[mesh.dim] * float(np.sum(mesh.volumes / sizes**mesh.dim))
 
 
-def refuse_too_many(nodes: float, domain: Domain) -> None:
-    """Raise ValueError if more nodes are expected than Netgen can make in reasonable time and memory."""
+def refuse_too_many(nodes: float, domain: Domain) -> float:
+    """The number of nodes expected; ValueError if it is more than Netgen makes in reasonable time and memory."""
     limit = MAX_NODES[domain.dim]
-    if nodes > limit:
+    if not nodes <= limit:
         raise ValueError(f"the sizes ask for about {nodes:.1g} nodes (at most {limit:.0e}) on {domain!r}; "
                          "take larger sizes (they are in m) or refine a smaller part")
+    return nodes
 
 
-def extent(domain: Domain) -> tuple[np.ndarray, float]:
-    """Lowest corner and largest side of the bounding box."""
-    return domain.lower, float((domain.upper - domain.lower).max())
-
-
-def _measures(domain: Domain) -> tuple[float, dict[str, float]]:
-    """Area or volume of a domain, and the lengths or areas of its boundaries by name."""
-    if not isinstance(domain, Box):
-        return plane_measures(domain)
-    lengths = domain.upper - domain.lower
-    volume = float(np.prod(lengths))
-    return volume, {name: volume / lengths[axis] for name, (axis, _) in BOX_SIDES.items()}
-
-
-def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
-                 grading: float) -> float:
+def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float], grading: float) -> float:
     """Expected nodes from the sizes along the sides alone: the integral of (h + grading x)^-dim over x > 0."""
-    volume, areas = _measures(domain)
+    volume, areas = boundary_measures(domain)
     with np.errstate(over="ignore", divide="ignore"):
         cells = volume * np.float64(1 / max_size) ** domain.dim
         for name, h in side_sizes.items():
@@ -112,41 +84,29 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
     return float(NODES_PER_CELL[domain.dim] * cells)
 
 
-def one_mesh(domain: Domain, lower: np.ndarray, scale: float, sides: dict[str, float],
-             options: netgen.meshing.MeshingParameters, refinements: int = 0, *, draft: bool = False) -> MeshArrays:
-    """One call of Netgen on the scaled domain, all elements then cut in four (3D: eight) ``refinements`` times.
-
-    The mesh in m, without source; see :func:`netgen_mesh` for the names of its boundaries. A ``draft`` is not checked
-    but for its area or volume.
-    """
+def one_mesh(domain: Domain, lower: np.ndarray, scale: float, sides: Mapping[str, float], options: Mapping[str, float],
+             sizes: SizesAt, nodes: float) -> MeshArrays:
+    """One call of Netgen on the scaled domain: the mesh in m, checked for its area or volume only."""
     try:
-        geometry = (_box if isinstance(domain, Box) else spline_geometry)(domain, lower, scale, sides)
-        made = interruptible(geometry.GenerateMesh, mp=options, limit=_LIMIT_S[domain.dim])
-        refine_uniformly(made, refinements)
-        unit = (raw_mesh if draft else own_mesh)(ngsolve.Mesh(made))
-    except (netgen.meshing.NgException, ValueError, RuntimeError) as error:
-        raise ValueError(f"Netgen could not mesh {domain!r} ({error}); change the sizes a little or take a smaller "
-                         "grading") from error
-    mesh = replace(unit, points=lower + scale * unit.points, bodies=("body",), source=None)
+        with netgen() as worker:
+            unit = normalised(*worker("mesh_plane_or_box", domain, lower, scale, sides, options, sizes, 0,
+                                      seconds=meshing_limit(nodes, domain.dim)))
+    except ValueError as error:
+        raise netgen_error(domain, error) from error
+    mesh = replace(unit, points=lower + scale * unit.points, bodies=("body",))
     mesh = onto_outline(domain, mesh) if isinstance(domain, Outline) else _onto_planes(domain, mesh, scale)
-    volume = _measures(domain)[0] if isinstance(domain, Box) else straight_area(domain, mesh)
+    volume = boundary_measures(domain)[0] if isinstance(domain, Box) else _straight_area(domain, mesh)
     if not abs(mesh.volumes.sum() - volume) <= 1e-9 * volume:
         raise ValueError(f"Netgen meshed {mesh.volumes.sum():.9g} instead of {volume:.9g} of {domain!r}; "
-                         "change the sizes a little")
+                          "change the sizes a little")
     return mesh
 
 
-def refine_uniformly(mesh: netgen.meshing.Mesh, refinements: int) -> None:
-    """Cut every element in four (3D: eight) some times, in place; new nodes go onto the curves of its geometry.
-
-    The tetrahedra inside those that are cut are flat (mean quality .83 of 1 where Netgen's have .88): swapping faces
-    and moving nodes once brings them to .89, at a tenth of the cost of Netgen's own mesh of that size.
-    """
-    for _ in range(refinements):
-        interruptible(mesh.Refine)
-    if refinements and mesh.dim == 3:
-        options = netgen.meshing.MeshingParameters(optimize3d="sm", optsteps3d=1, parallel_meshing=False)
-        interruptible(mesh.OptimizeVolumeMesh, options)
+def netgen_error(domain: Domain, why: Exception) -> ValueError:
+    """The error that names the domain and the remedy."""
+    if isinstance(why, NetgenUnfinished):
+        return NetgenUnfinished(f"Netgen could not mesh {domain!r}: {why}")
+    return ValueError(f"Netgen could not mesh {domain!r} ({why}); change the sizes a little or take a smaller grading")
 
 
 def _onto_planes(domain: Domain, mesh: MeshArrays, scale: float) -> MeshArrays:
@@ -158,18 +118,7 @@ def _onto_planes(domain: Domain, mesh: MeshArrays, scale: float) -> MeshArrays:
         points[nodes, axis] = value
     boundaries = tuple(dict.fromkeys(domain.boundaries))
     labels = np.array([boundaries.index(name) for name in mesh.boundaries])[mesh.facet_labels]
-    return replace(mesh, points=points, facet_labels=labels, boundaries=boundaries, source=None)
-
-
-def _box(domain: Box, lower: np.ndarray, scale: float, sides: dict[str, float]) -> OCCGeometry:
-    """OCC's geometry of a box, scaled, its lowest corner at the origin."""
-    solid = OccBox(Pnt(0, 0, 0), Pnt(*((domain.upper - lower) / scale)))
-    for name, (axis, end) in BOX_SIDES.items():
-        face = (solid.faces.Min, solid.faces.Max)[end]((X, Y, Z)[axis])
-        face.name = name
-        if name in sides:
-            face.maxh = sides[name]
-    return OCCGeometry(solid)
+    return replace(mesh, points=points, facet_labels=labels, boundaries=boundaries)
 
 
 def _planes(domain: Domain) -> list[tuple[str, int, float]]:
@@ -182,57 +131,7 @@ def _planes(domain: Domain) -> list[tuple[str, int, float]]:
                                                         strict=True) for axis in (0, 1) if a[axis] == b[axis]]
 
 
-_MAX_TURN = math.radians(80.0)
-# longest edge on an arc, of its radius; Netgen rounds the number of edges of a piece
-_MAX_EDGE = 0.4
-# Netgen's own "no limit"
-_NO_LIMIT = 1e99
-
-
-def spline_geometry(domain: Rectangle | Polygon | Outline, lower: np.ndarray, scale: float,
-                    sides: dict[str, float]) -> SplineGeometry:
-    """Netgen's geometry of a plane domain, moved by ``-lower`` and divided by ``scale``."""
-    geometry = SplineGeometry()
-    curved = isinstance(domain, Outline)
-    vertices = domain.vertices if curved else domain.polygon.vertices
-    corners = [geometry.AppendPoint(*place) for place in (np.array(vertices) - lower) / scale]
-    for i, name in enumerate(domain.boundaries):
-        options = {"leftdomain": 1, "rightdomain": 0, "bc": str(i) if curved else name,
-                   "maxh": sides.get(name, _NO_LIMIT)}
-        first, last = corners[i], corners[(i + 1) % len(corners)]
-        arc = domain.arc(i) if curved else None
-        if arc is None:
-            geometry.Append(["line", first, last], **options)
-            continue
-        pieces = math.ceil(abs(arc.angle) / _MAX_TURN)
-        options["maxh"] = min(options["maxh"], _MAX_EDGE * arc.radius / scale)
-        center = np.array(arc.center)
-        stretch = 1 / math.cos(0.5 * arc.angle / pieces)
-        ends = arc.at(np.arange(1, pieces) / pieces)
-        middles = center + stretch * (arc.at((np.arange(pieces) + 0.5) / pieces) - center)
-        numbers = [first, *(geometry.AppendPoint(*place) for place in (ends - lower) / scale), last]
-        for k, middle in enumerate((middles - lower) / scale):
-            geometry.Append(["spline3", numbers[k], geometry.AppendPoint(*middle), numbers[k + 1]], **options)
-    geometry.SetMaterial(1, "body")
-    return geometry
-
-
-def plane_measures(domain: Rectangle | Polygon | Outline) -> tuple[float, dict[str, float]]:
-    """Exact area (m^2) of a plane domain, and the length (m) of its boundaries by name."""
-    if isinstance(domain, Outline):
-        area, lengths = domain.area, domain.lengths
-    else:
-        start = np.array(domain.polygon.vertices)
-        end = np.roll(start, -1, axis=0)
-        area = 0.5 * float(np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1]))
-        lengths = np.linalg.norm(end - start, axis=1).tolist()
-    perimeter = dict.fromkeys(domain.boundaries, 0.0)
-    for name, length in zip(domain.boundaries, lengths, strict=True):
-        perimeter[name] += length
-    return area, perimeter
-
-
-def straight_area(domain: Rectangle | Polygon | Outline, mesh: MeshArrays) -> float:
+def _straight_area(domain: Rectangle | Polygon | Outline, mesh: MeshArrays) -> float:
     """Area in m^2 that a mesh of the domain must have: the exact one, less what chords cut off arcs."""
     area, _ = plane_measures(domain)
     if not isinstance(domain, Outline):
@@ -243,6 +142,36 @@ def straight_area(domain: Rectangle | Polygon | Outline, mesh: MeshArrays) -> fl
         turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
         area -= 0.5 * arc.radius**2 * float(np.sum(turns - np.sin(turns)))
     return area
+
+
+def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarray]:
+    """Mask of the elements to bisect, by their own size or that of a boundary facet; the field at their centroids.
+
+    A size is the edge of the equilateral simplex of the same measure: refinement halves it, unlike the longest edge.
+    Facets are looked at as well because centroids lie off the boundary.
+    """
+    sizes = field(mesh.points[mesh.elements].mean(axis=1))
+    large = _equilateral_size(mesh.volumes, mesh.dim) > _TOO_LARGE * sizes
+    corners = mesh.points[mesh.facets]
+    sides = corners[:, 1:] - corners[:, :1]
+    gram = np.linalg.det(sides @ sides.transpose(0, 2, 1))
+    facets = _equilateral_size(np.sqrt(gram) / (mesh.dim - 1), mesh.dim - 1)
+    facets_large = facets > _TOO_LARGE * field(corners.mean(axis=1))
+    table = facet_table(mesh.elements, mesh.n_nodes)
+    large[table.first[table.find(facet_keys(mesh.facets[facets_large], mesh.n_nodes))]] = True
+    return large, sizes
+
+
+def _equilateral_size(measure: np.ndarray, dim: int) -> np.ndarray:
+    if dim == 1:
+        return measure
+    return np.sqrt(measure * 4 / math.sqrt(3)) if dim == 2 else np.cbrt(measure * 6 * math.sqrt(2))
+
+
+def unreachable(domain: Domain, large: np.ndarray) -> ValueError:
+    """The error where bisection does not reach a size field."""
+    return ValueError(f"the size field cannot be reached: after {MAX_BISECTIONS} bisections {large.sum()} elements of "
+                      f"{domain!r} are still too large; does it tend to zero at a point?")
 
 
 def onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
@@ -264,11 +193,14 @@ def onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     return replace(mesh, points=points, source=None)
 
 
-def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
-    """The mesh with the names of the outline's boundaries in place of edge numbers, checked, with source."""
+def finished(domain: Domain, mesh: MeshArrays) -> MeshArrays:
+    """The mesh with the names of the domain's boundaries in place of edge numbers, checked, with source."""
+    check_mesh(mesh)
+    if not isinstance(domain, Outline):
+        return with_source(mesh)
     names = tuple(dict.fromkeys(domain.boundaries))
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
     result = replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None)
-    # other names make no mesh unsound
-    object.__setattr__(result, "sound", mesh.sound)
+    # other names leave a mesh sound
+    object.__setattr__(result, "sound", True)
     return with_source(result)

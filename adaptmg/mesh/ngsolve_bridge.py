@@ -1,60 +1,30 @@
-"""Arrays to an NGSolve mesh and back, node numbers kept, no loop over elements.
-
-normalised: from raw tables, as mesh files hold them, to MeshArrays with every orientation as it should be.
-"""
+"""to_ngsolve: arrays to an NGSolve mesh, node numbers kept, no loop over elements."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-import netgen.meshing
-import ngsolve
 import numpy as np
 
-from adaptmg._runtime import OnDemand
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, trusted
-from adaptmg.mesh.soundness import check_mesh, check_overlap
+if TYPE_CHECKING:
+    import ngsolve
 
-__all__ = ["from_ngsolve", "ngsolve_mesh", "normalised", "own_mesh", "raw_mesh", "to_ngsolve", "with_source"]
+__all__ = ["to_ngsolve"]
 
-# Netgen's element types of first and second order
-_TRIANGLES = (10, 12)
-_TETRAHEDRA = (20, 21)
 
 
 def to_ngsolve(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_labels: np.ndarray,
                boundaries: Sequence[str], *, element_body: np.ndarray | None = None,
                bodies: Sequence[str] = ("body",)) -> ngsolve.Mesh:
-    """Build an NGSolve mesh from arrays, as :class:`MeshArrays` describes them.
+    """Build an NGSolve mesh from the arrays of a :class:`MeshArrays`; bodies become materials.
 
-    Parameters
-    ----------
-    points : (n_nodes, dim) array
-        m, dim 2 or 3.
-    elements : (n_elements, dim + 1) array of int
-        Positively oriented.
-    facets : (n_facets, dim) array of int
-        Boundary facets, normal outwards: NGSolve takes the sign of its normals from them.
-    facet_labels : (n_facets,) array of int
-        Index into ``boundaries``.
-    boundaries : sequence of str
-        Boundary names.
-    element_body : (n_elements,) array of int, optional
-        Index into ``bodies``.
-    bodies : sequence of str
-        Material names.
-
-    Returns
-    -------
-    ngsolve.Mesh
-        Its nodes, elements and boundary elements have the numbers of the arrays; it has no geometry, so it stays
-        straight when refined.
-
-    Raises
-    ------
-    ValueError
-        On wrong shapes, or numbers out of range (which would crash NGSolve).
+    Nodes, elements and boundary elements have the numbers of the arrays; the mesh has no geometry, so it stays straight
+    when refined. ValueError on wrong shapes, or numbers out of range (which would crash NGSolve).
     """
+    import netgen.meshing
+    import ngsolve
+
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
@@ -100,155 +70,3 @@ def _labels(name: str, array: np.ndarray, n: int, n_names: int) -> np.ndarray:
     if labels.min() < 0 or labels.max() >= n_names:
         raise ValueError(f"{name} must index {n_names} names, got {labels.min()} to {labels.max()}")
     return labels
-
-
-def with_source(mesh: MeshArrays) -> MeshArrays:
-    """The checked mesh with an ``ngsolve.Mesh`` of the same node and element numbers as its ``source``.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        With or without a source; one that is there is replaced.
-
-    Returns
-    -------
-    MeshArrays
-        Its source is built when it is first read.
-    """
-    check_mesh(mesh)
-    return trusted(mesh, OnDemand(ngsolve_mesh))
-
-
-def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
-    """A new ``ngsolve.Mesh`` of checked arrays."""
-    return to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
-                      element_body=mesh.element_body, bodies=mesh.bodies)
-
-
-def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
-    """Read an NGSolve mesh.
-
-    Parameters
-    ----------
-    mesh : ngsolve.Mesh
-        Straight triangles or tetrahedra. Materials become bodies, those with the same name one body; boundaries inside
-        the mesh (interfaces of glued materials) are left out.
-
-    Returns
-    -------
-    MeshArrays
-        Copies: refining ``mesh`` later changes nothing here. The nodes keep their numbers unless some belong to no
-        element (these are dropped). ``source`` is a straight mesh of its own with the same node numbers.
-
-    Raises
-    ------
-    TypeError
-        If it is no NGSolve mesh.
-    ValueError
-        On other elements, curved or of second order, a deformation, periodic boundaries, dimensions other than 2 and 3,
-        or a mesh that is not sound (:func:`adaptmg.mesh.check_mesh`).
-    """
-    if not isinstance(mesh, ngsolve.Mesh):
-        raise TypeError(f"mesh must be an ngsolve.Mesh, got {type(mesh).__name__}")
-    _check_plain(mesh)
-    return check_overlap(own_mesh(mesh))
-
-
-def _check_plain(mesh: ngsolve.Mesh) -> None:
-    """ValueError for what the corners of the elements do not say."""
-    types = np.concatenate([table.NumPy()["type"] for table in (mesh.ngmesh.Elements2D(), mesh.ngmesh.Elements3D())])
-    order = 2 if np.isin(types, (_TRIANGLES[1], _TETRAHEDRA[1])).any() else mesh.GetCurveOrder()
-    if order > 1:
-        raise ValueError(f"mesh has curved elements (order {order}), bodies are made of straight ones: give the mesh "
-                         "before SecondOrder() and Curve(), finer where its boundary is curved")
-    if mesh.deformation is not None:
-        raise ValueError("mesh has a deformation, which would be left out: call mesh.UnsetDeformation(), or move the "
-                         "nodes")
-    if mesh.ngmesh.GetIdentifications():
-        raise ValueError("mesh has identified nodes (periodic boundaries), which a contact problem does not know: make "
-                         "it without them")
-
-
-def own_mesh(mesh: ngsolve.Mesh) -> MeshArrays:
-    """The same for a mesh that Netgen just made for us, which needs no look for bodies that lie over themselves."""
-    return with_source(raw_mesh(mesh))
-
-
-def raw_mesh(mesh: ngsolve.Mesh) -> MeshArrays:
-    """The same, not yet checked and without source: of drafts, and of meshes whose nodes are still to be moved."""
-    dim, ngmesh = mesh.dim, mesh.ngmesh
-    if dim not in (2, 3):
-        raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
-    if mesh.ne == 0:
-        raise ValueError("the mesh has no elements" + (" (a surface mesh?); generate the volume mesh first"
-                                                       if dim == 3 else ""))
-    # Coordinates() and NumPy() are views that dangle when the mesh changes: copy all that is kept
-    points = np.array(ngmesh.Coordinates(), dtype=np.float64)[:, :dim]
-    volume = (ngmesh.Elements2D() if dim == 2 else ngmesh.Elements3D()).NumPy()
-    _check_simplices(volume["type"], _TRIANGLES if dim == 2 else _TETRAHEDRA)
-    elements = volume["nodes"][:, :dim + 1].astype(np.int64) - 1
-    surface = (ngmesh.Elements1D() if dim == 2 else ngmesh.Elements2D()).NumPy()
-    facets = surface["nodes"][:, :dim].astype(np.int64) - 1
-    label = surface["index"].astype(np.int64) - 1
-    if dim == 3:
-        faces = np.array([face.bc for face in ngmesh.FaceDescriptors()], dtype=np.int64) - 1
-        _check_index("the face descriptor", label, len(faces))
-        label = faces[label]
-    body = volume["index"].astype(np.int64) - 1
-    _check_index("the boundary number", label, len(mesh.GetBoundaries()))
-    _check_index("the material number", body, len(mesh.GetMaterials()))
-    return normalised(points, elements, facets, label, mesh.GetBoundaries(), body, mesh.GetMaterials())
-
-
-def _check_index(what: str, index: np.ndarray, size: int) -> None:
-    if len(index) and (index.min() < 0 or index.max() >= size):
-        raise ValueError(f"mesh: {what} of an element must be from 1 to {size}, got {index.min() + 1} to "
-                         f"{index.max() + 1}")
-
-
-def _check_simplices(types: np.ndarray, allowed: tuple[int, ...]) -> None:
-    bad = ~np.isin(types, allowed)
-    if bad.any():
-        what = "triangles" if allowed is _TRIANGLES else "tetrahedra"
-        raise ValueError(f"the mesh must consist of {what}, but {np.count_nonzero(bad)} of {len(types)} elements are "
-                         f"others (quadrilaterals, hexahedra, ...), first element {int(np.argmax(bad))}; "
-                         "split them, or generate the mesh without quads")
-
-
-def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_index: np.ndarray,
-               facet_names: Sequence[str], body_index: np.ndarray, body_names: Sequence[str]) -> MeshArrays:
-    """MeshArrays from raw tables."""
-    if len(elements) == 0:
-        raise ValueError("the mesh has no elements")
-    for name, array in (("elements", elements), ("facets", facets)):
-        if len(array) and (array.min() < 0 or array.max() >= len(points)):
-            raise ValueError(f"{name} name nodes {array.min()} to {array.max()}, there are {len(points)} "
-                             "(counted from 0)")
-    dim = points.shape[1]
-    corners = points[elements]
-    negative = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
-    elements = np.array(elements)
-    elements[negative, -2:] = elements[negative, :-3:-1]
-    number = np.full(len(points), -1, dtype=np.int64)
-    used = np.unique(elements)
-    number[used] = np.arange(len(used))
-    points, elements = points[used], number[elements]
-    facets = number[np.reshape(facets, (-1, dim))]
-    facet_index = np.asarray(facet_index)[(facets >= 0).all(axis=1)]
-    facets = facets[(facets >= 0).all(axis=1)]
-    table = facet_table(elements, len(points))
-    row = table.find(facet_keys(facets, len(points)))
-    outer = (row >= 0) & (table.counts[row] == 1)
-    boundaries, labels = _merged(facet_index[outer], facet_names)
-    bodies, element_body = _merged(np.asarray(body_index), body_names)
-    return MeshArrays(points, elements, table.facets[row[outer]], labels, boundaries, element_body, bodies)
-
-
-def _merged(index: np.ndarray, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
-    """The distinct names that are used, in their order, and the index into them."""
-    used = np.unique(index)
-    distinct = tuple(dict.fromkeys(names[i] for i in used))
-    new = np.full(len(names), -1)
-    for i in used:
-        new[i] = distinct.index(names[i])
-    return distinct, new[index]

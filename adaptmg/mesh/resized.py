@@ -1,7 +1,7 @@
-r"""resized: a mesh of a domain in one call of Netgen, told the wanted sizes at many points at once.
+r"""resized: a mesh of a domain in one call of Netgen, by sizes at many points.
 
 :func:`adaptmg.mesh.sized` learns a size function by drafts, as it knows nothing of it. Where sizes are known on a mesh
-and grow slowly (adaptive meshes, :mod:`adaptmg.estimate.remesh`), Netgen follows them at once. Uniform
+and grow slowly (adaptive meshes, :mod:`adaptmg.estimate.remesh`), Netgen follows them in one call. Uniform
 refinement of a mesh of twice the sizes, every element cut in four (3D: eight) with new nodes on the curves, is cheaper
 still: a k-fold refinement asks Netgen for :math:`2^k h` and so for :math:`2^{-kd}` of the nodes. Sizes must then grow
 :math:`2^k` times more slowly.
@@ -13,31 +13,27 @@ as good or better. Other solids, whose new nodes must go onto faces that OCC kno
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import netgen.meshing
-import ngsolve
 import numpy as np
-from netgen.occ import OCCGeometry, Solid
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.domains import extent
 from adaptmg.mesh.improve import halved, improved
-from adaptmg.mesh.netgen_guard import interruptible
-from adaptmg.mesh.netgen_plane import extent, finished, one_mesh, onto_outline, refine_uniformly
-from adaptmg.mesh.netgen_solid import CURVATURE, check_volume, in_metres, ordered, read_shape, scaled_shape
-from adaptmg.mesh.ngsolve_bridge import with_source
-from adaptmg.mesh.soundness import check_mesh
-from adaptmg.mesh.step import step_shapes
+from adaptmg.mesh.netgen_guard import MAX_NODES, Netgen, NetgenUnfinished, netgen
+from adaptmg.mesh.netgen_plane import SizesAt, finished, one_mesh, onto_outline
+from adaptmg.mesh.netgen_solid import CURVATURE, Shape, built_shape, check_volume, in_metres, ordered, shape_tables
+from adaptmg.mesh.soundness import check_mesh, with_source
+from adaptmg.mesh.step import step_contents, step_shapes
 from adaptmg.mesh.structured import merged, per_body
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
 __all__ = ["PointSizes", "resized"]
 
-# Netgen takes no notice of sizes within 1.2 of what it knows: told twice, it keeps to within a tenth either way. Its
+# Netgen takes no notice of sizes within 1.2 of what it knows: given twice, it keeps to within a tenth either way. Its
 # drafts in the plane are finer than asked for, its tetrahedra are so where it is to improve them; with these factors
 # the expected number of nodes comes out
 _PASSES, _PLAIN = {2: (1.03, 0.935), 3: (1.1,)}, {3: (1.0,)}
@@ -67,26 +63,15 @@ class PointSizes:
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "sizes", sizes)
 
-    def options(self, lower: np.ndarray, scale: float, grading: float, refinements: int, *, draft: bool
-                ) -> netgen.meshing.MeshingParameters:
-        """What Netgen is to be told about the domain moved by ``-lower`` and divided by ``scale``.
-
-        A ``draft`` is improved afterwards (:mod:`adaptmg.mesh`).
-        """
+    def for_netgen(self, lower: np.ndarray, scale: float, grading: float, refinements: int, *, draft: bool
+                   ) -> tuple[dict[str, float], SizesAt]:
+        """Options and sizes for the domain moved by ``-lower`` and divided by ``scale``; a draft is improved here."""
         dim = self.points.shape[1]
         steps, passes = (_STEPS[dim], _PASSES[dim]) if draft else (_ALL_STEPS, _PLAIN[dim])
         factor = 2**refinements / scale
-        largest = float(self.sizes.max())
-        # Netgen's threads spend more time waiting than the work takes
-        options = netgen.meshing.MeshingParameters(maxh=factor * largest, grading=grading, parallel_meshing=False,
-                                                   **{_STEPS_NAME[dim]: steps})
-        places = np.zeros((3, len(self.points)))
-        places[:dim] = ((self.points - lower) / scale).T
-        # lists of numbers, column by column: a list a point would keep the garbage collector busy
-        columns = places.tolist()
-        for share in passes:
-            deque(map(options.RestrictH, *columns, (share * factor * self.sizes).tolist()), maxlen=0)
-        return options
+        options = {"maxh": factor * float(self.sizes.max()), "grading": grading, _STEPS_NAME[dim]: steps}
+        places = (self.points - lower) / scale
+        return options, [(places, share * factor * self.sizes) for share in passes]
 
 
 def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, grading: float = 0.3,
@@ -102,8 +87,10 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, gra
         return _step(domain, sizes, grading, refinements)
     checks.instance("sizes", sizes, PointSizes)
     if isinstance(domain, SolidDomain):
-        shape = scaled_shape(domain)
-        return _attempts(domain, grading, refinements, lambda g, k: ordered(domain, _shape(*shape, sizes, g, k)))
+        with netgen() as worker:
+            shape = built_shape(worker, domain)
+            return _attempts(domain, grading, refinements,
+                             lambda g, k: ordered(domain, _shape(worker, shape, sizes, g, k)))
     if not isinstance(domain, Domain):
         raise TypeError(f"domain must be a plane domain, a solid, an Assembly of these or a StepFile, got {domain!r}")
     return _attempts(domain, grading, refinements, lambda g, k: _plane_or_box(domain, sizes, g, k))
@@ -118,8 +105,10 @@ def _attempts(domain: Domain, grading: float, refinements: int, mesh: Callable[[
     for factor, k in ((1.0, refinements), (0.7, refinements), (0.7, 0), (0.5, 0)):
         try:
             return mesh(factor * grading, k)
-        except (netgen.meshing.NgException, RuntimeError, ValueError) as error:
+        except ValueError as error:
             why = error
+            if isinstance(error, NetgenUnfinished):
+                break
     raise ValueError(f"Netgen could not mesh {domain!r} by the given sizes ({why}); start from a finer mesh, or take "
                      "a smaller gradation") from why
 
@@ -127,8 +116,8 @@ def _attempts(domain: Domain, grading: float, refinements: int, mesh: Callable[[
 def _plane_or_box(domain: Domain, sizes: PointSizes, grading: float, refinements: int) -> MeshArrays:
     """A mesh of straight or circular edges, or of a box: Netgen's draft, improved and refined in arrays."""
     lower, scale = extent(domain)
-    options = sizes.options(lower, scale, grading, refinements, draft=True)
-    draft = check_mesh(one_mesh(domain, lower, scale, {}, options, draft=True))
+    options, at = sizes.for_netgen(lower, scale, grading, refinements, draft=True)
+    draft = check_mesh(one_mesh(domain, lower, scale, {}, options, at, MAX_NODES[domain.dim]))
     mesh = improved(draft, _ROUNDS[domain.dim])
     for _ in range(refinements):
         mesh = halved(mesh)
@@ -136,7 +125,7 @@ def _plane_or_box(domain: Domain, sizes: PointSizes, grading: float, refinements
             mesh = _onto_arcs(domain, mesh)
     if refinements:
         mesh = improved(mesh, _ROUNDS_AFTER[domain.dim])
-    return finished(domain, mesh) if isinstance(domain, Outline) else with_source(mesh)
+    return finished(domain, mesh)
 
 
 def _onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
@@ -150,24 +139,21 @@ def _onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
 
 def _step(domain: StepFile, sizes: PointSizes | Mapping[str, PointSizes], grading: float, refinements: int
           ) -> MeshArrays:
-    shapes = step_shapes(domain)
     meshes = {}
-    for (body, shape), own in zip(shapes.items(), per_body("sizes", sizes, list(shapes)).values(), strict=True):
-        checks.instance(f"sizes[{body!r}]", own, PointSizes)
-        meshes[body] = _attempts(domain, grading, refinements,
-                                 lambda g, k, shape=shape, own=own: with_source(_shape(*shape, own, g, k)))
+    with netgen() as worker:
+        contents = step_contents(worker, domain)
+        by_body = per_body("sizes", sizes, list(contents))
+        for body, shape in step_shapes(worker, domain, contents):
+            own = checks.instance(f"sizes[{body!r}]", by_body[body], PointSizes)
+            meshes[body] = _attempts(domain, grading, refinements, lambda g, k, shape=shape, own=own:
+                                     with_source(_shape(worker, shape, own, g, k)))
     return merged(meshes)
 
 
-def _shape(shape: Solid, names: list[str], lower: np.ndarray, scale: float, sizes: PointSizes, grading: float,
-           refinements: int) -> MeshArrays:
-    """One scaled shape of OCC."""
-    for i, face in enumerate(shape.faces):
-        face.name = str(i)
-    options = netgen.meshing.MeshingParameters(sizes.options(lower, scale, grading, refinements, draft=False),
-                                               curvaturesafety=CURVATURE / 2 ** (refinements / 2))
-    made = interruptible(OCCGeometry(shape).GenerateMesh, mp=options)
-    refine_uniformly(made, refinements)
-    unit = read_shape(ngsolve.Mesh(made))
-    check_volume(unit, shape.mass)
-    return in_metres(unit, names, lower, scale)
+def _shape(worker: Netgen, shape: Shape, sizes: PointSizes, grading: float, refinements: int) -> MeshArrays:
+    """A mesh of the solid that a process holds."""
+    options, at = sizes.for_netgen(shape.lower, shape.scale, grading, refinements, draft=False)
+    options["curvaturesafety"] = CURVATURE / 2 ** (refinements / 2)
+    unit = shape_tables(worker, {}, options, at, MAX_NODES[3], refinements)
+    check_volume(unit, shape.volume)
+    return in_metres(unit, shape)

@@ -1,18 +1,10 @@
-r"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every generator and reader ends here.
+r"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every mesh passes here once.
 
-Netgen does not raise when a face fails, it returns a mesh with holes; a misspelt boundary name gives an empty
-integral without a word. Both are found here: every facet belongs to two elements, or to one element and one named
-boundary facet.
-
-quality: how well shaped the elements are. Angles are those of triangles and the dihedral angles of tetrahedra. The
-aspect ratio is the longest edge h over the inradius r, :math:`h / (2\sqrt{3}\, r)` in 2D and
-:math:`h / (2\sqrt{6}\, r)` in 3D with r = dim volume / surface: 1 for an equilateral element.
-
-check_overlap: does a body lie over itself, overlapping_bodies: over another? For meshes of strangers.
-
-Where every two neighbours lie on opposite sides of their facet (:func:`adaptmg.mesh.check_mesh`), a mesh can still wind
-twice around a node (in 3D: an edge), so that the angles there add up to :math:`4\pi`, or run into another part of
-itself; then its boundary lies inside it, and so do boundary nodes.
+Netgen does not raise when a face fails, it returns a mesh with holes; a misspelt boundary name gives an empty integral
+without an error. Both are found here: every facet belongs to two elements, or to one element and one named boundary
+facet. Where every two neighbours lie on opposite sides of their facet, a mesh can still wind twice around a node (in
+3D: an edge), so that the angles there add up to :math:`4\pi`, or run into another part of itself; then its boundary
+lies inside it. This is asked of meshes that were not made here (``check_stranger``), and of pairs of bodies.
 """
 
 from __future__ import annotations
@@ -32,9 +24,11 @@ from adaptmg.mesh.arrays import (
     facet_keys,
     facet_table,
     same_orientation,
+    sound_by_construction,
 )
 
-__all__ = ["MeshQuality", "check_mesh", "check_overlap", "overlapping_bodies", "quality"]
+__all__ = ["MeshQuality", "check_mesh", "check_overlap", "check_stranger", "overlapping_bodies", "quality",
+           "with_source"]
 
 # volume over longest edge to the power dim (0.43 for an equilateral triangle), below which an element is degenerate
 _FLAT = 1e-10
@@ -57,13 +51,10 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
 
     Raises
     ------
-    TypeError
-        If it is no MeshArrays.
-    ValueError
-        No elements; wrong shapes; a node number out of range; an inverted or degenerate element; an unused node; a
-        fold (two neighbours on the same side of their facet); a hole (a facet of one element that is no boundary
-        facet), a boundary facet inside the mesh, given twice, or oriented inwards; a named boundary that is missing; a
-        body of several pieces.
+    TypeError, ValueError
+        If it is not MeshArrays. No elements; wrong shapes; a node number out of range; an inverted or degenerate
+        element; an unused node; a fold (two neighbours on the same side of their facet); a hole; a boundary facet
+        inside the mesh, given twice, or oriented inwards; a missing boundary; a body of several pieces.
     """
     if not isinstance(mesh, MeshArrays):
         raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}; as_mesh converts")
@@ -76,6 +67,19 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
         object.__setattr__(mesh, "sound", True)
     _check_names(mesh, (boundaries,) if isinstance(boundaries, str) else boundaries)
     return mesh
+
+
+def with_source(mesh: MeshArrays) -> MeshArrays:
+    """The checked mesh with an ``ngsolve.Mesh`` of the same node and element numbers as its ``source``.
+
+    The source is built when it is first read; one that is there is replaced.
+    """
+    return sound_by_construction(check_mesh(mesh))
+
+
+def check_stranger(mesh: MeshArrays) -> MeshArrays:
+    """The same for a mesh that was not made here: none of its bodies lies over itself either."""
+    return check_overlap(with_source(mesh))
 
 
 def _at(points: np.ndarray) -> str:
@@ -163,7 +167,7 @@ def _check_bodies(mesh: MeshArrays, table: FacetTable) -> None:
         sizes = np.sort(elements_of[body_of == body])[::-1]
         shown = ", ".join(map(str, sizes[:8])) + (", ..." if len(sizes) > 8 else "")
         raise ValueError(f"body {name!r} consists of {len(sizes)} pieces, of {shown} elements; "
-                         "give each piece a body (material) name of its own, or join them")
+                         "give each piece another body (material) name, or join them")
 
 
 def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:
@@ -176,37 +180,17 @@ def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshQuality:
-    """Shape and size of the elements of a mesh.
+    """Shape and size of the elements of a mesh."""
 
-    Parameters
-    ----------
-    min_angle, max_angle : float
-        Smallest and largest angle (3D: dihedral angle), degrees.
-    h_min, h_max : float
-        Shortest and longest edge, m.
-    aspect_ratio : float
-        Of the worst element, 1 for an equilateral one.
-    """
-
-    min_angle: float
+    min_angle: float  # degrees; in 3D dihedral angles
     max_angle: float
-    h_min: float
+    h_min: float  # m: shortest edge
     h_max: float
-    aspect_ratio: float
+    aspect_ratio: float  # longest edge over the inradius, of the worst element; 1 if it is equilateral
 
 
 def quality(mesh: MeshArrays) -> MeshQuality:
-    """Measure the elements of a mesh.
-
-    Parameters
-    ----------
-    mesh : MeshArrays
-        A sound mesh, see :func:`adaptmg.mesh.check_mesh`.
-
-    Returns
-    -------
-    MeshQuality
-    """
+    """Measure the elements of a sound mesh."""
     dim = mesh.dim
     corners = mesh.points[mesh.elements]
     edges = np.stack([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(dim + 1) for j in range(i)])
@@ -238,20 +222,15 @@ def check_overlap(mesh: MeshArrays) -> MeshArrays:
     total, corners = _turns(mesh)
     if total.max() > 2 * np.pi * (1 + 1e-6):
         k = int(np.argmax(total))
-        what = "node" if mesh.dim == 2 else "edge with nodes"
-        raise ValueError(f"the elements around {what} {np.atleast_1d(corners[k]).tolist()} at "
-                         f"{_place(mesh.points[np.atleast_1d(corners[k])].mean(axis=0))} fill "
+        nodes, what = np.atleast_1d(corners[k]), "node" if mesh.dim == 2 else "edge with nodes"
+        raise ValueError(f"the elements around {what} {nodes.tolist()} at {_at(mesh.points[nodes])} fill "
                          f"{np.degrees(total[k]):.0f} degrees, more than 360: the mesh lies over itself (tangled)")
     for number, name in enumerate(mesh.bodies):
         inside = _buried(mesh, number, number)
         if len(inside):
             raise ValueError(f"the boundary of body {name!r} lies inside other elements of it at {len(inside)} places, "
-                             f"one of them {_place(inside[0])}: the body lies over itself (overlapping elements)")
+                             f"one of them {_at(inside[:1])}: the body lies over itself (overlapping elements)")
     return mesh
-
-
-def _place(point: np.ndarray) -> str:
-    return "(" + ", ".join(f"{c:.6g}" for c in point) + ")"
 
 
 def _turns(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
@@ -292,9 +271,9 @@ def overlapping_bodies(mesh: MeshArrays, apart: Iterable[tuple[int, int]]) -> It
 
 
 def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
-    """Boundary nodes of a body, and centroids of its boundary facets, deep inside elements of another; places (n, dim).
+    """Places (n, dim) of the boundary of a body that lie deep inside elements of another, or of itself.
 
-    Centroids as well: in extruded meshes nodes may lie in planes that no element crosses. Both may be the same body.
+    Nodes and centroids of facets: in extruded meshes nodes may lie in planes that no element crosses.
     """
     own = np.zeros(mesh.n_nodes, dtype=bool)
     own[mesh.elements[mesh.element_body == body]] = True

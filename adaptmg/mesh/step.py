@@ -1,29 +1,31 @@
 """from_step: STEP files of one or several solids, each meshed apart by Netgen; names of solids and faces are kept.
 
 The solids share no nodes, even where their faces coincide: contact pairs join them. OCC turns every unit of length a
-file may use into millimetres.
+file may use into millimetres, and reads the file in the process of :mod:`adaptmg.mesh.netgen_guard`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-import netgen.meshing
 import numpy as np
-from netgen.occ import OCCGeometry, Pnt, Solid, Vec
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.netgen_guard import check_step, interruptible
-from adaptmg.mesh.netgen_solid import SolidSizes, shape_mesh
-from adaptmg.mesh.ngsolve_bridge import with_source
+from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen
+from adaptmg.mesh.netgen_solid import Shape, SolidSizes, shape_mesh
+from adaptmg.mesh.soundness import with_source
 from adaptmg.mesh.structured import boundaries_of, merged, per_body
 from adaptmg.problem.solid_domains import StepFile
 
-__all__ = ["from_step", "step_mesh", "step_names", "step_shapes"]
+__all__ = ["from_step", "step_contents", "step_mesh", "step_names", "step_shapes"]
 
 Sizes = float | Mapping[str, float]
+# reading takes about a second a megabyte; twenty times that is the limit
+_START_S, _S_PER_BYTE, _BYTES_PER_BYTE = 60.0, 2e-5, 50
+# nodes on round faces, whose number is not known: for the time limit
+_CURVED = 1e4
 
 
 def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, *,
@@ -62,31 +64,30 @@ def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float]
     """Mesh the solids of a STEP file with straight tetrahedra, each solid apart."""
     if not isinstance(domain, StepFile):
         raise TypeError(f"domain must be a StepFile, got {domain!r}")
-    solids, contents = _read(domain)
-    known = [f"{body}.{face}" for body, faces in contents.items() for face in faces]
-    for name in boundary_sizes or {}:
-        if name not in known:
-            raise ValueError(f"boundary_sizes: boundary {name!r} does not exist; the boundaries are "
-                             f"{', '.join(dict.fromkeys(known))}")
-    meshes = {}
-    for (body, faces), solid, largest in zip(contents.items(), solids, per_body("size", size, list(contents)).values(),
-                                             strict=True):
-        own = {face: boundary_sizes[f"{body}.{face}"] for face in boundaries_of(body, list(boundary_sizes or {}))}
-        shape, lower, scale = _unit_sized(solid)
-        sizes = SolidSizes(largest, own, grading, size_function, curvature)
-        mesh = shape_mesh(shape, list(faces), domain.unit * lower, domain.unit * scale, sizes, domain)
-        meshes[body] = with_source(mesh)
+    with netgen() as worker:
+        contents = step_contents(worker, domain)
+        known = [f"{body}.{face}" for body, faces in contents.items() for face in faces]
+        for name in boundary_sizes or {}:
+            if name not in known:
+                raise ValueError(f"boundary_sizes: boundary {name!r} does not exist; the boundaries are "
+                                 f"{', '.join(dict.fromkeys(known))}")
+        largest, meshes = per_body("size", size, list(contents)), {}
+        for body, shape in step_shapes(worker, domain, contents):
+            own = {face: boundary_sizes[f"{body}.{face}"] for face in boundaries_of(body, list(boundary_sizes or {}))}
+            sizes = SolidSizes(largest[body], own, grading, size_function, curvature)
+            meshes[body] = with_source(shape_mesh(worker, shape, sizes, domain, _CURVED))
     return merged(meshes)
 
 
-def step_shapes(domain: StepFile) -> dict[str, tuple[Solid, list[str], np.ndarray, float]]:
-    """By the name of each solid: its shape at unit size, the names of its faces, where its origin lies, its unit, m."""
-    solids, contents = _read(domain)
-    result = {}
-    for (body, faces), solid in zip(contents.items(), solids, strict=True):
-        shape, lower, scale = _unit_sized(solid)
-        result[body] = (shape, list(faces), domain.unit * lower, domain.unit * scale)
-    return result
+def step_shapes(worker: Netgen, domain: StepFile, contents: Mapping[str, tuple[str, ...]]
+                ) -> Iterator[tuple[str, Shape]]:
+    """The name and the shape of each solid in turn: the process holds one of them at a time."""
+    for k, (body, faces) in enumerate(contents.items()):
+        try:
+            (_, *tables), lower, scale = worker("step_shape", k, seconds=_START_S)
+        except NetgenFails as error:
+            raise ValueError(f"{str(domain.path)!r} cannot be read as a STEP file: {error}") from error
+        yield body, Shape(list(faces), *tables, domain.unit * lower, domain.unit * scale)
 
 
 def step_names(path: str | Path | StepFile) -> dict[str, tuple[str, ...]]:
@@ -102,31 +103,30 @@ def step_names(path: str | Path | StepFile) -> dict[str, tuple[str, ...]]:
     dict of str to tuple of str
         For each solid one name a face, in the order of the file; several faces may have the same one.
     """
-    return _read(path if isinstance(path, StepFile) else StepFile(path))[1]
+    with netgen() as worker:
+        return step_contents(worker, path if isinstance(path, StepFile) else StepFile(path))
 
 
-def _read(domain: StepFile) -> tuple[list[Solid], dict[str, tuple[str, ...]]]:
-    """The solids of a file, and the names of their faces by those of the solids."""
+def step_contents(worker: Netgen, domain: StepFile) -> dict[str, tuple[str, ...]]:
+    """The names of the faces of a file by those of its solids, which the process holds then."""
     path = domain.path
     if not path.is_file():
         raise FileNotFoundError(f"path: there is no file {str(path)!r}")
     if path.suffix.lower() not in (".step", ".stp"):
         raise ValueError(f"path: {str(path)!r} is not a .step or .stp file")
-    check_step(path)
+    checks.fits("path", _BYTES_PER_BYTE * path.stat().st_size, f"reading {str(path)!r}")
     try:
-        geometry = interruptible(OCCGeometry, str(path))
-    except (netgen.meshing.NgException, RuntimeError) as error:
-        raise ValueError(f"{str(path)!r} cannot be read as a STEP file ({error})") from error
-    solids = list(geometry.solids)
+        solids = worker("read_step", str(path.absolute()), seconds=_START_S + _S_PER_BYTE * path.stat().st_size)
+    except NetgenFails as error:
+        raise ValueError(f"{str(path)!r} cannot be read as a STEP file: {error}") from error
     if not solids:
         raise ValueError(f"{str(path)!r} holds no solids; surfaces must be closed and sewn into solids before they are "
                          "written")
-    bodies = [(solid.name or f"solid{i + 1}").replace(".", "_") for i, solid in enumerate(solids)]
-    faces = [[(face.name or f"face{j + 1}").replace(".", "_") for j, face in enumerate(solid.faces)]
-             for solid in solids]
+    bodies = [(name or f"solid{i + 1}").replace(".", "_") for i, (name, _) in enumerate(solids)]
+    faces = [[(name or f"face{j + 1}").replace(".", "_") for j, name in enumerate(own)] for _, own in solids]
     for name in (*bodies, *(name for own in faces for name in own)):
         checks.boundary_name(f"a name in {str(path)!r}", name)
-    return solids, _renamed(domain, _distinct(bodies), faces)
+    return _renamed(domain, _distinct(bodies), faces)
 
 
 def _distinct(names: list[str]) -> list[str]:
@@ -153,7 +153,7 @@ def _renamed(domain: StepFile, bodies: list[str], faces: list[list[str]]) -> dic
         solid = (body, f"solid{i + 1}")
         name = new(list(solid), body)
         if name in result:
-            raise ValueError(f"names: two solids are called {name!r}; each is a body with a name of its own")
+            raise ValueError(f"names: two solids are called {name!r}; each is a body and needs another name")
         result[name] = tuple(new([f"{s}.{f}" for s in solid for f in (face, f"face{j + 1}")], face)
                              for j, face in enumerate(own))
     if unused:
@@ -161,11 +161,3 @@ def _renamed(domain: StepFile, bodies: list[str], faces: list[list[str]]) -> dic
         raise ValueError(f"names: {', '.join(map(repr, sorted(unused)))} is neither a solid nor a 'solid.face' of "
                          f"{str(domain.path)!r}; it holds {listed}")
     return result
-
-
-def _unit_sized(solid: Solid) -> tuple[Solid, np.ndarray, float]:
-    """A copy of about unit size at the origin; where its origin was and its unit, in the units of the file."""
-    lower, upper = (np.array([p.x, p.y, p.z]) for p in solid.bounding_box)
-    scale = float((upper - lower).max())
-    shape = solid.Move(Vec(*(-lower))).Scale(Pnt(0, 0, 0), 1 / scale)
-    return shape.solids[0], lower, scale

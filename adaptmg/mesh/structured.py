@@ -6,8 +6,6 @@ permutation :math:`\pi` of the axes, :math:`x_0, x_0 + e_{\pi(1)}, x_0 + e_{\pi(
 (H. Freudenthal, Annals of Mathematics 43, 1942, doi:10.2307/1968813); halving the cells gives a nested refinement.
 
 merged: meshes of several bodies as one mesh. The bodies share no nodes; arrays are concatenated body by body.
-
-The NGSolve mesh of a mesh that was made without NGSolve, built when it is first read.
 """
 
 from __future__ import annotations
@@ -15,18 +13,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import permutations
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import OnDemand
-from adaptmg.mesh.arrays import BOX_SIDES, MOST_NODES, MeshArrays, facet_table, trusted
+from adaptmg.mesh.arrays import MOST_NODES, MeshArrays, facet_table, sound_by_construction
+from adaptmg.mesh.domains import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.plane_domains import Box, Rectangle
 from adaptmg.problem.solid_domains import Assembly
 
-__all__ = ["boundaries_of", "lattice_nodes", "merged", "per_body", "sound_by_construction", "structured"]
+__all__ = ["boundaries_of", "lattice_nodes", "merged", "per_body", "structured"]
 
 Divisions = int | Sequence[int]
 #: what making the mesh takes at its peak, measured
@@ -35,7 +33,7 @@ _BYTES_PER_NODE = {2: 600, 3: 2000}
 
 def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mapping[str, Divisions],
                diagonal: str = "right") -> MeshArrays:
-    """Triangulate a rectangle or box by a lattice, or each body of an assembly by one of its own.
+    """Triangulate a rectangle or box by a lattice, or each body of an assembly by a separate one.
 
     Parameters
     ----------
@@ -56,7 +54,7 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     Raises
     ------
     TypeError, ValueError
-        On a domain that is no rectangle or box, divisions below 1, more nodes than the main memory holds or can be
+        On another domain, divisions below 1, more nodes than the main memory holds or can be
         numbered (3D: 2 million), a body left out, or an unknown diagonal.
     """
     if isinstance(domain, Assembly):
@@ -246,14 +244,3 @@ def per_body(name: str, value: Value | Mapping[str, Value], bodies: Sequence[str
 def boundaries_of(body: str, names: Sequence[str]) -> tuple[str, ...]:
     """Those of the names "body.edge" that belong to a body, without "body."."""
     return tuple(name.removeprefix(f"{body}.") for name in names if name.startswith(f"{body}."))
-
-
-def _ngsolve_mesh(mesh: MeshArrays) -> Any:
-    from adaptmg.mesh.ngsolve_bridge import ngsolve_mesh
-
-    return ngsolve_mesh(mesh)
-
-
-def sound_by_construction(mesh: MeshArrays) -> MeshArrays:
-    """The mesh, not checked (it was written down as it must be), with a source on demand."""
-    return trusted(mesh, OnDemand(_ngsolve_mesh))

@@ -4,7 +4,7 @@ Whatever is read is checked in full, as if a stranger had written it: shapes aga
 boundaries against what they point into, names and states against what there is.
 
 The history of a bisected mesh (``mesh.refinement``) is not kept: the mesh that is read is an initial mesh, which can be
-bisected, but not coarsened. Whoever needs it keeps :func:`adaptmg.mesh.bisection.children.history_arrays` beside it.
+bisected, but not coarsened. Whoever needs it keeps :func:`adaptmg.mesh.bisection.tables.history_arrays`.
 
 Arrays of an ``.npz`` file, read by a stranger: what it declares is checked before anything is unpacked.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import adaptmg as am
-from adaptmg.mesh.bisection.children import history_arrays
+from adaptmg.mesh.bisection.tables import history_arrays
 
 __all__ = ["Constant", "numbers_of", "upset"]
 

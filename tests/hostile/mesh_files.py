@@ -15,30 +15,22 @@ from netgen_text import VOL
 # what is replaced, and by what
 VOL_DAMAGE = {
     "node too large": (" 3 1 2 3", " 3 1 2 9"), "node 0": (" 3 1 2 3", " 3 1 2 0"),
-    "node negative": (" 3 1 2 3", " 3 1 2 -1"), "node huge": (" 3 1 2 3", " 3 1 2 999999999"),
-    "node wraps": (" 3 1 2 3", " 3 1 2 4294967299"), "node float": (" 3 1 2 3", " 3 1 2 2.5"),
-    "node nan": (" 3 1 2 3", " 3 1 2 nan"), "node text": (" 3 1 2 3", " 3 1 2 x"),
-    "node missing": (" 3 1 2 3", " 3 1 2"), "quadrilateral": (" 3 1 2 3", " 4 1 2 3"),
-    "element of -3 nodes": (" 3 1 2 3", " -3 1 2 3"), "element of 10**9 nodes": (" 3 1 2 3", " 1000000000 1 2 3"),
+    "node negative": (" 3 1 2 3", " 3 1 2 -1"), "node wraps": (" 3 1 2 3", " 3 1 2 4294967299"),
+    "node float": (" 3 1 2 3", " 3 1 2 2.5"), "node missing": (" 3 1 2 3", " 3 1 2"),
+    "quadrilateral": (" 3 1 2 3", " 4 1 2 3"), "element of 10**9 nodes": (" 3 1 2 3", " 1000000000 1 2 3"),
     "element twice": (" 1 1 1 0 3 1 3 4", " 1 1 1 0 3 1 2 3"), "flat element": (" 3 1 2 3", " 3 1 2 2"),
     "elements negative": ("surfaceelements\n2", "surfaceelements\n-2"),
     "elements 10**9": ("surfaceelements\n2", "surfaceelements\n1000000000"),
     "elements 10**30": ("surfaceelements\n2", "surfaceelements\n1" + "0" * 30),
     "elements fewer": ("surfaceelements\n2", "surfaceelements\n1"),
-    "elements more": ("surfaceelements\n2", "surfaceelements\n3"),
-    "no elements": ("surfaceelements\n2", "surfaceelements\n0"),
-    "points negative": ("points\n4", "points\n-4"), "points 10**9": ("points\n4", "points\n1000000000"),
+    "no elements": ("surfaceelements\n2", "surfaceelements\n0"), "points 10**9": ("points\n4", "points\n1000000000"),
     "points fewer": ("points\n4", "points\n3"), "points float": ("points\n4", "points\n4.5"),
     "points missing": ("points\n", "nothing\n"), "points twice": ("materials", "points"),
-    "coordinate nan": (" 2 1 0", " nan 1 0"), "coordinate inf": (" 2 1 0", " inf 1 0"),
-    "coordinate text": (" 2 1 0", " a 1 0"), "coordinate missing": (" 2 1 0", " 2 1"),
-    "not plane": (" 2 1 0", " 2 1 3"),
-    "folded over": (" 2 1 0", " -1 1 0"), "dimension 3": ("dimension\n2", "dimension\n3"),
-    "dimension 7": ("dimension\n2", "dimension\n7"), "dimension text": ("dimension\n2", "dimension\nx"),
+    "coordinate nan": (" 2 1 0", " nan 1 0"), "coordinate text": (" 2 1 0", " a 1 0"),
+    "coordinate missing": (" 2 1 0", " 2 1"), "not plane": (" 2 1 0", " 2 1 3"), "folded over": (" 2 1 0", " -1 1 0"),
+    "dimension 3": ("dimension\n2", "dimension\n3"), "dimension text": ("dimension\n2", "dimension\nx"),
     "segment node": (" 1 0 1 2", " 1 0 1 99"), "segment negative": (" 1 0 1 2", " 1 0 1 -2"),
-    "segments 10**9": ("edgesegmentsgi2\n4", "edgesegmentsgi2\n1000000000"),
-    "segment left out": ("edgesegmentsgi2\n4", "edgesegmentsgi2\n3"),
-    "boundary 0": (" 2 0 2 3", " 0 0 2 3"), "boundary negative": (" 2 0 2 3", " -5 0 2 3"),
+    "segment left out": ("edgesegmentsgi2\n4", "edgesegmentsgi2\n3"), "boundary 0": (" 2 0 2 3", " 0 0 2 3"),
     "boundary huge": (" 2 0 2 3", " 999999 0 2 3"), "boundary without name": (" 2 0 2 3", " 7 0 2 3"),
     "name with control character": ("2 right", "2 ri\x1b[31mght"), "name without number": ("2 right", "right"),
     "names 10**9": ("bcnames\n3", "bcnames\n1000000000"), "other file": ("mesh3d", "solid"), "no end": ("endmesh", ""),
@@ -75,7 +67,7 @@ MSH2_DAMAGE = {
     "node negative": ("1 1 2 3\n", "1 1 2 -1\n"), "node wraps": ("1 1 2 3\n", "1 1 2 4294967299\n"),
     "node float": ("1 1 2 3\n", "1 1 2 2.5\n"), "node missing": ("1 1 2 3\n", "1 1 2\n"),
     "nodes negative": ("$Nodes\n4", "$Nodes\n-4"), "nodes 10**9": ("$Nodes\n4", "$Nodes\n1000000000"),
-    "nodes 10**30": ("$Nodes\n4", "$Nodes\n1" + "0" * 30), "nodes fewer": ("$Nodes\n4", "$Nodes\n3"),
+    "nodes fewer": ("$Nodes\n4", "$Nodes\n3"),
     "node number float": ("\n3 2 1 0", "\n2.5 2 1 0"), "node number huge": ("\n3 2 1 0", "\n2000000000 2 1 0"),
     "node number twice": ("\n3 2 1 0", "\n2 2 1 0"), "coordinate nan": ("\n3 2 1 0", "\n3 nan 1 0"),
     "coordinate text": ("\n3 2 1 0", "\n3 x 1 0"), "not plane": ("\n3 2 1 0", "\n3 2 1 5"),
@@ -173,7 +165,7 @@ def _other_files():
             yield Hostile(f"{kind} {label}", lambda k=kind, d=data: _read(f"bad.{k}", d), f"bad.{kind}", ValueError,
                           writes=True)
         whole = VOL if kind == "vol" else MSH2
-        for share in (0.2, 0.5, 0.8, 0.95):
+        for share in (0.2, 0.5, 0.95):
             part = whole[:int(share * len(whole))]
             yield Hostile(f"{kind} cut at {share}", lambda k=kind, t=part: _read(f"bad.{k}", t), f"bad.{kind}",
                           ValueError, writes=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adaptmg.mesh import check_mesh, graded, quality, sized
-from adaptmg.mesh.arrays import distance_to_boundaries, require_simple
+from adaptmg.mesh.domains import distance_to_boundaries, require_simple
 from adaptmg.problem import Box, Polygon, Rectangle
 
 SQUARE = Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))
@@ -20,7 +20,7 @@ def edge_lengths(mesh, boundary):
     return np.concatenate([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs])
 
 
-@pytest.mark.parametrize("ratio", [1, 3, 16, 100, 500])
+@pytest.mark.parametrize("ratio", [1, 16, 500])
 @pytest.mark.parametrize(("domain", "contact", "size"), [(SQUARE, "bottom", 10e-3), (ANGLE, "c", 0.5),
                                                          (WEDGE, "flank", 6e3)], ids=["square", "angle", "wedge"])
 def test_plane_sizes_are_achieved(domain, contact, size, ratio):
@@ -32,12 +32,8 @@ def test_plane_sizes_are_achieved(domain, contact, size, ratio):
     relative = mesh.element_sizes / wanted
     assert relative.max() < 2.5 and 0.8 < np.median(relative) < 1.4
     assert quality(mesh).min_angle > 15
-
-
-def test_contact_edges_are_right_where_the_size_grows_fast():
-    # the centroid of an element at contact already asks for less than its edge does
-    at_contact = edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c") * 60 / 2
-    assert at_contact.max() < 1.5
+    # where the size grows fast, the centroid of an element at contact asks for less than its edge does
+    assert domain is not ANGLE or edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c").max() < 1.5 * 2 / 60
 
 
 def test_area_and_sides_are_exact():
@@ -65,14 +61,7 @@ def test_the_same_arguments_give_the_same_mesh(domain, ratio):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_finer_meshes_are_independent():
-    coarse, fine = graded(SQUARE, 10e-3, "bottom", 4), graded(SQUARE, 5e-3, "bottom", 4)
-    shared = {tuple(x) for x in coarse.points.round(9)} & {tuple(x) for x in fine.points.round(9)}
-    assert len(shared) < 0.5 * coarse.n_nodes
-    assert quality(fine).h_max < 0.75 * quality(coarse).h_max
-
-
-@pytest.mark.parametrize("ratio", [1, 4, 16])
+@pytest.mark.parametrize("ratio", [4, 16])
 def test_box_sizes_are_achieved(ratio):
     mesh = check_mesh(graded(BOX, 20e-3, "bottom", ratio), BOX.boundaries)
     assert mesh.volumes.sum() == pytest.approx(24e-6, rel=1e-12)
@@ -86,12 +75,6 @@ def test_box_sizes_are_achieved(ratio):
     height = mesh.points[mesh.elements].mean(axis=1)[:, 2] - BOX.lower[2]
     if ratio == 16:
         assert np.median(mesh.element_sizes[height > 20e-3]) > 4 * np.median(mesh.element_sizes[height < 1e-3])
-
-
-def test_box_beyond_what_netgen_takes():
-    mesh = graded(BOX, 40e-3, "top", 24)
-    at_contact = edge_lengths(mesh, "top") * 24 / 40e-3
-    assert at_contact.max() < 2.2 and 0.8 < np.median(at_contact) < 1.3
 
 
 def test_sized_follows_a_field():
@@ -124,56 +107,34 @@ def test_sized_in_3d():
 
 
 @pytest.mark.parametrize(("arguments", "error", "message"), [
-    ((SQUARE, 0), ValueError, "size must be > 0"),
-    ((SQUARE, float("nan")), ValueError, "size must be finite"),
     ((SQUARE, 1e-3, "bottm", 2), ValueError, "'bottm' does not exist; the boundaries are bottom, right, top, left"),
     ((SQUARE, 1e-3, "bottom", 0.5), ValueError, "contact_ratio must be >= 1"),
     ((SQUARE, 1e-3, (), 2), ValueError, "contact_boundaries is empty"),
-    ((SQUARE, 1e-3, "bottom", 2, 0), ValueError, "grading must be > 0"),
     ((SQUARE, 1e-3, "bottom", 2, 3), ValueError, "grading must be at most 1"),
-    ((SQUARE, 1e-6), ValueError, "nodes .at most 5e"),
     ((SQUARE, 1e-3, "bottom", 1e7), ValueError, "nodes .at most 5e"),
     ((BOX, 1e-3, "bottom", 100), ValueError, "nodes .at most 2e"),
-    (("square", 1), TypeError, "must be a Rectangle, a Polygon, an Outline, a Box or"),
 ])
 def test_bad_input(arguments, error, message):
     with pytest.raises(error, match=message):
         graded(*arguments)
 
 
-def test_bad_size_functions():
-    with pytest.raises(ValueError, match="size_function must be > 0, got 0"):
-        sized(SQUARE, lambda x: np.zeros(len(x)), 1e-2)
-    with pytest.raises(ValueError, match="size_function must be finite"):
-        sized(SQUARE, lambda x: np.full(len(x), np.nan), 1e-2)
-    with pytest.raises(ValueError, match="the function must return shape"):
-        sized(SQUARE, lambda x: x, 1e-2)
-    with pytest.raises(ValueError, match="rounds must be >= 1"):
-        sized(SQUARE, 1e-2, 1e-2, rounds=0)
+def test_a_field_that_tends_to_zero_is_refused():
     with pytest.raises(ValueError, match="tend to zero at a point"):
         sized(SQUARE, lambda x: np.maximum(np.linalg.norm(x - SQUARE.lower, axis=1), 1e-300), 1e-2)
 
 
-@pytest.mark.parametrize("vertices", [((0, 0), (4, 0), (4, 4), (1, -1)), ((0, 0), (4, 0), (4, 4), (2, 0), (0, 4)),
-                                      ((0, 0), (4, 0), (4, 0), (0, 4))], ids=["crossing", "touching", "no length"])
+@pytest.mark.parametrize("vertices", [
+    ((0, 0), (4, 0), (4, 4), (4, 2), (0, 2)), ((0, 0), (4, 0), (4, 4), (1, -1)),
+    ((0, 0), (4, 0), (4, 4), (2, 0), (0, 4)), ((0, 0), (4, 0), (4, 0), (0, 4)),
+], ids=["folding back", "crossing", "touching", "no length"])
 def test_polygons_that_meet_themselves_are_refused(vertices):
     polygon = Polygon(vertices=vertices, boundaries=tuple("abcde"[:len(vertices)]))
-    with pytest.raises(ValueError, match=r"of the polygon (meet|has no length)"):
+    assert require_simple(ANGLE) is None
+    with pytest.raises(ValueError, match=r"of the polygon (meet|has no length|folds back)"):
         require_simple(polygon)
     with pytest.raises(ValueError, match="vertices: edge"):
         graded(polygon, 1.0)
-
-
-def test_polygon_that_folds_back_on_itself_is_refused():
-    spike = Polygon(vertices=((0, 0), (4, 0), (4, 4), (4, 2), (0, 2)), boundaries=tuple("abcde"))
-    with pytest.raises(ValueError, match="folds back"):
-        graded(spike, 1.0)
-
-
-def test_simple_polygons_pass():
-    for polygon in (ANGLE, WEDGE, SQUARE.polygon,
-                    Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("a", "b", "c"))):
-        assert require_simple(polygon) is None
 
 
 def test_distance():

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptmg.mesh import check_mesh, quality, structured
+from adaptmg.mesh import check_mesh, structured
 from adaptmg.mesh.arrays import facet_table
-from adaptmg.problem import Box, Polygon, Rectangle
+from adaptmg.problem import Box, Rectangle
 
 RECTANGLE = Rectangle(width=0.3, height=0.7, origin=(-0.1, 0.2))
 BOX = Box(width=0.3, depth=0.2, height=0.7, origin=(1, 2, 3))
@@ -32,16 +32,6 @@ def test_box(divisions):
     mesh = check_mesh(structured(BOX, divisions), BOX.boundaries)
     assert mesh.n_nodes == np.prod(np.array(divisions) + 1) and len(mesh.elements) == 6 * np.prod(divisions)
     np.testing.assert_allclose(mesh.volumes, 0.042 / (6 * np.prod(divisions)), rtol=1e-11)
-
-
-@pytest.mark.parametrize("domain", [RECTANGLE, BOX], ids=["2D", "3D"])
-def test_boundary_names_lie_on_their_sides(domain):
-    mesh = structured(domain, 3)
-    for name in domain.boundaries:
-        axis, end = SIDES[name]
-        assert len(mesh.boundary_facets(name)) == (3 if domain.dim == 2 else 18)
-        where = (domain.lower, domain.upper)[end][axis]
-        np.testing.assert_allclose(mesh.points[mesh.boundary_nodes(name), axis], where, rtol=1e-15)
 
 
 @pytest.mark.parametrize(("domain", "diagonal"), [(RECTANGLE, "right"), (RECTANGLE, "left"), (RECTANGLE, "alternating"),
@@ -86,29 +76,6 @@ def test_boundary_is_that_of_the_elements_side_by_side(domain, divisions, diagon
     order = np.lexsort((mesh.facets.min(axis=1), mesh.facet_labels))
     np.testing.assert_array_equal(order, np.arange(len(mesh.facets)))
     assert mesh.sound and check_mesh(replace(mesh, source=None)).sound
-
-
-def test_kuhn_cubes_are_not_flat():
-    assert quality(structured(Box(width=1, depth=1, height=1), 2)).min_angle == pytest.approx(45)
-
-
-def test_bad_input():
-    with pytest.raises(TypeError, match="must be a Rectangle or a Box"):
-        structured(Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("a", "b", "c")), 2)
-    with pytest.raises(ValueError, match="divisions must be >= 1, got 0"):
-        structured(RECTANGLE, 0)
-    with pytest.raises(TypeError, match="divisions must be an integer"):
-        structured(RECTANGLE, 2.5)
-    with pytest.raises(ValueError, match="one integer or 2"):
-        structured(RECTANGLE, (1, 2, 3))
-    with pytest.raises(ValueError, match=r"\(1000, 1000, 1000\) make 1e\+09 nodes, a 3D mesh may have at most 2.1e"):
-        structured(BOX, 1000)
-    with pytest.raises(ValueError, match=r"\(45000, 45000\) make 2.03e\+09 nodes, whose mesh alone would take 1.2"):
-        structured(RECTANGLE, 45000)
-    with pytest.raises(ValueError, match="diagonal must be one of"):
-        structured(RECTANGLE, 2, "up")
-    with pytest.raises(ValueError, match="'right' in 3D"):
-        structured(BOX, 2, "left")
 
 
 def test_importing_the_package_does_not_import_ngsolve():

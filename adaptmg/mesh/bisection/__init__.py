@@ -102,7 +102,7 @@ def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int =
         raise ValueError("boundaries must name at least one boundary")
     meshes = [check_mesh(mesh, names)]
     facets = sum(len(mesh.boundary_facets(name)) for name in names)
-    # each facet is cut in 2 (3D: 4) a level, and gets about as many new nodes beside it
+    # each facet is cut in 2 (3D: 4) a level, and gets about as many new nodes next to it
     expected = facets * (mesh.dim - 1) * 2.0 ** min((mesh.dim - 1) * levels, 1000)
     if mesh.n_nodes + expected > MAX_NODES[mesh.dim]:
         raise ValueError(f"levels: {levels} bisections along {facets} facets of {', '.join(names)} ask for about "

@@ -12,8 +12,7 @@ from adaptmg import _checks as checks
 from adaptmg._runtime import kernel
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection import check_marked
-from adaptmg.mesh.bisection.children import FOREBEAR
-from adaptmg.mesh.bisection.tables import Refined, cells_of, mesh_of
+from adaptmg.mesh.bisection.tables import FOREBEAR, Refined, cells_of, mesh_of
 from adaptmg.mesh.soundness import check_mesh
 
 __all__ = ["coarsen", "coarsened"]
@@ -62,7 +61,7 @@ def coarsened(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -
 
 
 def _once(mesh: MeshArrays, marked: np.ndarray) -> Refined | None:
-    """All bisections taken back that can be at once, None if there are none."""
+    """All bisections taken back that can be in one pass, None if there are none."""
     n, corners = mesh.elements.shape
     history = mesh.refinement
     goes = np.zeros(mesh.n_nodes, dtype=np.bool_)

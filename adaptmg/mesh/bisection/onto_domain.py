@@ -1,17 +1,13 @@
 r"""onto_domain: nodes that bisection put on the chords of a curved boundary, moved onto the curve.
 
 A node goes as long as every element around it keeps a quarter of its volume; otherwise it stays on the chord. Nodes
-that halve edges of moved nodes follow. What was moved is no longer nested in the mesh before.
+that halve edges of moved nodes follow. The moved mesh is not nested in the mesh before.
 
-Where the midpoint of two nodes of a curved boundary belongs: on arcs, cylinders, balls, turned and extruded arcs.
-
-An arc moves the midpoint along its radius. In a turned profile the midpoint keeps its angle about the axis and gets the
-radius and height of the profile, in an extruded one it keeps its height. Of several edges of one name that is taken
-which both nodes lie on and which faces the way of the boundary there.
-
-Combined solids (:class:`~adaptmg.problem.solid_domains.Cut`, ``Fuse``, ``Common``) and STEP files do not say which
-surface
-a face lies on: their midpoints stay on the chord.
+An arc moves the midpoint of two nodes along its radius, as cylinders and balls do. In a turned profile the midpoint
+keeps its angle about the axis and gets the radius and height of the profile, in an extruded one it keeps its height. Of
+several edges of one name that is taken which both nodes lie on and which faces as the boundary does there. Combined
+solids (:class:`~adaptmg.problem.solid_domains.Cut`, ``Fuse``, ``Common``) and STEP files do not say which surface a
+face lies on: their midpoints stay on the chord.
 """
 
 from __future__ import annotations
@@ -22,10 +18,10 @@ from dataclasses import replace
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.children import with_refinement
+from adaptmg.mesh.arrays import MeshArrays, sound_by_construction
+from adaptmg.mesh.bisection.tables import with_refinement
+from adaptmg.mesh.domains import distance_to_segments
 from adaptmg.mesh.soundness import check_mesh
-from adaptmg.mesh.structured import sound_by_construction
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.solid_domains import Assembly, Ball, Cylinder, Extrusion, Moved, Revolution
 
@@ -232,7 +228,7 @@ def _on_outline(outline: Outline, name: str, a: np.ndarray, b: np.ndarray, norma
         arc = outline.arc(i)
         if arc is None:
             first, edge = vertices[i], vertices[(i + 1) % len(vertices)] - vertices[i]
-            away = np.maximum(*(_to_segment(x, first, edge) for x in (a, b)))
+            away = np.maximum(*(distance_to_segments(x, first, first + edge) for x in (a, b)))
             facing = normals @ np.array([edge[1], -edge[0]])
             place = middle
         else:
@@ -245,9 +241,3 @@ def _on_outline(outline: Outline, name: str, a: np.ndarray, b: np.ndarray, norma
         best = np.where(nearer, away, best)
         result = np.where(nearer[:, None], place, result)
     return result
-
-
-def _to_segment(points: np.ndarray, start: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """Distance (n,) of points to a segment."""
-    along = np.clip((points - start) @ edge / (edge @ edge), 0.0, 1.0)
-    return np.linalg.norm(points - start - along[:, None] * edge, axis=1)

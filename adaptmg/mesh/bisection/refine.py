@@ -1,11 +1,13 @@
 """refined: marked elements bisected, and their neighbours as far as conformity asks.
 
-The loop of a bisection: cut edges of the marked elements, then bisect until no element has a cut edge.
+Edges of the marked elements are cut, then elements are bisected until none has a cut edge: each at its own edge, which
+may cut a further one; so are its children. Whether the rest may have a cut edge is asked only of elements two of whose
+corners were ends of one lately. The loop ends from any conforming mesh: triangles, because only edges of the mesh
+before are cut; tetrahedra, because they are marked alike from both sides of a face (Arnold, Mukherjee, Pouly).
 
-An element with a cut edge is bisected at its own edge, which may cut a further one; so are its children. Whether the
-rest may have a cut edge is asked only of elements two of whose corners were ends of one lately. The loop ends from any
-conforming mesh: triangles, because only edges of the mesh before are cut; tetrahedra, because they are marked alike
-from both sides of a face (Arnold, Mukherjee, Pouly).
+Cut edges are found through lists, one for each node: ``nodes[i, HEAD]`` is the first node that halves an edge from i to
+a lower number, ``nodes[p, NEXT]`` the next one. Unlike a hash table the lists need no further memory, and lie where
+the mesh around them lies.
 """
 
 from __future__ import annotations
@@ -14,10 +16,22 @@ import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.children import HIGH, LOW, cut_edge, longer, midpoint_of, roomier, write_children
-from adaptmg.mesh.bisection.tables import Refined, cells_of, mesh_of, nodes_of, parents_of, tree_of
+from adaptmg.mesh.bisection.children import write_children
+from adaptmg.mesh.bisection.tables import (
+    HEAD,
+    HIGH,
+    LOW,
+    NEXT,
+    Refined,
+    cells_of,
+    mesh_of,
+    nodes_of,
+    parents_of,
+    tree_of,
+)
 
 __all__ = ["bisected", "by_origin", "midpoints", "refined"]
+
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
     """Bisect the marked elements."""
@@ -54,6 +68,47 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
 
 
 @inner_kernel
+def _roomier(table):
+    """The table with half as much room again."""
+    result = np.empty((len(table) + len(table) // 2 + 16, table.shape[1]), table.dtype)
+    # loops compile ten times as fast as slices
+    for i in range(len(table)):
+        for j in range(table.shape[1]):
+            result[i, j] = table[i, j]
+    return result
+
+
+@inner_kernel
+def _longer(stamps):
+    """The stamps with room for half as many more."""
+    result = np.empty(len(stamps) + len(stamps) // 2 + 16, stamps.dtype)
+    for i in range(len(stamps)):
+        result[i] = stamps[i]
+    return result
+
+
+@inner_kernel
+def _midpoint_of(nodes, a, b):
+    """The node that halves the edge (a, b), -1 if it is not cut."""
+    low, high = min(a, b), max(a, b)
+    p = nodes[high, HEAD]
+    while p >= 0 and nodes[p, LOW] != low:
+        p = nodes[p, NEXT]
+    return p
+
+
+@inner_kernel
+def _cut_edge(nodes, p, a, b):
+    """Enter p, the next free row, as the node that halves the edge (a, b)."""
+    low, high = min(a, b), max(a, b)
+    nodes[p, HEAD] = -1
+    nodes[p, NEXT] = nodes[high, HEAD]
+    nodes[p, LOW] = low
+    nodes[p, HIGH] = high
+    nodes[high, HEAD] = p
+
+
+@inner_kernel
 def _has_cut_edge(cells, e, corners, nodes, stamps):
     """Whether an edge of element e is cut; most have no two corners that ever were ends of one."""
     for i in range(1, corners):
@@ -61,7 +116,7 @@ def _has_cut_edge(cells, e, corners, nodes, stamps):
         if stamps[a] >= 0:
             for j in range(i):
                 b = cells[e, j]
-                if stamps[b] >= 0 and midpoint_of(nodes, a, b) >= 0:
+                if stamps[b] >= 0 and _midpoint_of(nodes, a, b) >= 0:
                     return True
     return False
 
@@ -78,11 +133,11 @@ def _touched(cells, e, corners, stamps, since):
 @inner_kernel
 def _cut(nodes, stamps, n_nodes, a, b, stamp):
     """Cut the edge (a, b) unless it is cut: its node, and the number of nodes; there is room for one more."""
-    p = midpoint_of(nodes, a, b)
+    p = _midpoint_of(nodes, a, b)
     if p < 0:
         p = n_nodes
         n_nodes += 1
-        cut_edge(nodes, p, a, b)
+        _cut_edge(nodes, p, a, b)
         stamps[p] = -1
         stamps[a] = stamp
         stamps[b] = stamp
@@ -106,7 +161,7 @@ def _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before, st
     """Bisect the elements from e on that have a cut edge, as long as there is room.
 
     Which were there before the round are looked at if they were touched since the round before, and e in any case.
-    The tables are not bound anew in here: counting who holds them would take longer than all the rest.
+    The tables are not assigned again in here: counting references to them would take longer than all the rest.
     """
     corners, again = tree.shape[1] - 3, e
     while e < n_cells:
@@ -133,7 +188,7 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
         e, n_nodes = _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked,
                                  tree.shape[1] - 3 if every_edge else 2)
         if e < n_cells:
-            nodes, stamps = roomier(nodes), longer(stamps)
+            nodes, stamps = _roomier(nodes), _longer(stamps)
     nodes_before = np.int64(-1)
     while n_nodes > nodes_before:
         stamp += 1
@@ -143,11 +198,11 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
             e, n_cells, n_tree, n_nodes = _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before,
                                                  stamp)
             if n_cells == len(cells):
-                cells = roomier(cells)
+                cells = _roomier(cells)
             if n_tree == len(tree):
-                tree = roomier(tree)
+                tree = _roomier(tree)
             if n_nodes == len(nodes):
-                nodes, stamps = roomier(nodes), longer(stamps)
+                nodes, stamps = _roomier(nodes), _longer(stamps)
     return cells, n_cells, tree, n_tree, nodes, n_nodes
 
 

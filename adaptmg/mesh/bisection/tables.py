@@ -1,29 +1,38 @@
-"""A mesh into the tables of a bisection, and out of them."""
+"""A mesh into the tables of a bisection and out of them, with its history; the history as plain arrays for files.
+
+A table has a row of 32 bit integers for each element, bisected element or node. Boundary facets follow the elements:
+each row of an element says which facet lies opposite each of its corners.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, element_facets
-from adaptmg.mesh.bisection.children import (
-    CODES,
-    EVEN,
-    FOREBEAR,
-    HEAD,
-    NODE_COLUMNS,
-    Refinement,
-    columns_of_cells,
-    columns_of_tree,
-    facets_into_cells,
-    facets_of_cells,
-    first_labels,
-    with_refinement,
-)
-from adaptmg.mesh.structured import sound_by_construction
+from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.mesh.arrays import MeshArrays, Refinement, element_facets, sound_by_construction, trusted
+from adaptmg.mesh.bisection.children import CODES, EVEN, first_labels
 
-__all__ = ["Refined", "cells_of", "mesh_of", "nodes_of", "parents_of", "tree_of"]
+__all__ = ["FOREBEAR", "HEAD", "HIGH", "LOW", "NEXT", "Refined", "as_initial", "cells_of", "history_arrays", "mesh_of",
+           "nodes_of", "parents_of", "tree_of", "with_history", "with_refinement"]
+
+# columns of the nodes: first and next of the list of edges (see refine), and both ends of the edge that it halves
+HEAD, NEXT, LOW, HIGH = 0, 1, 2, 3
+NODE_COLUMNS = 4
+# columns after the corners: of a bisected element its marks, its own forebear (row of the tree, -1: none), its new node
+FOREBEAR = 1
+
+
+def columns_of_cells(dim: int) -> int:
+    """Corners, the boundary facet of each (-1: none), marks, forebear, generation, origin."""
+    return 2 * (dim + 1) + 4
+
+
+def columns_of_tree(dim: int) -> int:
+    """Corners, marks, forebear, new node."""
+    return dim + 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +53,7 @@ def parents_of(mesh: MeshArrays) -> np.ndarray:
 
 
 def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
-    """The elements as a table, labelled if the mesh was never bisected, with so many times the rows as room."""
+    """The elements as a table, labelled if the mesh was never bisected, with ``room`` times the rows as room."""
     n, corners = mesh.elements.shape
     cells = np.empty((n + int(room * n), columns_of_cells(mesh.dim)), dtype=np.int32)
     cells[:n, :corners] = mesh.elements
@@ -69,7 +78,7 @@ def tree_of(mesh: MeshArrays) -> np.ndarray:
 
 
 def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
-    """The nodes as a table in which no edge is cut, with so many times the rows as room."""
+    """The nodes as a table in which no edge is cut, with ``room`` times the rows as room."""
     n = mesh.n_nodes
     nodes = np.empty((n + int(room * n), NODE_COLUMNS), dtype=np.int32)
     nodes[:n, HEAD] = -1
@@ -88,3 +97,141 @@ def mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: 
     history = Refinement(parents, cells[:, marks].astype(np.int8), cells[:, marks + 2].astype(np.int16),
                          cells[:, marks + FOREBEAR].copy(), tree)
     return with_refinement(sound_by_construction(mesh), history)
+
+
+@inner_kernel
+def _key(nodes, skip, corners):
+    """Sum and largest of the corners but one: with the smallest they tell a face."""
+    total, high, low = 0, -1, 2**31
+    for k in range(corners):
+        if k != skip:
+            total += nodes[k]
+            high = max(high, nodes[k])
+            low = min(low, nodes[k])
+    return total, high, low
+
+
+@kernel
+def facets_into_cells(facets, cells, n_cells, corners, n_nodes):
+    """Write into the cells which boundary facet lies opposite each corner, -1 where there is none."""
+    # lists of facets by their highest node
+    head = np.full(n_nodes, -1, dtype=np.int32)
+    following = np.empty(len(facets), dtype=np.int32)
+    on_boundary = np.zeros(n_nodes, dtype=np.bool_)
+    for f in range(len(facets)):
+        _, high, _ = _key(facets[f], -1, corners - 1)
+        following[f] = head[high]
+        head[high] = f
+        for k in range(corners - 1):
+            on_boundary[facets[f, k]] = True
+    found = 0
+    for e in range(n_cells):
+        inside = 0
+        for k in range(corners):
+            inside += not on_boundary[cells[e, k]]
+        for k in range(corners):
+            cells[e, corners + k] = -1
+            if inside > 1 or (inside == 1 and on_boundary[cells[e, k]]):
+                continue
+            total, high, low = _key(cells[e], k, corners)
+            f = head[high]
+            while f >= 0:
+                if _key(facets[f], -1, corners - 1) == (total, high, low):
+                    cells[e, corners + k] = f
+                    found += 1
+                    break
+                f = following[f]
+    return found
+
+
+@kernel
+def facets_of_cells(cells, n_cells, corners, n_facets, opposite):
+    """The boundary facets of the cells, in the order of the facets they come from."""
+    start = np.zeros(n_facets + 1, dtype=np.int64)
+    for e in range(n_cells):
+        for k in range(corners):
+            if cells[e, corners + k] >= 0:
+                start[cells[e, corners + k] + 1] += 1
+    for f in range(n_facets):
+        start[f + 1] += start[f]
+    facets = np.empty((start[n_facets], corners - 1), dtype=np.int32)
+    origin = np.empty(start[n_facets], dtype=np.int32)
+    for e in range(n_cells):
+        for k in range(corners):
+            f = cells[e, corners + k]
+            if f >= 0:
+                row = start[f]
+                start[f] += 1
+                origin[row] = f
+                for j in range(corners - 1):
+                    facets[row, j] = cells[e, opposite[k, j]]
+    return facets, origin
+
+
+def with_refinement(mesh: MeshArrays, refinement: Refinement | None) -> MeshArrays:
+    """The same mesh with another history, its source and soundness kept."""
+    result = trusted(mesh, vars(mesh)["source"], mesh.sound)
+    object.__setattr__(result, "refinement", refinement)
+    return result
+
+
+def as_initial(mesh: MeshArrays) -> MeshArrays:
+    """The mesh with its labels, but without its past: nothing is taken back below it."""
+    history = mesh.refinement
+    if history is None:
+        return mesh
+    own = np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
+    n = len(mesh.elements)
+    return with_refinement(mesh, Refinement(own, history.marks, np.zeros(n, np.int16), np.full(n, -1, np.int32),
+                                            history.tree[:0].copy()))
+
+
+_TYPES = {"parents": np.int32, "marks": np.int8, "generation": np.int16, "forebear": np.int32, "tree": np.int32}
+# marks of tetrahedra, flagged or not
+_MOST_MARKS = {2: 0, 3: 17}
+
+
+def history_arrays(mesh: MeshArrays) -> dict[str, np.ndarray]:
+    """The arrays of a mesh's :class:`~adaptmg.mesh.bisection.children.Refinement` by name; empty without one."""
+    if mesh.refinement is None:
+        return {}
+    return {one.name: getattr(mesh.refinement, one.name) for one in fields(Refinement)}
+
+
+def with_history(mesh: MeshArrays, arrays: Mapping[str, np.ndarray]) -> MeshArrays:
+    """A mesh of the same arrays with the history that :func:`history_arrays` took from it."""
+    if not arrays:
+        return with_refinement(mesh, None)
+    missing = [name for name in _TYPES if name not in arrays]
+    if missing:
+        raise ValueError(f"history: {', '.join(missing)} is missing; it takes {', '.join(_TYPES)}")
+    given = {name: _whole(name, arrays[name], dtype) for name, dtype in _TYPES.items()}
+    n, elements, bisected = mesh.n_nodes, len(mesh.elements), len(given["tree"])
+    shapes = {"parents": (n, 2), "marks": (elements,), "generation": (elements,), "forebear": (elements,),
+              "tree": (bisected, columns_of_tree(mesh.dim))}
+    for name, shape in shapes.items():
+        if given[name].shape != shape:
+            raise ValueError(f"history: {name} must have shape {shape}, got {given[name].shape}")
+    most, corners, tree = _MOST_MARKS[mesh.dim], mesh.dim + 1, given["tree"]
+    for name, values, below in (("parents", given["parents"], np.arange(n)[:, None] + 1),
+                                ("marks", given["marks"], most + 1), ("generation", given["generation"], 2**15),
+                                ("forebear", given["forebear"] + 1, bisected + 1), ("tree", tree[:, :corners], n),
+                                ("tree", tree[:, corners], most + 1), ("tree", tree[:, -1], n),
+                                ("tree", tree[:, corners + FOREBEAR] + 1, bisected + 1)):
+        if not ((values >= 0) & (values < below)).all():
+            raise ValueError(f"history: {name} holds numbers out of range; it is not of this mesh")
+    used = given["forebear"][given["forebear"] >= 0]
+    if not (mesh.elements[given["forebear"] >= 0] == tree[used, -1][:, None]).any(axis=1).all():
+        raise ValueError("history: elements lack the node that bisection made them with; it is not of this mesh")
+    return with_refinement(mesh, Refinement(**given))
+
+
+def _whole(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
+    """A copy of an array of integers."""
+    array = np.asarray(array)
+    if array.dtype.kind not in "iu":
+        raise ValueError(f"history: {name} must be an array of integers, got {array.dtype}")
+    copy = array.astype(dtype)
+    if not (copy == array).all():
+        raise ValueError(f"history: {name} holds numbers out of range; it is not of this mesh")
+    return copy

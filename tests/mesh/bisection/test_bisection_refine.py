@@ -12,10 +12,10 @@ import pytest
 from bisected_meshes import SQUARE, crooked, cube, random_mask, shape_classes, single, verified
 
 import adaptmg as am
-from adaptmg.mesh import bisect, quality, structured
+from adaptmg.mesh import MeshArrays, bisect, check_mesh, quality, refine_near, structured
 from adaptmg.mesh.bisection.refine import bisected, refined
 from adaptmg.mesh.bisection.tables import cells_of, nodes_of, tree_of
-from adaptmg.problem import Assembly, Box, Outline, Rectangle
+from adaptmg.problem import Box, Outline, Rectangle
 
 HELPERS = Path(__file__).parents[2] / "helpers"
 MESHES = {"2D": SQUARE, "2D crooked": crooked(SQUARE), "3D": cube(), "3D crooked": crooked(cube(3))}
@@ -24,7 +24,7 @@ MESHES = {"2D": SQUARE, "2D crooked": crooked(SQUARE), "3D": cube(), "3D crooked
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 @pytest.mark.parametrize("passes", [None, 1, 2])
 def test_random_marks_again_and_again_stay_conforming(mesh, passes):
-    for k in range(20):
+    for k in range(12):
         before = mesh
         marked = random_mask(mesh, 0.1, k)
         mesh, parents = bisect(mesh, marked, passes)
@@ -47,7 +47,7 @@ def test_a_triangle_has_at_most_four_shapes(points):
     assert len(mesh.elements) == 4**5 and shape_classes(mesh) <= 4
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_tetrahedron_has_a_bounded_number_of_shapes(seed):
     mesh = single(np.random.default_rng(seed).random((4, 3)))
     classes, worst = [], []
@@ -113,18 +113,6 @@ def test_facets_keep_their_labels_and_their_order(mesh):
         assert (fine.points[fine.boundary_nodes(name), axis] == value).all()
     # those of one old facet lie one after another, in the order of the old ones
     assert (np.diff(fine.facet_labels) >= 0).all() == (np.diff(mesh.facet_labels) >= 0).all()
-
-
-def test_bodies_stay_apart_and_are_closed_each_for_itself():
-    domain = Assembly(parts={"lower": Rectangle(width=1, height=1), "upper": Rectangle(width=1, height=1,
-                                                                                       origin=(0, 1))})
-    mesh = structured(domain, {"lower": 2, "upper": 3})
-    for k in range(4):
-        mesh, _ = bisect(mesh, random_mask(mesh, 0.2, k))
-    verified(mesh)
-    first, second = (np.unique(mesh.elements[mesh.element_body == k]) for k in (0, 1))
-    assert not np.intersect1d(first, second).size
-    assert (mesh.points[first, 1] <= 1).all() and (mesh.points[second, 1] >= 1).all()
 
 
 def test_the_history_is_pickled_and_frozen_but_not_kept_with_other_arrays():
@@ -204,15 +192,70 @@ def test_tables_that_grow_hold_the_same_as_those_with_room(mesh, every_edge):
         np.testing.assert_array_equal(tight, roomy)
 
 
-@pytest.mark.parametrize("passes", [0, -1, 1.5, True, "all"])
-def test_bad_passes(passes):
-    with pytest.raises((TypeError, ValueError), match="passes"):
-        bisect(SQUARE, np.ones(len(SQUARE.elements), dtype=bool), passes)
-
-
 def test_a_flat_box_and_a_needle_end():
     for domain in (Box(width=1, depth=1, height=1e-3), Box(width=1, depth=1e-3, height=1e-3)):
         mesh = structured(domain, 1)
         for _ in range(3):
             mesh, _ = bisect(mesh, (mesh.elements == 0).any(axis=1))
         verified(mesh)
+
+
+FINE_SQUARE = structured(Rectangle(width=1, height=1), 4)
+CUBE = structured(Box(width=1, depth=1, height=1), 2)
+EITHER = pytest.mark.parametrize("mesh", [FINE_SQUARE, CUBE], ids=["2D", "3D"])
+
+
+def containing_elements(coarse: MeshArrays, fine: MeshArrays) -> np.ndarray:
+    """The coarse element that holds each fine one, -1 where there is none."""
+    found = np.full(len(fine.elements), -1)
+    for e, corners in enumerate(coarse.points[coarse.elements]):
+        weights = np.linalg.solve((corners[1:] - corners[0]).T, (fine.points - corners[0]).T)
+        weights = np.vstack([1 - weights.sum(axis=0), weights])
+        found[(weights.min(axis=0) > -1e-12)[fine.elements].all(axis=1)] = e
+    return found
+
+
+@EITHER
+def test_bisection_is_nested_and_halves_the_marked(mesh):
+    marked = np.arange(len(mesh.elements)) % 7 == 0
+    fine, parents = bisect(mesh, marked)
+    check_mesh(fine, mesh.boundaries)
+    holder = containing_elements(mesh, fine)
+    assert (holder >= 0).all()
+    children = np.bincount(holder, minlength=len(mesh.elements))
+    assert (children[marked] >= 2**mesh.dim).all() and (children >= 1).all()
+    assert fine.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-14)
+    assert fine.boundaries == mesh.boundaries
+    # all elements: every edge is halved
+    uniform, _ = bisect(mesh, np.ones(len(mesh.elements), dtype=bool))
+    assert quality(uniform).h_max <= 0.5 * quality(mesh).h_max * (1 + 1e-12)
+    assert len(uniform.elements) == 2**mesh.dim * len(mesh.elements)
+    old, new = np.arange(mesh.n_nodes), np.arange(mesh.n_nodes, fine.n_nodes)
+    np.testing.assert_array_equal(fine.points[old], mesh.points)
+    np.testing.assert_array_equal(parents[old], np.stack([old, old], axis=1))
+    np.testing.assert_array_equal(fine.points, fine.points[parents].mean(axis=1))
+    assert len(new) and (parents[new] < new[:, None]).all() and (parents[new, 0] != parents[new, 1]).all()
+
+
+def test_input_is_not_changed_and_the_source_follows():
+    before = FINE_SQUARE.points.copy(), FINE_SQUARE.elements.copy(), FINE_SQUARE.source.nv
+    fine, _ = bisect(FINE_SQUARE, np.ones(32, dtype=bool))
+    assert FINE_SQUARE.source.nv == before[2]
+    np.testing.assert_array_equal(FINE_SQUARE.points, before[0])
+    np.testing.assert_array_equal(FINE_SQUARE.elements, before[1])
+    np.testing.assert_array_equal([v.point for v in fine.source.vertices], fine.points)
+
+
+def test_refine_near_reaches_strong_grading_without_bad_angles():
+    meshes = refine_near(FINE_SQUARE, "bottom", 8)
+    assert meshes[0] is FINE_SQUARE and len(meshes) == 9
+    for level, mesh in enumerate(meshes):
+        assert len(mesh.boundary_facets("bottom")) == 4 * 2**level
+        assert len(mesh.boundary_facets("top")) == 4
+    # the work goes to the boundary: nodes double with every level, uniform refinement would make four times as many
+    assert meshes[-1].n_nodes < 2.05 * meshes[-2].n_nodes
+    assert quality(meshes[-1]).min_angle > 20
+    assert containing_elements(meshes[1], meshes[2]).min() >= 0
+    assert [len(m.boundary_facets("bottom")) for m in refine_near(CUBE, ["bottom", "left"], 2)] == [8, 32, 128]
+    with pytest.raises(ValueError, match="boundary 'bottm' does not exist"):
+        refine_near(FINE_SQUARE, "bottm")

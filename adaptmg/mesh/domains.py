@@ -1,0 +1,130 @@
+"""Geometry of domains, before they are meshed: extent, measures, distance to boundaries, simple outlines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
+from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
+
+__all__ = ["BOX_SIDES", "boundary_measures", "check_domain", "distance_to_boundaries", "distance_to_segments",
+           "extent", "plane_measures", "require_simple"]
+
+#: axis, and lower (0) or upper (1) end of it; the vertical axis of a rectangle is its last one
+BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
+
+
+def distance_to_boundaries(domain: Rectangle | Polygon | Outline | Box, boundaries: Sequence[str],
+                           points: np.ndarray) -> np.ndarray:
+    """Distance of points to the nearest of some boundaries of a domain."""
+    distance = np.full(len(points), np.inf)
+    if isinstance(domain, Box):
+        for name in boundaries:
+            axis, end = BOX_SIDES[name]
+            distance = np.minimum(distance, np.abs(points[:, axis] - (domain.lower, domain.upper)[end][axis]))
+        return distance
+    curved = isinstance(domain, Outline)
+    start = np.array(domain.vertices if curved else domain.polygon.vertices)
+    end = np.roll(start, -1, axis=0)
+    for i, (name, a, b) in enumerate(zip(domain.boundaries, start, end, strict=True)):
+        if name in boundaries and curved and i in domain.arcs:
+            distance = np.minimum(distance, domain.arc(i).distance(points))
+        elif name in boundaries:
+            distance = np.minimum(distance, distance_to_segments(points, a, b))
+    return distance
+
+
+def extent(domain: Domain) -> tuple[np.ndarray, float]:
+    """Lowest corner and largest side of the bounding box."""
+    return domain.lower, float((domain.upper - domain.lower).max())
+
+
+def boundary_measures(domain: Domain) -> tuple[float, dict[str, float]]:
+    """Area or volume of a domain, and the lengths or areas of its boundaries by name."""
+    if not isinstance(domain, Box):
+        return plane_measures(domain)
+    lengths = domain.upper - domain.lower
+    volume = float(np.prod(lengths))
+    return volume, {name: volume / lengths[axis] for name, (axis, _) in BOX_SIDES.items()}
+
+
+def plane_measures(domain: Rectangle | Polygon | Outline) -> tuple[float, dict[str, float]]:
+    """Exact area (m^2) of a plane domain, and the length (m) of its boundaries by name."""
+    if isinstance(domain, Outline):
+        area, lengths = domain.area, domain.lengths
+    else:
+        start = np.array(domain.polygon.vertices)
+        end = np.roll(start, -1, axis=0)
+        area = 0.5 * float(np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1]))
+        lengths = np.linalg.norm(end - start, axis=1).tolist()
+    perimeter = dict.fromkeys(domain.boundaries, 0.0)
+    for name, length in zip(domain.boundaries, lengths, strict=True):
+        perimeter[name] += length
+    return area, perimeter
+
+
+def check_domain(domain: Domain) -> None:
+    """TypeError or ValueError unless it is a domain that can be meshed."""
+    if isinstance(domain, Polygon | Outline):
+        require_simple(domain)
+    elif not isinstance(domain, Rectangle | Box | SolidDomain | StepFile | Assembly):
+        raise TypeError("domain must be a Rectangle, a Polygon, an Outline, a Box or another solid, an Assembly of "
+                        f"these, or a StepFile, got {domain!r}")
+
+
+def require_simple(outline: Polygon | Outline) -> None:
+    """ValueError if edges of an outline cross, touch, or have no length; arcs as chords of at most 3 degrees."""
+    a, owner = outline.chords() if isinstance(outline, Outline) else (np.array(outline.vertices), None)
+    b = np.roll(a, -1, axis=0)
+    n = len(a)
+    owner = np.arange(n) if owner is None else owner
+    what = type(outline).__name__.lower()
+
+    def edge_name(k: int) -> str:
+        return f"{owner[k]} ({outline.boundaries[owner[k]]!r})"
+
+    lengths = np.linalg.norm(b - a, axis=1)
+    tiny = 1e-12 * np.ptp(a, axis=0).max()
+    if not lengths.min() > tiny:
+        raise ValueError(f"vertices: edge {edge_name(int(np.argmin(lengths)))} of the {what} has no length")
+    edge, following = b - a, np.roll(b - a, -1, axis=0)
+    turn = edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0]
+    folded = (np.abs(turn) <= 1e-12 * lengths * np.roll(lengths, -1)) & ((edge * following).sum(axis=1) < 0)
+    if folded.any():
+        i = int(np.argmax(folded))
+        raise ValueError(f"vertices: edge {edge_name(i)} of the {what} folds back on itself at "
+                         f"{tuple(b[i].tolist())}")
+    i, j = np.triu_indices(n, 2)
+    apart = (i != 0) | (j != n - 1)
+    i, j = i[apart], j[apart]
+    distance = _apart(a, i, j)
+    crossing = (_side(a[i], b[i], a[j]) * _side(a[i], b[i], b[j]) < 0) & (
+        _side(a[j], b[j], a[i]) * _side(a[j], b[j], b[i]) < 0)
+    bad = crossing | (distance <= tiny) if len(i) else np.zeros(0, dtype=bool)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise ValueError(f"vertices: edges {edge_name(i[k])} and {edge_name(j[k])} of the {what} meet; its boundary "
+                         "must not cross itself")
+
+
+def _apart(a: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """Distance between edges i and j (m,) of a closed polygon of corners a (n, 2); they must not cross."""
+    b = np.roll(a, -1, axis=0)
+    # it is reached at an end of one of them
+    pairs = ((a[j], i), (b[j], i), (a[i], j), (b[i], j))
+    return np.min([distance_to_segments(p, a[k], b[k]) for p, k in pairs], axis=0)
+
+
+def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Positive where c lies to the left of the line from a to b."""
+    u, v = b - a, c - a
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+
+def distance_to_segments(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance (n,) of points (n, 2) to one segment, or to one segment each."""
+    u = b - a
+    along = np.clip(np.sum((p - a) * u, axis=-1) / np.sum(u * u, axis=-1), 0.0, 1.0)
+    return np.linalg.norm(p - a - along[:, None] * u, axis=1)

@@ -1,0 +1,472 @@
+"""The process that Netgen and OCC work in: domains and files in, plain arrays out.
+
+:mod:`adaptmg.mesh.netgen_guard` runs this file as a script, without the package ``adaptmg.mesh``, so that neither numba
+nor scipy is loaded. A request is the name of a function and its arguments; a shape or mesh stays for the next request.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import queue
+import re
+import signal
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import netgen.meshing
+import numpy as np
+from netgen import occ
+from netgen.geom2d import SplineGeometry
+from netgen.occ import Dir, Face, OCCGeometry, Pnt, Solid, TopoDS_Shape, Vec, X, Y, Z
+
+from adaptmg.problem.plane_domains import Box, Outline, Polygon, Rectangle
+from adaptmg.problem.solid_domains import (
+    Ball,
+    Combination,
+    Common,
+    Cut,
+    Cylinder,
+    Extrusion,
+    Moved,
+    Profile,
+    Revolution,
+    SolidDomain,
+    outline_of,
+)
+
+Tables = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]]
+Sizes = Sequence[tuple[np.ndarray, np.ndarray]]
+
+# Netgen's element types of first and second order
+_SIMPLICES = {2: (10, 12), 3: (20, 21)}
+_MAX_TURN = math.radians(80.0)
+# longest edge on an arc, of its radius; Netgen rounds the number of edges of a piece
+_MAX_EDGE = 0.4
+_NO_LIMIT = 1e99
+# volumes of boolean operations add up to 1e-9 of the operands
+_VOLUME_TOLERANCE = 1e-6
+# nodes of an element by Gmsh's number of its type
+_WIDTHS = {15: 1, 1: 2, 8: 3, 2: 3, 9: 6, 4: 4, 11: 10}
+_SIDES = ("left", "right", "front", "back", "bottom", "top")
+
+
+class _Held:
+    """What a request leaves for the next one."""
+
+    mesh: object = None
+    shape: Solid = None
+    solids: Sequence[Solid] = ()
+
+
+def tables(mesh: netgen.meshing.Mesh, boundaries: Sequence[str] | None = None, bodies: Sequence[str] | None = None
+           ) -> Tables:
+    """Copies of the tables of a mesh: points, elements, facets, labels, their names, body of each element, names."""
+    dim = mesh.dim
+    if dim not in (2, 3):
+        raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
+    volume = mesh.Elements2D() if dim == 2 else mesh.Elements3D()
+    if len(volume) == 0:
+        raise ValueError("the mesh has no elements" + (" (a surface mesh?); generate the volume mesh first"
+                                                       if dim == 3 else ""))
+    points = np.array(mesh.Coordinates(), dtype=np.float64)[:, :dim]
+    volume = volume.NumPy()
+    bad = ~np.isin(volume["type"], _SIMPLICES[dim])
+    if bad.any():
+        raise ValueError(f"the mesh must consist of {'triangles' if dim == 2 else 'tetrahedra'}, but "
+                         f"{np.count_nonzero(bad)} of {len(bad)} elements are others (quadrilaterals, hexahedra, ...), "
+                         f"first element {int(np.argmax(bad))}; generate the mesh without quads")
+    elements = volume["nodes"][:, :dim + 1].astype(np.int64) - 1
+    surface = mesh.Elements1D() if dim == 2 else mesh.Elements2D()
+    if len(surface) == 0:
+        raise ValueError("the mesh has no boundary facets")
+    surface = surface.NumPy()
+    facets = surface["nodes"][:, :dim].astype(np.int64) - 1
+    label, body = (table["index"].astype(np.int64) - 1 for table in (surface, volume))
+    if dim == 3:
+        faces = np.array([face.bc for face in mesh.FaceDescriptors()], dtype=np.int64) - 1
+        label = faces[_indices("the face descriptor", label, len(faces))]
+    if boundaries is None:
+        # a number far beyond the elements is a damaged one
+        boundaries = [mesh.GetBCName(i) for i in range(min(label.max() + 1, len(label)))]
+        bodies = [mesh.GetMaterial(i + 1) for i in range(min(body.max() + 1, len(body)))]
+    _indices("the boundary number", label, len(boundaries))
+    _indices("the material number", body, len(bodies))
+    return points, elements, facets, label, boundaries, body, bodies
+
+
+def _indices(what: str, index: np.ndarray, size: int) -> np.ndarray:
+    if index.min() < 0 or index.max() >= size:
+        raise ValueError(f"mesh: {what} of an element must be from 1 to {size}, got {index.min() + 1} to "
+                         f"{index.max() + 1}")
+    return index
+
+
+def mesh_plane_or_box(domain: Rectangle | Polygon | Outline | Box, lower: np.ndarray, scale: float,
+                      sides: Mapping[str, float], options: Mapping[str, float], sizes: Sizes, refinements: int
+                      ) -> Tables:
+    """Mesh a domain moved by ``-lower`` and divided by ``scale``; see :func:`_generated`."""
+    geometry = (_box_geometry if isinstance(domain, Box) else _spline_geometry)(domain, lower, scale, sides)
+    return _generated(geometry, options, sizes, refinements)
+
+
+def mesh_shape(face_sizes: Mapping[int, float], options: Mapping[str, float], sizes: Sizes, refinements: int
+               ) -> Tables:
+    """Mesh the shape of the last request; its faces are called by their numbers."""
+    for i, face in enumerate(_Held.shape.faces):
+        face.name = str(i)
+        if i in face_sizes:
+            face.maxh = face_sizes[i]
+    return _generated(OCCGeometry(_Held.shape), options, sizes, refinements)
+
+
+def _generated(geometry: SplineGeometry | OCCGeometry, options: Mapping[str, float], sizes: Sizes, refinements: int
+               ) -> Tables:
+    """Netgen's mesh by sizes at points, every element then cut in four (3D: eight) some times.
+
+    The tetrahedra inside those that are cut are flat (mean quality .83 of 1 where Netgen's have .88): swapping faces
+    and moving nodes once brings them to .89, at a tenth of the cost of Netgen's own mesh of that size.
+    """
+    # Netgen's threads spend more time waiting than the work takes: 3 to 30 times slower
+    parameters = netgen.meshing.MeshingParameters(**options, parallel_meshing=False)
+    for points, lengths in sizes:
+        # one call a point is Netgen's only interface
+        columns = np.pad(points, ((0, 0), (0, 3 - points.shape[1]))).T.tolist()
+        for x, y, z, h in zip(*columns, lengths.tolist(), strict=True):
+            parameters.RestrictH(x, y, z, h)
+    mesh = geometry.GenerateMesh(mp=parameters)
+    for _ in range(refinements):
+        mesh.Refine()
+    if refinements and mesh.dim == 3:
+        mesh.OptimizeVolumeMesh(netgen.meshing.MeshingParameters(optimize3d="sm", optsteps3d=1, parallel_meshing=False))
+    _Held.mesh = mesh
+    return tables(mesh)
+
+
+def bisect(marked: np.ndarray) -> Tables:
+    """Bisect marked elements of the last mesh; new nodes go onto the surfaces of its geometry."""
+    import ngsolve
+
+    if not isinstance(_Held.mesh, ngsolve.Mesh):
+        _Held.mesh = ngsolve.Mesh(_Held.mesh)
+    _Held.mesh.SetRefinementFlags(marked.tolist())
+    _Held.mesh.Refine()
+    return tables(_Held.mesh.ngmesh)
+
+
+def _box_geometry(domain: Box, lower: np.ndarray, scale: float, sides: Mapping[str, float]) -> OCCGeometry:
+    solid = occ.Box(Pnt(0, 0, 0), Pnt(*((domain.upper - lower) / scale)))
+    for k, name in enumerate(_SIDES):
+        face = (solid.faces.Min, solid.faces.Max)[k % 2]((X, Y, Z)[k // 2])
+        face.name = name
+        if name in sides:
+            face.maxh = sides[name]
+    return OCCGeometry(solid)
+
+
+def _spline_geometry(domain: Rectangle | Polygon | Outline, lower: np.ndarray, scale: float,
+                     sides: Mapping[str, float]) -> SplineGeometry:
+    r"""Netgen's geometry of a plane domain; the edges of an outline are called by their numbers.
+
+    An arc becomes rational quadratic splines, which are exact circles: the middle control point is the meeting point of
+    the tangents, at the distance :math:`r / \cos(\theta / 2)` from the centre.
+    """
+    geometry = SplineGeometry()
+    curved = isinstance(domain, Outline)
+    vertices = domain.vertices if curved else domain.polygon.vertices
+    corners = [geometry.AppendPoint(*place) for place in (np.array(vertices) - lower) / scale]
+    for i, name in enumerate(domain.boundaries):
+        options = {"leftdomain": 1, "rightdomain": 0, "bc": str(i) if curved else name,
+                   "maxh": sides.get(name, _NO_LIMIT)}
+        first, last = corners[i], corners[(i + 1) % len(corners)]
+        arc = domain.arc(i) if curved else None
+        if arc is None:
+            geometry.Append(["line", first, last], **options)
+            continue
+        pieces = math.ceil(abs(arc.angle) / _MAX_TURN)
+        options["maxh"] = min(options["maxh"], _MAX_EDGE * arc.radius / scale)
+        center = np.array(arc.center)
+        stretch = 1 / math.cos(0.5 * arc.angle / pieces)
+        ends = arc.at(np.arange(1, pieces) / pieces)
+        middles = center + stretch * (arc.at((np.arange(pieces) + 0.5) / pieces) - center)
+        numbers = [first, *(geometry.AppendPoint(*place) for place in (ends - lower) / scale), last]
+        for k, middle in enumerate((middles - lower) / scale):
+            geometry.Append(["spline3", numbers[k], geometry.AppendPoint(*middle), numbers[k + 1]], **options)
+    geometry.SetMaterial(1, "body")
+    return geometry
+
+
+ShapeTables = tuple[list[str], list[float], float, np.ndarray]
+
+
+def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> ShapeTables:
+    """OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces, volume, bounding box.
+
+    OCC compares lengths with absolute tolerances of 1e-7: everything is built near unit size.
+    """
+    shape = _shape(domain, origin, scale)
+    if len(shape.solids) != 1:
+        what = "nothing" if len(shape.solids) == 0 else f"{len(shape.solids)} pieces"
+        raise ValueError(f"{domain!r} leaves {what}; a solid must be one piece")
+    solid = shape.solids[0]
+    for face in solid.faces:
+        if face.name not in domain.boundaries:
+            raise ValueError(f"a face of {domain!r} at {_place(face.center)} got no name from OCC; "
+                             "move its parts a little against each other")
+    return _hold(solid)
+
+
+def read_step(path: str) -> list[tuple[str, list[str]]]:
+    """Names of the solids of a STEP file and of their faces, "" where there is none."""
+    _Held.solids = list(OCCGeometry(path).solids)
+    return [(solid.name or "", [face.name or "" for face in solid.faces]) for solid in _Held.solids]
+
+
+def step_shape(number: int) -> tuple[ShapeTables, np.ndarray, float]:
+    """The tables of a solid of the last STEP file at unit size; the place of its origin and its unit in the file."""
+    solid = _Held.solids[number]
+    lower, upper = (np.array(_place(p)) for p in solid.bounding_box)
+    scale = float((upper - lower).max())
+    if not (np.isfinite([*lower, *upper]).all() and scale > 0 and math.isfinite(solid.mass) and solid.mass > 0):
+        raise ValueError(f"solid {number + 1} has no finite size or volume")
+    shape = solid.Move(Vec(*(-lower))).Scale(Pnt(0, 0, 0), 1 / scale).solids[0]
+    return _hold(shape), lower, scale
+
+
+def _hold(solid: Solid) -> ShapeTables:
+    _Held.shape = solid
+    faces = list(solid.faces)
+    return ([face.name for face in faces], [face.mass for face in faces], solid.mass,
+            np.array([_place(p) for p in solid.bounding_box]))
+
+
+def _shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> TopoDS_Shape:
+    def place(p: np.ndarray) -> Pnt:
+        return Pnt(*((np.asarray(p, dtype=np.float64) - origin) / scale))
+
+    if isinstance(domain, Combination):
+        return _combination(domain, origin, scale)
+    if isinstance(domain, Moved):
+        shape = _shape(domain.solid, np.zeros(3), scale)
+        if domain.angle % 360:
+            shape = shape.Rotate(occ.Axis(Pnt(0, 0, 0), Dir(*domain.axis)), domain.angle)
+        return shape.Move(Vec(*((np.array(domain.offset) - origin) / scale)))
+    if isinstance(domain, Ball):
+        shape = occ.Sphere(place(domain.centre), domain.radius / scale)
+        shape.faces.name = "surface"
+        return shape
+    if isinstance(domain, Cylinder):
+        return occ.Cylinder(place(domain.point), Dir(*domain.axis), domain.radius / scale, domain.height / scale,
+                            bottom="bottom", top="top", mantle="side")
+    if isinstance(domain, Box):
+        solid = occ.Box(place(domain.lower), place(domain.upper))
+        for k, name in enumerate(_SIDES):
+            (solid.faces.Min, solid.faces.Max)[k % 2]((X, Y, Z)[k // 2]).name = name
+        return solid
+    if isinstance(domain, Revolution):
+        # the profile may touch the axis up to rounding: put those vertices onto it
+        r_min = 1e-11 * float(domain.polygon.upper[0])
+        face = _profile_face(domain.polygon, lambda p: place((p[0] if p[0] > r_min else 0.0, 0.0, p[1])))
+        shape, start = face.Revolve(occ.Axis(place(np.zeros(3)), Z), domain.angle), np.array(_place(face.center))
+        if domain.angle < 360:
+            _name_ends(shape, ("start", "end"), lambda f: float(np.linalg.norm(np.array(_place(f.center)) - start)))
+        return shape
+    if isinstance(domain, Extrusion):
+        face = _profile_face(domain.polygon, lambda p: place((p[0], p[1], domain.base)))
+        shape = face.Extrude(Vec(0, 0, domain.height / scale))
+        _name_ends(shape, ("bottom", "top"), lambda f: f.center.z)
+        return shape
+    raise TypeError(f"domain must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), got {domain!r}")
+
+
+def _place(p: Pnt) -> tuple[float, float, float]:
+    return p.x, p.y, p.z
+
+
+def _name_ends(shape: TopoDS_Shape, names: tuple[str, str], key: Callable[[Face], float]) -> None:
+    """Name the two faces that no edge of the profile gave a name."""
+    for face, name in zip(sorted((f for f in shape.faces if not f.name), key=key), names, strict=True):
+        face.name = name
+
+
+def _profile_face(profile: Profile, place: Callable[[np.ndarray], Pnt]) -> Face:
+    """A plane face whose edges are named; ``place`` puts points of the profile into space."""
+    outline = outline_of(profile)
+    vertices = [np.array(v) for v in outline.vertices]
+    edges, middles = [], []
+    for i, (a, b) in enumerate(zip(vertices, vertices[1:] + vertices[:1], strict=True)):
+        arc = outline.arc(i) if isinstance(outline, Outline) else None
+        middle = 0.5 * (a + b) if arc is None else arc.at(np.array([0.5]))[0]
+        edges.append(occ.Segment(place(a), place(b)) if arc is None
+                     else occ.ArcOfCircle(place(a), place(middle), place(b)))
+        middles.append(_place(place(middle)))
+    face = Face(occ.Wire(edges))
+    # the wire makes new edges: find each by its middle
+    for edge in face.edges:
+        middle = _place(edge.Value(0.5 * sum(edge.parameter_interval)))
+        edge.name = outline.boundaries[int(np.argmin(np.linalg.norm(np.array(middles) - middle, axis=1)))]
+    return face
+
+
+def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoDS_Shape:
+    r"""A boolean operation, which OCC may get wrong without an error: volumes are compared with the complementary ones,
+
+    :math:`|a \setminus b| + |a \cap b| = |a|` and :math:`|a \cup b| + |a \cap b| = |a| + |b|`.
+    """
+    a, b = (_shape(part, origin, scale) for part in (domain.a, domain.b))
+    for part, shape in (("a", a), ("b", b)):
+        for face in shape.faces:
+            face.name = domain.renamed(part, face.name)
+    common = a * b
+    if isinstance(domain, Common):
+        shape, check = common, a.mass - (a - b).mass
+    elif isinstance(domain, Cut):
+        shape, check = a - b, a.mass - common.mass
+    else:
+        # not a + b, which also joins coplanar faces and so loses names
+        shape, check = occ.Fuse([a, b]), a.mass + b.mass - common.mass
+    if not (math.isfinite(shape.mass) and abs(shape.mass - check) <= _VOLUME_TOLERANCE * (a.mass + b.mass)):
+        raise ValueError(f"OCC could not combine the parts of {domain!r}: the volumes do not add up "
+                         f"({shape.mass:.9g} instead of {check:.9g}); move or resize one of them a little, so that "
+                         "faces cross or coincide clearly")
+    return shape
+
+
+def read_vol(path: str) -> Tables:
+    """The tables of a mesh file of Netgen."""
+    mesh = netgen.meshing.Mesh()
+    mesh.Load(path)
+    dim, mesh.dim = mesh.dim, 3
+    points = np.array(mesh.Coordinates())
+    mesh.dim = dim
+    if dim == 2 and len(points) and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points[:, :2], axis=0).max():
+        raise ValueError(f"the points of a plane mesh must have one z, got {points[:, 2].min():.6g} to "
+                         f"{points[:, 2].max():.6g}")
+    return tables(mesh)
+
+
+GmshTables = tuple[np.ndarray, list[tuple[str, np.ndarray, np.ndarray]], dict[tuple[int, int], str]]
+
+
+def read_gmsh(path: str) -> GmshTables:
+    """Points, blocks of cells (kind, nodes, physical group) and names of groups by dimension and number."""
+    import meshio
+
+    raw = meshio.gmsh.read(path)
+    _check_sections(Path(path).read_bytes(), raw)
+    tags = raw.cell_data.get("gmsh:physical", [np.zeros(len(block.data), dtype=np.int64) for block in raw.cells])
+    blocks = [(block.type, np.asarray(block.data), np.abs(tag)) for block, tag in zip(raw.cells, tags, strict=True)]
+    return raw.points, blocks, {(int(dim), int(number)): name for name, (number, dim) in raw.field_data.items()}
+
+
+def _check_sections(data: bytes, raw: object) -> None:
+    """ValueError for damage that meshio reads over: sections without an end, wrong counts, nodes below 1."""
+    version, binary = re.match(rb"\s*\$MeshFormat\s+(\S+)\s+([01])\s+8\s", data).groups()
+    if version not in (b"2.2", b"4.1"):
+        raise ValueError(f"its version is {version.decode()}; it must be MSH 2.2 or 4.1")
+    binary = binary == b"1"
+    for name in (b"Nodes", b"Elements") if binary else re.findall(rb"^\$(?!End)(\w+)", data, re.MULTILINE):
+        if data.count(b"$" + name) != 1 or data.count(b"$End" + name) != 1:
+            raise ValueError(f"the section ${name.decode()} does not end, or comes twice; the file is cut off")
+    nodes, elements = (data.partition(b"$" + name)[2].partition(b"\n")[2].partition(b"$End" + name)[0]
+                       for name in (b"Nodes", b"Elements"))
+    widths = [(len(block.data), block.data.shape[1]) for block in raw.cells]
+    if version == b"4.1":
+        # a block has a header of four numbers, three of them of 4 bytes in binary files
+        for what, section, size in (("Nodes", nodes, 4 * len(raw.points)),
+                                    ("Elements", elements, sum(n * (1 + width) for n, width in widths))):
+            blocks, count = (np.frombuffer(section[:16], "u8") if binary else section.split()[:2])
+            expected = 32 + 20 * int(blocks) + 8 * size if binary else 4 + 4 * int(blocks) + size
+            found = len(section.removesuffix(b"\n")) if binary else len(section.split())
+            if found != expected or (what == "Elements" and int(count) != sum(n for n, _ in widths)):
+                raise ValueError(f"the section ${what} does not hold as many entries as it says")
+        return
+    corners = (_corners_binary if binary else _corners_text)(elements)
+    if not binary and len(nodes.split()) != 1 + 4 * int(nodes.split()[0]):
+        raise ValueError("the section $Nodes does not hold as many entries as it says")
+    if len(corners) != sum(n * width for n, width in widths) or corners.min(initial=1) < 1:
+        raise ValueError("the section $Elements does not hold as many entries as it says, or names nodes below 1")
+
+
+def _width(kind: int) -> int:
+    if kind not in _WIDTHS:
+        raise ValueError(f"it holds elements of the type {kind}; only triangles and tetrahedra can be used")
+    return _WIDTHS[kind]
+
+
+def _corners_text(section: bytes) -> np.ndarray:
+    """The nodes of all elements of MSH 2.2: number, type, number of tags, tags, nodes."""
+    lines = [line.split() for line in section.strip().splitlines()]
+    found: list[bytes] = []
+    for line in lines[1:]:
+        width = _width(int(line[1]))
+        if len(line) != 3 + int(line[2]) + width:
+            raise ValueError("a line of the section $Elements does not hold as many entries as it says")
+        found += line[-width:]
+    if len(lines) != int(lines[0][0]) + 1:
+        raise ValueError("the section $Elements does not hold as many entries as it says")
+    return np.array(found, dtype="S").astype(np.int64)
+
+
+def _corners_binary(section: bytes) -> np.ndarray:
+    """The same of a binary section, whose rows come in blocks behind headers of three numbers."""
+    count, _, rest = section.partition(b"\n")
+    at, n_found, found = 0, 0, []
+    while n_found < int(count):
+        kind, n, tags = (int(number) for number in np.frombuffer(rest, "i4", 3, at))
+        if n < 1 or tags < 0:
+            raise ValueError(f"a block of $Elements says {n} elements of {tags} tags")
+        width = 1 + tags + _width(kind)
+        found.append(np.frombuffer(rest, "i4", n * width, at + 12).reshape(n, width)[:, 1 + tags:].ravel())
+        n_found += n
+        at += 12 + 4 * n * width
+    return np.concatenate(found)
+
+
+def _serve() -> None:
+    """Answer requests until the process that asks ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # libraries print: away from the answers
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    requests: queue.SimpleQueue = queue.SimpleQueue()
+
+    def listen() -> None:
+        try:
+            while True:
+                requests.put(pickle.load(sys.stdin.buffer))
+        finally:
+            # whatever Netgen is at: nobody waits for it
+            os._exit(0)
+
+    threading.Thread(target=listen, daemon=True).start()
+    while True:
+        name, arguments, memory = requests.get()
+        _limit_memory(memory)
+        try:
+            answer: tuple[bool, object] = (True, globals()[name](*arguments))
+        except (ValueError, netgen.meshing.NgException, RuntimeError) as error:
+            answer = (False, str(error))
+        except BaseException as error:
+            answer = (False, f"{type(error).__name__}: {error}")
+        pickle.dump(answer, answers, protocol=pickle.HIGHEST_PROTOCOL)
+        answers.flush()
+
+
+def _limit_memory(size: float) -> None:
+    try:
+        import resource
+    except ImportError:
+        return
+    # a file that breaks it down leaves no core
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    if hard == resource.RLIM_INFINITY or size < hard:
+        resource.setrlimit(resource.RLIMIT_AS, (int(size), hard))
+
+
+if __name__ == "__main__":
+    _serve()

@@ -1,0 +1,248 @@
+"""Files of Gmsh and Netgen are read as they were written, bodies glued or split; damage is refused with the name."""
+
+import gzip
+import re
+import sys
+from pathlib import Path
+
+import meshio
+import ngsolve
+import numpy as np
+import pytest
+from netgen.csg import unit_cube
+from netgen.geom2d import SplineGeometry
+from netgen_text import VOL
+
+from adaptmg.mesh import as_mesh, check_mesh, from_gmsh, from_ngsolve, structured
+from adaptmg.problem import Assembly, Box, Rectangle
+
+sys.path.append(str(Path(__file__).parents[1] / "hostile"))
+import mesh_files
+
+MESHES = {"2D": structured(Rectangle(width=1, height=2), 3), "3D": structured(Box(width=1, depth=2, height=3), 2)}
+BOTH = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+
+
+def write(path, mesh, *, version="gmsh22", groups=True, keep=slice(None), lift=0.0, binary=False):
+    """Write a mesh with a stray point in front, bodies 'body', elements turned, as Gmsh would."""
+    points = np.zeros((mesh.n_nodes + 1, 3))
+    points[1:, :mesh.dim] = mesh.points
+    points[:, 2] += lift
+    names = {2: ("triangle", "line"), 3: ("tetra", "triangle")}[mesh.dim]
+    elements = mesh.elements[:, [1, 0, *range(2, mesh.dim + 1)]] + 1
+    cells, physical, entity = [(names[0], elements)], [np.full(len(elements), 100)], [np.full(len(elements), 1)]
+    for i in range(len(mesh.boundaries))[keep]:
+        facets = mesh.boundary_facets(mesh.boundaries[i]) + 1
+        cells.append((names[1], facets))
+        physical.append(np.full(len(facets), 10 + i))
+        entity.append(np.full(len(facets), 1 + i))
+    field = {"body": np.array([100, mesh.dim])}
+    field |= {name: np.array([10 + i, mesh.dim - 1]) for i, name in enumerate(mesh.boundaries)}
+    # MSH 4.1 finds the groups through the entities its nodes lie on: every entity must have one
+    tags = np.full((len(points), 2), [mesh.dim, 1])
+    for block, number in zip(cells[1:], entity[1:], strict=True):
+        for node in np.unique(block[1]):
+            tags[node] = [mesh.dim - 1, number[0]]
+    data = {"gmsh:physical": physical if groups else [0 * p for p in physical], "gmsh:geometrical": entity}
+    out = meshio.Mesh(points, cells, cell_data=data, field_data=field if groups else {},
+                      point_data={"gmsh:dim_tags": tags} if version == "gmsh" else {})
+    meshio.write(path, out, file_format=version, binary=binary)
+    return path
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
+@pytest.mark.parametrize("version", ["gmsh22", "gmsh"])
+@BOTH
+def test_gmsh_round_trip(tmp_path, mesh, version, binary):
+    path = write(tmp_path / "mesh.msh", mesh, version=version, binary=binary, lift=0.7 if mesh.dim == 2 else 0.0)
+    assert path.read_bytes().split(b"\n")[1].startswith(b"2.2" if version == "gmsh22" else b"4.1")
+    for back in (from_gmsh(path), as_mesh(str(path))):
+        # in 4.1 points may be in another order: compare as sets
+        order, reference = np.lexsort(back.points.T), np.lexsort(mesh.points.T)
+        np.testing.assert_allclose(back.points[order], mesh.points[reference], rtol=1e-14)
+        assert (back.volumes > 0).all() and back.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-13)
+        assert set(back.boundaries) == set(mesh.boundaries) and back.bodies == ("body",)
+        for name in mesh.boundaries:
+            np.testing.assert_allclose(np.sort(back.points[back.boundary_nodes(name)], axis=0),
+                                       np.sort(mesh.points[mesh.boundary_nodes(name)], axis=0), rtol=1e-14)
+        assert back.source.nv == mesh.n_nodes
+
+
+@BOTH
+def test_facets_without_a_group(tmp_path, mesh):
+    path = write(tmp_path / "mesh.msh", mesh, groups=False)
+    with pytest.raises(ValueError, match=r"mesh.msh.*belong to no physical group; name them in Gmsh, like Physical"):
+        from_gmsh(path)
+    everything = from_gmsh(path, unnamed="rim")
+    assert everything.boundaries == ("rim",) and len(everything.facets) == len(mesh.facets)
+    some = from_gmsh(write(path, mesh, keep=slice(0, 2)), unnamed="free")
+    assert set(some.boundaries) == {*mesh.boundaries[:2], "free"}
+
+
+def test_groups_without_names_and_second_order(tmp_path):
+    points = np.array([[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1.0]])
+    cells = [("triangle6", np.array([[0, 1, 2, 3, 4, 5]])), ("line3", np.array([[0, 1, 3], [1, 2, 4], [2, 0, 5]]))]
+    data = {"gmsh:physical": [np.array([7]), np.array([3, 3, 5])],
+            "gmsh:geometrical": [np.array([1]), np.array([1, 2, 3])]}
+    meshio.write(tmp_path / "m.msh", meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), cells, cell_data=data), "gmsh22")
+    mesh = from_gmsh(tmp_path / "m.msh")
+    assert mesh.boundaries == ("3", "5") and mesh.bodies == ("7",)
+    np.testing.assert_array_equal(mesh.points, points[:3])
+
+
+def test_what_gmsh_files_must_hold(tmp_path):
+    path = tmp_path / "m.msh"
+    with pytest.raises(FileNotFoundError, match="no file"):
+        from_gmsh(path)
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1.0]])
+    for kind, nodes, message in (("quad", [[0, 1, 2, 3]], "elements of the type 3; only triangles and tetra"),
+                                 ("line", [[0, 1]], "neither triangles nor tetrahedra"),
+                                 ("triangle", [[0, 1, 2], [0, 2, 3]], "not in a plane z = constant")):
+        meshio.write(path, meshio.Mesh(corners, [(kind, np.array(nodes))]), "gmsh22")
+        with pytest.raises(ValueError, match=f"m.msh.*{message}"):
+            from_gmsh(path)
+
+
+CUBES = Assembly(parts={"lower": Box(width=1, depth=1, height=1),
+                        "upper": Box(width=1, depth=1, height=1, origin=(0, 0, 1))})
+
+
+def write_cubes(path, shared, *, skip=(), names=("lower", "upper")):
+    """Two stacked cubes of six tetrahedra each as MSH 2.2, conforming at z = 1, with shared nodes there or not."""
+    cubes = structured(CUBES, 1)
+    points, numbers = cubes.points, np.arange(16)
+    if shared:
+        points, numbers = np.unique(points, axis=0, return_inverse=True)
+        numbers = numbers.ravel()
+    group = {"bottom": 11, "top": 13}
+    labels = np.array([12 if name in ("lower.top", "upper.bottom") else group.get(name.split(".")[1], 14)
+                       for name in cubes.boundaries])[cubes.facet_labels]
+    facets = numbers[cubes.facets]
+    if shared:
+        _, once = np.unique(np.sort(facets, axis=1), axis=0, return_index=True)
+        facets, labels = facets[once], labels[once]
+    facets, labels = facets[~np.isin(labels, skip)], labels[~np.isin(labels, skip)]
+    field = {"base": [11, 2], "interface": [12, 2], "lid": [13, 2], "wall": [14, 2], names[0]: [1, 3], names[1]: [2, 3]}
+    tags = [labels, cubes.element_body + 1]
+    meshio.write(path, meshio.Mesh(points, [("triangle", facets), ("tetra", numbers[cubes.elements])],
+                                   cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+                                   field_data={name: np.array(g) for name, g in field.items()}), "gmsh22", binary=False)
+    return path
+
+
+def test_bodies_are_glued_by_default(tmp_path):
+    mesh = from_gmsh(write_cubes(tmp_path / "m.msh", shared=True))
+    assert mesh.n_nodes == 12 and mesh.bodies == ("lower", "upper")
+    # the interface lies inside
+    assert mesh.boundaries == ("base", "lid", "wall")
+    np.testing.assert_allclose(np.bincount(mesh.element_body, mesh.volumes), 1)
+    mesh = from_gmsh(write_cubes(tmp_path / "m.msh", shared=False))
+    assert mesh.n_nodes == 16 and mesh.boundaries == ("base", "interface", "lid", "wall")
+    assert len(mesh.boundary_facets("interface")) == 4
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_split_bodies_share_no_nodes(tmp_path, shared):
+    mesh = check_mesh(from_gmsh(write_cubes(tmp_path / "m.msh", shared), split_bodies=True))
+    assert mesh.n_nodes == 16 and mesh.bodies == ("lower", "upper") and mesh.source.nv == 16
+    assert mesh.boundaries == ("lower.base", "lower.interface", "lower.wall",
+                               "upper.interface", "upper.lid", "upper.wall")
+    np.testing.assert_allclose(np.bincount(mesh.element_body, mesh.volumes), 1)
+    for body, name, z, up in ((0, "lower.interface", 1, 1), (1, "upper.interface", 1, -1), (0, "lower.base", 0, -1),
+                              (1, "upper.lid", 2, 1)):
+        facets = mesh.boundary_facets(name)
+        assert len(facets) == 2 and (mesh.points[facets][..., 2] == z).all()
+        a, b, c = np.moveaxis(mesh.points[facets], 1, 0)
+        np.testing.assert_allclose(0.5 * np.cross(b - a, c - a).sum(axis=0), (0, 0, up))
+        assert set(facets.ravel()) <= set(mesh.elements[mesh.element_body == body].ravel())
+    assert len(mesh.boundary_facets("lower.wall")) == len(mesh.boundary_facets("upper.wall")) == 8
+    # body by body
+    assert (np.diff(mesh.element_body) >= 0).all()
+    assert mesh.elements[mesh.element_body == 0].max() < mesh.elements[mesh.element_body == 1].min()
+
+
+def test_an_interface_without_a_name_and_dots_in_names(tmp_path):
+    path = write_cubes(tmp_path / "m.msh", shared=True, skip=(12,), names=("a.1", "upper"))
+    assert from_gmsh(path).boundaries == ("base", "lid", "wall") and from_gmsh(path).bodies == ("a.1", "upper")
+    with pytest.raises(ValueError, match=r"4 facets of the boundary, one of them at \(.*belong to no physical group"):
+        from_gmsh(path, split_bodies=True)
+    mesh = from_gmsh(path, split_bodies=True, unnamed="joint")
+    # a dot would be read as body.boundary
+    assert set(mesh.boundaries) == {"a_1.base", "a_1.wall", "a_1.joint", "upper.lid", "upper.wall", "upper.joint"}
+    for name in ("a_1.joint", "upper.joint"):
+        assert len(mesh.boundary_facets(name)) == 2 and (mesh.points[mesh.boundary_nodes(name), 2] == 1).all()
+
+
+def two_bodies():
+    geometry = SplineGeometry()
+    p = [geometry.AppendPoint(*c) for c in ((0, 0), (1, 0), (1, 1), (0, 1), (2, 0), (2, 1))]
+    for a, b, name, left, right in ((0, 1, "low", 1, 0), (1, 2, "mid one", 1, 2), (2, 3, "top", 1, 0),
+                                    (3, 0, "left side", 1, 0), (1, 4, "low", 2, 0), (4, 5, "r", 2, 0),
+                                    (5, 2, "top", 2, 0)):
+        geometry.Append(["line", p[a], p[b]], bc=name, leftdomain=left, rightdomain=right)
+    geometry.SetMaterial(1, "first body")
+    geometry.SetMaterial(2, "b")
+    return geometry.GenerateMesh(maxh=0.5)
+
+
+MAKE = {"two bodies": two_bodies, "cube": lambda: unit_cube.GenerateMesh(maxh=0.5),
+        "2D arrays": lambda: MESHES["2D"].source.ngmesh, "3D arrays": lambda: MESHES["3D"].source.ngmesh}
+
+
+@pytest.mark.parametrize("make", MAKE.values(), ids=MAKE)
+def test_netgen_files_are_read_as_netgen_reads_them(tmp_path, make):
+    made = make()
+    made.Save(str(tmp_path / "m.vol"))
+    expected = from_ngsolve(ngsolve.Mesh(str(tmp_path / "m.vol")))
+    (tmp_path / "m.vol.gz").write_bytes(gzip.compress((tmp_path / "m.vol").read_bytes()))
+    for name in ("m.vol", "m.vol.gz"):
+        found = as_mesh(tmp_path / name)
+        for array in ("points", "elements", "facets", "facet_labels", "element_body"):
+            np.testing.assert_array_equal(getattr(found, array), getattr(expected, array))
+        assert (found.boundaries, found.bodies) == (expected.boundaries, expected.bodies)
+    # of second-order elements the corners are read
+    made.SecondOrder()
+    made.Save(str(tmp_path / "second.vol"))
+    assert as_mesh(tmp_path / "second.vol").n_nodes == expected.n_nodes
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("surfaceelements\n2", "surfaceelements\n20", "line 7: the section 'surfaceelements' says 20 lines, fewer follow"),
+    (" 3 1 2 3", " 4 1 2 3", "must consist of triangles, but"),
+    (" 2 1 0", " 2 1 1", "must have one z, got 0 to 1"),
+    (" 2 1 0", " -1 1 0", "same side"),
+    (" 2 0 2 3", " 9 0 2 3", "boundary number 9 has no name|boundary number .* must be"),
+    ("1 steel", "1 st\x07eel", "the name of a boundary or body must be printable"),
+    ("2 right", "right", "the section 'bcnames' says 3 lines, fewer follow"),
+    ("endmesh", "", "cut off: the keyword 'endmesh' is missing"),
+    ("materials", "points", "'points' comes twice"),
+    ("mesh3d", "mesh4d", "does not begin with 'mesh3d'"),
+])
+def test_damage_of_netgen_files_is_named(tmp_path, old, new, message):
+    assert old in VOL
+    (tmp_path / "bad.vol").write_text(VOL.replace(old, new, 1))
+    with pytest.raises(ValueError, match=f"bad.vol.*({message})"):
+        as_mesh(tmp_path / "bad.vol")
+
+
+def test_every_cut_is_noticed(tmp_path):
+    for name, text in (("cut.vol", VOL), ("cut.msh", mesh_files.MSH2)):
+        for k in range(0, len(text) - 15, 37):
+            (tmp_path / name).write_text(text[:k])
+            with pytest.raises(ValueError, match=re.escape(name)):
+                as_mesh(tmp_path / name)
+
+
+def test_a_bomb_is_not_unpacked(tmp_path):
+    (tmp_path / "bomb.vol.gz").write_bytes(gzip.compress(b"mesh3d\n" + b"0" * 40_000_000, compresslevel=1))
+    with pytest.raises(ValueError, match="unpacks to more than 200 times its size"):
+        as_mesh(tmp_path / "bomb.vol.gz")
+
+
+@pytest.mark.parametrize("name", ["a.vol", "b.msh", "c.msh", "d.vol.gz", "e.vol"])
+def test_hostile_files_are_sound_before_they_are_damaged(tmp_path, name):
+    text = {"a": VOL, "b": mesh_files.MSH2, "c": mesh_files.MSH4, "d": gzip.compress(VOL.encode()),
+            "e": VOL.replace("\n", "\r\n") + "geometry\n"}[name[0]]
+    (tmp_path / name).write_bytes(text.encode() if isinstance(text, str) else text)
+    mesh = as_mesh(tmp_path / name)
+    assert mesh.volumes.sum() == 2 and mesh.bodies == ("steel",)

@@ -1,0 +1,146 @@
+"""Netgen and OCC in a process of their own: errors, crashes, time limits and Ctrl-C end the call and nothing else."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.mesh import graded, netgen_guard, refine_near, sized, structured
+from adaptmg.mesh.netgen_guard import NetgenFails, NetgenUnfinished, netgen
+from adaptmg.mesh.netgen_solid import curved_nodes
+
+
+@pytest.fixture
+def stub(monkeypatch, tmp_path):
+    """A worker that answers requests in its own way."""
+    def use(code):
+        path = tmp_path / "worker.py"
+        path.write_text("import pickle, sys, time, os\n"
+                        "while True:\n"
+                        "    name, arguments, memory = pickle.load(sys.stdin.buffer)\n"
+                        f"    {code}\n"
+                        "    pickle.dump((True, name), sys.stdout.buffer); sys.stdout.flush()\n")
+        monkeypatch.setattr(netgen_guard, "_WORKER", path)
+
+    monkeypatch.setattr(netgen_guard, "_idle", {})
+    yield use
+    for worker in netgen_guard._idle.get(os.getpid(), []):
+        worker.end()
+
+
+def test_one_process_serves_all_calls_and_errors_keep_it():
+    with netgen() as first:
+        with pytest.raises(NetgenFails):
+            first("read_vol", "nowhere.vol", seconds=20)
+        assert first.alive
+    with netgen() as again, netgen() as other:
+        assert again is first and other is not first
+    # one of them is enough
+    assert first.alive != other.alive
+
+
+@pytest.mark.parametrize(("code", "error", "message"), [
+    ("os.abort()", NetgenFails, "it breaks down, exit code -6"),
+    ("time.sleep(60)", NetgenUnfinished, "it does not finish within 1 s: take smaller sizes"),
+])
+def test_a_process_that_breaks_down_or_hangs_is_replaced(stub, code, error, message):
+    stub(code)
+    with pytest.raises(error, match=message), netgen() as worker:
+        worker("hello", seconds=1 if "sleep" in code else 60)
+    assert not worker.alive and not netgen_guard._idle[os.getpid()]
+    stub("pass")
+    with netgen() as worker:
+        assert worker("hello", seconds=60) == "hello"
+
+
+def test_a_mesh_that_does_not_finish_is_refused_with_the_limit(monkeypatch):
+    strip = am.Rectangle(width=1, height=1e-3)
+    assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
+    monkeypatch.setattr(netgen_guard, "LIMIT_S", {2: 1.0, 3: 1.0})
+    with pytest.raises(ValueError, match=r"could not mesh Rectangle.*does not finish within 1 s: take smaller sizes"):
+        graded(am.Rectangle(width=1, height=1e-5), 0.2)
+    monkeypatch.undo()
+    assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
+
+
+def test_threads_and_size_functions_that_mesh_have_a_process_each():
+    square = am.Rectangle(width=1, height=1)
+
+    def mesh(_):
+        return sized(square, lambda x: np.full(len(x), 0.1 * graded(square, 0.5).volumes.sum()), 0.3)
+
+    alone = mesh(0)
+    with ThreadPoolExecutor(2) as pool:
+        for other in pool.map(mesh, range(2)):
+            np.testing.assert_array_equal(alone.points, other.points)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_ctrl_c_and_kill_end_both_processes(how):
+    # in a shell's background the signal comes ignored
+    code = ("import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+            "import adaptmg as am; from adaptmg.mesh import graded, netgen_guard\n"
+            "with netgen_guard.netgen() as worker: print(worker.process.pid, flush=True)\n"
+            "graded(am.Box(width=1, depth=1, height=1), 0.012)\n")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as child:
+        try:
+            pid = int(child.stdout.readline())
+            time.sleep(1.5)
+            assert child.poll() is None  # this mesh takes minutes
+            os.kill(child.pid, how)
+            _, error = child.communicate(timeout=60)
+        finally:
+            child.kill()  # or the end of this block would wait for it
+        assert child.returncode == -how and ("KeyboardInterrupt" in error) == (how == signal.SIGINT)
+    end = time.monotonic() + 60
+    while time.monotonic() < end and _runs(pid):
+        time.sleep(0.1)
+    assert not _runs(pid)
+
+
+def _runs(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    # nobody waits for orphans in some containers
+    status = f"/proc/{pid}/stat"
+    return not (os.path.exists(status) and open(status).read().split()[2] == "Z")
+
+
+def test_round_faces_are_counted():
+    wire = am.Cylinder((0, 0, 0), (0, 0, 1), 1e-3, 1)
+    assert curved_nodes(wire, 0.3, 2) == pytest.approx(0.5 * 1.15 * 2 * np.pi * 1e-3 / (5e-4) ** 2)
+    assert curved_nodes(am.Cut(am.Box(width=1, depth=1, height=1), wire), 0.3, 2) == curved_nodes(wire, 0.3, 2)
+    assert curved_nodes(wire, 1e-4, 2) == 0
+
+
+@pytest.mark.parametrize("levels", [25, 10**6])
+def test_bisections_beyond_the_limit(levels):
+    mesh = structured(am.Rectangle(width=1, height=1), 2)
+    with pytest.raises(ValueError, match=f"levels: {levels} bisections along 2 facets of top ask for about"):
+        refine_near(mesh, "top", levels)
+
+
+def test_what_bisection_leaves_is_printed_and_warned_of():
+    problem = am.cases.greco_bar()
+    coarsest = structured(problem.domain, 8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        few = repr(am.Hierarchy.bisected(problem, coarsest, 1))
+        am.Hierarchy.bisected(problem, coarsest, 2)
+    with pytest.warns(UserWarning, match=r"levels=4: .*elements of up to 0.00707 m.*hardly help.*fewer levels") as said:
+        many = repr(am.Hierarchy.bisected(problem, coarsest, 4))
+    assert said[0].filename == __file__
+    assert "limits: only elements at contact are refined (to 0.00354 m); away from it 84 % of the domain keeps " in few
+    assert "more levels hardly help" in many and "hardly" not in few
+    assert "limits" not in repr(am.Hierarchy.uniform(problem, (2, 4)))

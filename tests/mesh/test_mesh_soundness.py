@@ -1,0 +1,205 @@
+"""check_mesh finds what is wrong with a mesh, wherever it comes from; quality measures known elements."""
+
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+
+from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, from_gmsh, from_ngsolve, quality, structured, to_ngsolve
+from adaptmg.mesh.arrays import element_facets, facet_keys, facet_table, normalised, same_orientation
+from adaptmg.mesh.soundness import check_overlap
+from adaptmg.problem import Box, Rectangle
+
+SQUARE = structured(Rectangle(width=1, height=1), 4)
+CUBE = structured(Box(width=1, depth=1, height=1), 3)
+BOTH = pytest.mark.parametrize("mesh", [SQUARE, CUBE], ids=["2D", "3D"])
+
+
+def test_a_sound_mesh_is_checked_once_but_a_changed_one_again(monkeypatch):
+    mesh = replace(structured(Rectangle(width=1, height=1), 2), source=None)
+    assert not mesh.sound and check_mesh(mesh, mesh.boundaries) is mesh and mesh.sound
+    monkeypatch.setattr("adaptmg.mesh.soundness.facet_table", lambda *_: pytest.fail("searched again"))
+    assert check_mesh(mesh) is mesh
+    for name in ("rim", ["bottom", "rim"]):
+        with pytest.raises(ValueError, match="boundary 'rim' does not exist; the boundaries are bottom, right, top"):
+            check_mesh(mesh, name)
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match="has a hole"):
+        check_mesh(replace(mesh, facets=mesh.facets[1:], facet_labels=mesh.facet_labels[1:]))
+    # a name without facets is as good as missing; new points beside an old source are seen
+    with pytest.raises(ValueError, match="'hidden' does not exist"):
+        check_mesh(replace(mesh, boundaries=(*mesh.boundaries, "hidden")), ["hidden"])
+    read = as_mesh(replace(SQUARE, points=2 * SQUARE.points))
+    np.testing.assert_array_equal(np.array(read.source.ngmesh.Coordinates())[:, :2], 2 * SQUARE.points)
+
+
+def faults(mesh):
+    """Changes of arrays, and what the check says of them."""
+    table = facet_table(mesh.elements, mesh.n_nodes)
+    inner = int(np.setdiff1d(np.arange(len(mesh.elements)), table.first[table.counts == 1])[0])
+    turned, inward, flat = mesh.elements.copy(), mesh.facets.copy(), mesh.points.copy()
+    turned[3, :2], inward[2, :2] = turned[3, 1::-1], inward[2, 1::-1]
+    flat[mesh.elements[5, 0]] = flat[mesh.elements[5, 1]]
+    labels = np.r_[mesh.facet_labels, mesh.facet_labels[0]]
+
+    def more(facet):
+        return {"facets": np.vstack([mesh.facets, facet]), "facet_labels": labels}
+
+    yield {"elements": np.delete(mesh.elements, inner, axis=0)}, \
+        rf"^{mesh.dim + 1} .* belong to one element and to no boundary .* nodes \["
+    yield {"elements": np.vstack([mesh.elements, mesh.elements[inner]])}, "belong to more than two elements"
+    yield {"elements": turned}, r"1 of .* elements are inverted; element 3 .* volume -0.0"
+    yield {"points": flat}, r"degenerate; element .* has volume"
+    yield {"points": np.vstack([mesh.points, mesh.points[-1] + 1])}, f"1 of .* no element; node {mesh.n_nodes} "
+    yield {"facets": inward}, "1 boundary facets have their normal inwards"
+    yield more(mesh.facets[:1]), "given twice"
+    yield more(table.facets[table.counts == 2][:1]), "lie inside the mesh"
+    yield more([np.array([0, mesh.n_nodes - 1, mesh.n_nodes - 2])[:mesh.dim]]), r"are no (edge|face) of any element"
+    yield {"boundaries": ("a", "a", *mesh.boundaries[2:])}, "boundaries must be distinct"
+    yield {"bodies": ("body", "ghost")}, "body 'ghost' has no elements"
+
+
+@BOTH
+def test_faults_are_found_and_located(mesh):
+    for change, message in faults(mesh):
+        with pytest.raises(ValueError, match=message):
+            check_mesh(replace(mesh, source=None, element_body=None, **change))
+
+
+def test_two_pieces_need_two_bodies():
+    small = structured(Rectangle(width=1, height=1, origin=(2, 0)), 2)
+
+    def two(bodies):
+        return MeshArrays(np.vstack([SQUARE.points, small.points]),
+                          np.vstack([SQUARE.elements, small.elements + SQUARE.n_nodes]),
+                          np.vstack([SQUARE.facets, small.facets + SQUARE.n_nodes]),
+                          np.r_[SQUARE.facet_labels, small.facet_labels], SQUARE.boundaries,
+                          np.repeat(np.arange(2) % len(bodies), [32, 8]), bodies)
+
+    check_mesh(two(("big", "small")))
+    with pytest.raises(ValueError, match="body 'all' consists of 2 pieces, of 32, 8 elements"):
+        check_mesh(two(("all",)))
+    # pieces that share only a node are two
+    points = np.array([[0, 0], [1, 0], [1, 1], [2, 1], [2, 2.0]])
+    mesh = MeshArrays(points, [[0, 1, 2], [2, 3, 4]], [[0, 1], [1, 2], [2, 0], [2, 3], [3, 4], [4, 2]], np.zeros(6),
+                      ("rim",))
+    with pytest.raises(ValueError, match="2 pieces, of 1, 1 elements"):
+        check_mesh(mesh)
+
+
+@BOTH
+def test_outward_facets_close_the_body(mesh):
+    # divergence theorem: the normals of a closed surface add up to zero, x . n to dim times the volume
+    corners = mesh.points[mesh.facets]
+    edge = corners[:, 1] - corners[:, 0]
+    normals = (np.stack([edge[:, 1], -edge[:, 0]], axis=1) if mesh.dim == 2
+               else 0.5 * np.cross(edge, corners[:, 2] - corners[:, 0]))
+    np.testing.assert_allclose(normals.sum(axis=0), 0, atol=1e-14)
+    np.testing.assert_allclose((normals * corners.mean(axis=1)).sum(), mesh.dim * mesh.volumes.sum(), rtol=1e-13)
+
+
+def test_facet_keys_do_not_depend_on_the_order_of_nodes():
+    rng = np.random.default_rng(1)
+    facets = np.array([rng.choice(50, 3, replace=False) for _ in range(200)])
+    keys = facet_keys(facets, 50)
+    np.testing.assert_array_equal(keys, facet_keys(facets[:, [2, 0, 1]], 50))
+    assert len(np.unique(keys)) == len(np.unique(np.sort(facets, axis=1), axis=0))
+    assert same_orientation(facets, facets[:, [1, 2, 0]]).all()
+    assert not same_orientation(facets, facets[:, [1, 0, 2]]).any()
+    with pytest.raises(ValueError, match="at most"):
+        facet_keys(facets, 3_000_000)
+
+
+def test_quality_of_known_elements():
+    half = quality(structured(Rectangle(width=2, height=2), 1))
+    assert half.min_angle == pytest.approx(45) and half.max_angle == pytest.approx(90)
+    assert half.h_min == pytest.approx(2) and half.h_max == pytest.approx(2 * np.sqrt(2))
+    corners = [[0, 0], [1, 0], [0.5, np.sqrt(0.75)]]
+    best = quality(check_mesh(MeshArrays(corners, [[0, 1, 2]], [[0, 1], [1, 2], [2, 0]], [0] * 3, ("a",))))
+    assert best.min_angle == pytest.approx(60) and best.aspect_ratio == pytest.approx(1)
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
+    element = np.array([[0, 2, 1, 3]])
+    best = quality(check_mesh(MeshArrays(corners, element, element_facets(element)[0], [0] * 4, ("a",))))
+    assert best.min_angle == pytest.approx(np.degrees(np.arccos(1 / 3))) == best.max_angle
+    assert best.aspect_ratio == pytest.approx(1)
+
+
+def turned(mesh, points):
+    """The mesh with other points, elements turned so that each is positive, as readers do."""
+    return normalised(points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries, mesh.element_body,
+                      mesh.bodies)
+
+
+@BOTH
+def test_a_folded_node_is_found_from_every_source(tmp_path, mesh):
+    points = mesh.points.copy()
+    points[np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)[0]] += np.linspace(0.6, 0.5, mesh.dim)
+    bad = turned(mesh, points)
+    assert (bad.volumes > 0).all() and bad.volumes.sum() > 1.04
+    raw = to_ngsolve(bad.points, bad.elements, bad.facets, bad.facet_labels, bad.boundaries)
+    raw.ngmesh.Save(str(tmp_path / "bad.vol"))
+    kinds = ("triangle", "line") if mesh.dim == 2 else ("tetra", "triangle")
+    tags = [np.full(len(bad.elements), 99), bad.facet_labels + 1]
+    meshio.write(tmp_path / "bad.msh", meshio.Mesh(
+        np.pad(bad.points, ((0, 0), (0, 3 - mesh.dim))), [(kinds[0], bad.elements), (kinds[1], bad.facets)],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags}), file_format="gmsh22", binary=False)
+    for read in (lambda: check_mesh(bad), lambda: as_mesh(bad), lambda: from_ngsolve(raw),
+                 lambda: as_mesh(tmp_path / "bad.vol"), lambda: from_gmsh(tmp_path / "bad.msh")):
+        with pytest.raises(ValueError, match="both their elements on the same side: the mesh is folded over"):
+            read()
+
+
+@BOTH
+def test_every_single_fold_of_a_boundary_node_is_found(mesh):
+    # pulled across the body: elements turn over where no inner node moved
+    for node in np.unique(mesh.facets)[::3]:
+        points = mesh.points.copy()
+        points[node] = 1.3 - 1.6 * points[node]
+        bad = turned(mesh, points)
+        if len(np.flatnonzero(np.abs(bad.volumes) < 1e-12)):
+            continue
+        with pytest.raises(ValueError, match=r"on the same side|lies? over itself|more than 360"):
+            check_overlap(check_mesh(bad))
+    mirrored = turned(mesh, mesh.points * np.r_[-1.0, np.ones(mesh.dim - 1)])
+    assert check_overlap(check_mesh(mirrored)).volumes.sum() == pytest.approx(1)
+
+
+def test_elements_that_wind_twice_around_a_node():
+    turns = np.arange(5) * 2 * 2 * np.pi / 5
+    points = np.vstack([np.zeros(2), np.stack([np.cos(turns), np.sin(turns)], axis=1)])
+    ring = np.arange(5) + 1
+    star = np.stack([np.zeros(5, dtype=int), ring, np.roll(ring, -1)], axis=1)
+    mesh = MeshArrays(points, star, star[:, 1:], np.zeros(5, dtype=int), ("rim",))
+    check_mesh(mesh)  # every facet is in order: only the sum of the angles tells
+    with pytest.raises(ValueError, match=r"around node \[0\] at \(0, 0\) fill 720 degrees"):
+        check_overlap(mesh)
+    # the same star in space, two tetrahedra on each of its triangles
+    points = np.vstack([np.pad(points, ((0, 0), (0, 1))), [[0, 0, 1.0]]])
+    solid = normalised(points, np.hstack([star, np.full((5, 1), 6)]), np.empty((0, 3), dtype=int),
+                       np.empty(0, dtype=int), [], np.zeros(5, dtype=int), ["body"])
+    outer = facet_table(solid.elements, 7)
+    outer = outer.facets[outer.counts == 1]
+    solid = replace(solid, facets=outer, facet_labels=np.zeros(len(outer), dtype=int), boundaries=("all",))
+    check_mesh(solid)
+    with pytest.raises(ValueError, match=r"around edge with nodes \[0, 6\] .* fill 720 degrees"):
+        check_overlap(solid)
+
+
+@BOTH
+def test_a_body_that_runs_into_itself(mesh):
+    strip = structured(Rectangle(width=8, height=1) if mesh.dim == 2 else Box(width=8, depth=1, height=1),
+                       (32, 4) if mesh.dim == 2 else (32, 4, 4))
+
+    def bent(turn):
+        angle = turn * strip.points[:, 0] / 8
+        radius = 3 + strip.points[:, -1] + 0.06 * angle
+        points = strip.points.copy()
+        points[:, 0], points[:, -1] = -radius * np.cos(angle), radius * np.sin(angle)
+        return replace(strip, points=points, source=None)
+
+    assert as_mesh(bent(1.9 * np.pi)).volumes.sum() > 0
+    with pytest.raises(ValueError, match="the boundary of body 'body' lies inside other elements of it"):
+        as_mesh(bent(2.2 * np.pi))
+    # two bodies may touch or overlap: that is contact, or a fit with interference
+    assert check_mesh(bent(2.2 * np.pi)).n_nodes == strip.n_nodes
