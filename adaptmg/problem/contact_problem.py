@@ -63,7 +63,7 @@ class ContactProblem:
         Of all bodies, or of each body by its name.
     contact : Contact, ContactPair or sequence of them
         The boundaries that may touch a rigid obstacle, or each other.
-    law : Frictionless, Tresca, Coulomb or one's own
+    law : Frictionless, Tresca, Coulomb or user-defined
         The contact law, the same on all contact boundaries (its parameters may vary in space).
     loads : sequence of Pressure, Traction, BodyForce, InitialStrain
         What acts on the bodies.

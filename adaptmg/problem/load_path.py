@@ -58,11 +58,9 @@ class LoadPath:
     default: Factors = 1.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.factors, Mapping):
-            raise TypeError("factors must map names of boundaries or bodies to factors, got "
-                            f"{checks.described(self.factors)}")
         given = {}
-        for name, value in self.factors.items():
+        names = "names of boundaries or bodies to factors"
+        for name, value in checks.mapping("factors", self.factors, names).items():
             checks.boundary_name("the names in factors", name)
             given[name] = _factors(f"factors[{name!r}]", value)
         default = _factors("default", self.default)

@@ -1,8 +1,6 @@
-r"""Rigid obstacles: where a contact boundary may not go.
+r"""What a contact boundary may touch: rigid obstacles, or another boundary (ContactPair).
 
 The condition at a contact node is :math:`u_n = u \cdot n \le g_0`, with n pointing out of the body.
-
-ContactPair: two boundaries that may touch each other.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 
 __all__ = ["COUPLINGS", "ContactPair", "GapFunction", "Obstacle", "Plane"]
+
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -79,7 +78,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class GapFunction:
-    """Any obstacle given by the gap in front of the contact boundary.
+    """An obstacle, described by the gap in front of the contact boundary.
 
     Parameters
     ----------
@@ -90,9 +89,7 @@ class GapFunction:
     function: Callable[[np.ndarray], np.ndarray]
 
     def __post_init__(self) -> None:
-        if not callable(self.function) or isinstance(self.function, type):
-            raise TypeError(f"function must be callable (points (n, dim) -> gaps (n,)), "
-                            f"got {checks.described(self.function)}")
+        checks.offers("function", self.function, "__call__", "a function of points (n, dim) that returns gaps (n,)")
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Contact normals and gaps at boundary points; see :meth:`Plane.contact`."""
@@ -100,7 +97,6 @@ class GapFunction:
 
 
 Obstacle = Plane | GapFunction
-
 
 COUPLINGS = ("mortar", "nodes")
 
@@ -113,7 +109,7 @@ class ContactPair:
     ----------
     slave : str
         The boundary that carries the contact nodes: rather that of the softer body, the finer one, and the one that
-        lies inside the other. Multigrid is slow where a stiff slave sits on a master that gives way.
+        lies inside the other. Multigrid is slow where a stiff slave sits on a soft master.
     master : str
         The boundary it may touch.
     coupling : {"mortar", "nodes"}
@@ -144,10 +140,10 @@ class ContactPair:
         checks.choice("coupling", self.coupling, COUPLINGS)
         checks.flag("allow_interference", self.allow_interference)
         if self.reach is not None:
-            object.__setattr__(self, "reach", checks.quantity("reach", self.reach, positive=True))
-        if self.gap is not None and (not callable(self.gap) or isinstance(self.gap, type)):
-            object.__setattr__(self, "gap", checks.quantity("gap", self.gap))
-            if self.gap < 0 and not self.allow_interference:
+            checks.convert(self, checks.quantity, "reach", positive=True)
+        if self.gap is not None:
+            checks.convert(self, checks.function_or, "gap")
+            if not callable(self.gap) and self.gap < 0 and not self.allow_interference:
                 raise ValueError(f"gap must be >= 0, got {self.gap!r}; for an interference fit set "
                                  "allow_interference=True")
 
