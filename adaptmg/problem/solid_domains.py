@@ -26,6 +26,7 @@ Triple = tuple[float, float, float]
 Profile = Polygon | Outline | Rectangle
 # relative to the profile: vertices nearer to the axis of revolution than this lie on it
 _ON_AXIS = 1e-12
+_PROFILE = "a Polygon, an Outline or a Rectangle"
 _SOLID = "a Box or another solid (Cylinder, Ball, Revolution, Cut, ...)"
 
 
@@ -127,7 +128,7 @@ class Revolution(SolidDomain):
     angle: float = 360.0
 
     def __post_init__(self) -> None:
-        checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle))
+        checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle), _PROFILE)
         checks.convert(self, checks.positive, "angle")
         if not self.angle <= 360:
             raise ValueError(f"angle must be at most 360 degrees, got {self.angle!r}")
@@ -178,7 +179,7 @@ class Extrusion(SolidDomain):
     base: float = 0.0
 
     def __post_init__(self) -> None:
-        checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle))
+        checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle), _PROFILE)
         checks.convert(self, checks.quantity, "height", positive=True)
         checks.convert(self, checks.quantity, "base")
         if {"bottom", "top"} & set(self.polygon.boundaries):
