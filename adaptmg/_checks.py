@@ -49,39 +49,35 @@ def number(name: str, value: object) -> float:
     return result
 
 
+def _satisfies(name: str, value: object, condition: Callable[[float], bool], words: str) -> float:
+    result = number(name, value)
+    if not condition(result):
+        raise ValueError(f"{name} must be {words}, got {shown(value)}")
+    return result
+
+
 def positive(name: str, value: object) -> float:
     """Return ``value`` as a finite float > 0."""
-    result = number(name, value)
-    if not result > 0:
-        raise ValueError(f"{name} must be > 0, got {shown(value)}")
-    return result
+    return _satisfies(name, value, lambda x: x > 0, "> 0")
 
 
 def nonnegative(name: str, value: object) -> float:
     """Return ``value`` as a finite float >= 0."""
-    result = number(name, value)
-    if not result >= 0:
-        raise ValueError(f"{name} must be >= 0, got {shown(value)}")
-    return result
+    return _satisfies(name, value, lambda x: x >= 0, ">= 0")
+
+
+def tolerance(name: str, value: object) -> float:
+    """Return ``value`` as a float between 0 and 1, both excluded: a relative tolerance."""
+    return _satisfies(name, value, lambda x: 0 < x < 1, "> 0 and < 1, a share of the solution")
 
 
 def quantity(name: str, value: object, *, positive: bool = False) -> float:
     """Return ``value`` as a float of a size that physics may have, below ``VAST``; ``positive``: > ``TINIEST`` too."""
-    result = number(name, value)
-    if positive and not result > 0:
-        raise ValueError(f"{name} must be > 0, got {shown(value)}")
+    result = _satisfies(name, value, lambda x: x > 0 or not positive, "> 0")
     if not abs(result) <= VAST or (positive and not result >= TINIEST):
         bounds = f"between {TINIEST:g} and {VAST:g}" if positive else f"at most {VAST:g}"
         raise ValueError(f"{name} must be {bounds} in SI units, got {shown(value)}: otherwise energies leave the range "
                          "of double precision")
-    return result
-
-
-def tolerance(name: str, value: object) -> float:
-    """Return ``value`` as a float between 0 and 1, both excluded: what a relative tolerance is."""
-    result = number(name, value)
-    if not 0 < result < 1:
-        raise ValueError(f"{name} must be > 0 and < 1, a share of the solution, got {shown(value)}")
     return result
 
 

@@ -1,8 +1,8 @@
 """Algebraic multigrid (pyamg) on the same matrices: the glued problem, the steps of the active set method, and ours.
 
 1. The glued problem (all contact dofs fixed, hence linear): conjugate gradients with smoothed aggregation, with and
-   without rigid-body modes, compared with the contact problem solved by FullMultigrid on the same grid, by default (truncated
-   mode) and in the monotone mode.
+   without rigid-body modes, compared with the contact problem solved by FullMultigrid on the same grid, by default
+   (truncated mode) and in the monotone mode.
 2. The contact problem: FullMultigrid against the active set method with direct and with algebraic linear solves, cold
    and from coarser grids.
 
