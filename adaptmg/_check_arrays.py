@@ -6,7 +6,7 @@ Compiled code follows the index arrays of a matrix wherever they point. They are
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -16,6 +16,8 @@ from adaptmg._checks import real_array, shown
 __all__ = ["array", "indices_frozen", "narrowed", "sparse_matrix", "square_blocks", "vector"]
 
 _COMPRESSED = ("csr", "csc", "bsr")
+Compressed = sparse.csr_array | sparse.csc_array | sparse.bsr_array
+_Compressed = TypeVar("_Compressed", sparse.csr_array, sparse.csc_array, sparse.bsr_array)
 _LARGEST_INDEX = np.iinfo(np.int32).max
 
 
@@ -30,7 +32,7 @@ def vector(name: str, value: object, size: int | None = None) -> np.ndarray:
     return array(name, value, (size,))
 
 
-def array(name: str, value: Any, shape: tuple[int | None, ...], *, integer: bool = False) -> np.ndarray:
+def array(name: str, value: object, shape: tuple[int | None, ...], *, integer: bool = False) -> np.ndarray:
     """Return a read-only copy of ``value`` as a contiguous array of finite numbers."""
     kind = "integers" if integer else "real numbers"
     if isinstance(value, np.ma.MaskedArray):
@@ -74,7 +76,7 @@ def _holds_bool(value: object) -> bool:
     return isinstance(value, (list, tuple)) and any(map(_holds_bool, value))
 
 
-def sparse_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = (None, None)) -> Any:
+def sparse_matrix(name: str, value: object, shape: tuple[int | None, int | None] = (None, None)) -> Compressed:
     """Return a sparse matrix of real, finite numbers with checked indices of 32 bits where these suffice.
 
     Bsr, csr and csc matrices keep their format, others become csr.
@@ -96,7 +98,7 @@ def sparse_matrix(name: str, value: Any, shape: tuple[int | None, int | None] = 
     return narrowed(value)
 
 
-def square_blocks(name: str, value: Any, size: int) -> sparse.bsr_array:
+def square_blocks(name: str, value: object, size: int) -> sparse.bsr_array:
     """Return a square matrix, checked as by :func:`sparse_matrix`, as bsr with sorted blocks of float64."""
     value = sparse_matrix(name, value)
     rows, columns = value.shape
@@ -106,7 +108,7 @@ def square_blocks(name: str, value: Any, size: int) -> sparse.bsr_array:
     return matrix if matrix.has_sorted_indices else matrix.sorted_indices()
 
 
-def _check_compressed(name: str, value: Any) -> None:
+def _check_compressed(name: str, value: Compressed) -> None:
     """Check the index arrays of a csr, csc or bsr matrix."""
     height, width = value.blocksize if value.format == "bsr" else (1, 1)
     if value.shape[0] % height or value.shape[1] % width:
@@ -131,14 +133,14 @@ def _check_indices(name: str, indices: np.ndarray, size: int, what: str) -> None
         raise ValueError(f"{name}: {what} index {wrong} is outside the matrix (0 to {size - 1}, in blocks)")
 
 
-def narrowed(matrix: Any) -> Any:
+def narrowed(matrix: _Compressed) -> _Compressed:
     """Return a csr, csc or bsr matrix with indices of 32 bits, where these suffice; values are shared, not copied."""
     if matrix.indices.dtype == matrix.indptr.dtype == np.int32 or max(*matrix.shape, matrix.nnz) > _LARGEST_INDEX:
         return matrix
     return _with_indices(matrix, matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32))
 
 
-def indices_frozen(matrix: Any) -> Any:
+def indices_frozen(matrix: _Compressed) -> _Compressed:
     """Return the matrix with read-only copies of its index arrays."""
     if not (matrix.indices.flags.writeable or matrix.indptr.flags.writeable):
         return matrix
@@ -148,7 +150,7 @@ def indices_frozen(matrix: Any) -> Any:
     return _with_indices(matrix, *arrays)
 
 
-def _with_indices(matrix: Any, indices: np.ndarray, indptr: np.ndarray) -> Any:
+def _with_indices(matrix: _Compressed, indices: np.ndarray, indptr: np.ndarray) -> _Compressed:
     result = type(matrix)((matrix.data, indices, indptr), shape=matrix.shape)
     for name in ("_has_sorted_indices", "_has_canonical_format"):
         if name in matrix.__dict__:  # they hold for the same entries in the same order

@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -26,7 +26,8 @@ VAST, TINIEST = 1e40, 1e-40
 of them, are then in the range of double precision."""
 
 _T = TypeVar("_T")
-Types = type | tuple[type, ...]
+_Key = TypeVar("_Key")
+Types = type[_T] | tuple[type[_T], ...]
 
 
 def convert(owner: object, check: Callable[..., object], /, *names: str, **options: object) -> None:
@@ -108,33 +109,33 @@ def choice(name: str, value: _T, choices: Iterable[_T]) -> _T:
     return value
 
 
-def instance(name: str, value: Any, types: Types, words: str = "") -> Any:
+def instance(name: str, value: object, types: Types[_T], words: str = "") -> _T:
     """Return ``value`` if it is an instance of ``types``, described by ``words`` or else by their names."""
     if isinstance(value, types):
         return value
     raise TypeError(f"{name} must be {words or _names(types)}, got {described(value)}")
 
 
-def offers(name: str, value: Any, method: str, words: str) -> Any:
+def offers(name: str, value: _T, method: str, words: str) -> _T:
     """Return ``value`` if it is an instance with a method of that name; ``words`` describe such objects."""
     if isinstance(value, type) or not callable(getattr(value, method, None)):
         raise TypeError(f"{name} must be {words}, got {described(value)}")
     return value
 
 
-def optional_callable(name: str, value: Any, words: str) -> Any:
+def optional_callable(name: str, value: _T, words: str) -> _T:
     """Return ``value`` if it is None or a function; ``words`` describe its arguments."""
     if value is not None and not callable(value):
         raise TypeError(f"{name} must be None or a function of {words}, got {shown(value)}")
     return value
 
 
-def function_or(name: str, value: Any, check: Callable[[str, Any], Any] = quantity) -> Any:
+def function_or(name: str, value: _T, check: Callable[[str, _T], object] = quantity) -> _T | object:
     """Return a function unchanged, anything else as ``check`` returns it; a class is not a function."""
     return value if callable(value) and not isinstance(value, type) else check(name, value)
 
 
-def items(name: str, value: Any, types: Types, words: str = "") -> tuple[Any, ...]:
+def items(name: str, value: _T | Iterable[_T], types: Types[_T], words: str = "") -> tuple[_T, ...]:
     """Return a sequence of instances of ``types`` as a tuple; one instance alone stands for a sequence of one."""
     if isinstance(value, types):
         return (value,)
@@ -142,11 +143,11 @@ def items(name: str, value: Any, types: Types, words: str = "") -> tuple[Any, ..
     return tuple(instance(f"{name}[{i}]", item, types, words) for i, item in enumerate(entries))
 
 
-def _names(types: Types) -> str:
+def _names(types: Types[_T]) -> str:
     return " or ".join(kind.__name__ for kind in (types if isinstance(types, tuple) else (types,)))
 
 
-def listed(name: str, value: Any, words: str) -> tuple[Any, ...]:
+def listed(name: str, value: Iterable[_T], words: str) -> tuple[_T, ...]:
     """Return a sequence (not text, a mapping or a matrix) as a tuple; ``words`` describe its items."""
     try:
         if not isinstance(value, (str, bytes, Mapping, type)) and not sparse.issparse(value):
@@ -156,7 +157,7 @@ def listed(name: str, value: Any, words: str) -> tuple[Any, ...]:
     raise TypeError(f"{name} must be a sequence of {words}, got {described(value)}")
 
 
-def mapping(name: str, value: Any, words: str) -> dict[Any, Any]:
+def mapping(name: str, value: Mapping[_Key, _T], words: str) -> dict[_Key, _T]:
     """Return a mapping as a dictionary; ``words`` describe keys and values."""
     if not isinstance(value, Mapping):
         raise TypeError(f"{name} must map {words}, got {described(value)}")

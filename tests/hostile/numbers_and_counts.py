@@ -76,6 +76,7 @@ _COUNTS_IN_FULL = {
     "Multigrid max_cycles": lambda v: am.Multigrid(max_cycles=v),
 }
 _COUNTS = {
+    "AMG max_iterations": lambda v: am.AMG(max_iterations=v),
     "SingleGrid max_sweeps": lambda v: am.SingleGrid(max_sweeps=v),
     "ActiveSet max_steps": lambda v: am.ActiveSet(max_steps=v),
     "Cycle pre": lambda v: am.Cycle(pre=v),

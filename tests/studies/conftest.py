@@ -14,7 +14,7 @@ def quick(tmp_path_factory):
     common = load("common")
 
     @cache
-    def run(name: str, full: bool = False) -> dict:
+    def run(name: str, full: bool) -> dict:
         folder = tmp_path_factory.mktemp(name)
         section = load(name).run(common.Context(quick=True, out=folder, full=full))
         common.show(section, folder, pictures=False)
@@ -24,7 +24,7 @@ def quick(tmp_path_factory):
         assert all((folder / f"{item.name}.csv").stat().st_size > 100 for item in kinds[1])
         return {item.name: item for items in kinds for item in items}
 
-    return run
+    return lambda name, full=False: run(name, full)
 
 
 @pytest.fixture(scope="session")
