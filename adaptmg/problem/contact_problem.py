@@ -37,8 +37,8 @@ class Contact:
     ----------
     boundary : str
         Name of the contact boundary.
-    obstacle : Plane or GapFunction
-        What it may touch.
+    obstacle : Plane, GapFunction or user-defined
+        The obstacle; an object with ``contact(points, normals)``.
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
     """
@@ -55,7 +55,7 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactProblem:
-    """What is posed; pure data in SI units, no mesh.
+    """Elastic bodies in contact: pure data in SI units, without a mesh.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class ContactProblem:
     law : Frictionless, Tresca, Coulomb or user-defined
         The contact law, the same on all contact boundaries (its parameters may vary in space).
     loads : sequence of Pressure, Traction, BodyForce, InitialStrain
-        What acts on the bodies.
+        Loads on the bodies.
     supports : sequence of Support
         Prescribed displacement components.
     domain : Domain, optional

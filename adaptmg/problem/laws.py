@@ -27,13 +27,13 @@ _AnyLaw = TypeVar("_AnyLaw")
 
 @runtime_checkable
 class Law(Protocol):
-    """What a contact law must offer."""
+    """The methods of a contact law."""
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Law:
-        """The law with its parameters evaluated at contact nodes (points (n, dim) m, weights (n,) m or m^2)."""
+        """Return the law with its parameters evaluated at contact nodes (points (n, dim) m, weights (n,) m or m^2)."""
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
+        """Return nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
 
 
 def _nodal(name: str, value: FieldLike | np.ndarray, n: int) -> np.ndarray:
@@ -72,17 +72,15 @@ class Frictionless:
     """No tangential force: f_t = 0."""
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Frictionless:
-        """Nothing to evaluate."""
         return self
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Zero limit, zero friction."""
         return np.zeros(n_contact), np.zeros(n_contact)
 
 
 @dataclass(frozen=True, eq=False)
 class Tresca:
-    """Given friction: |f_t| <= limit, whatever the pressure.
+    """Tresca friction: |f_t| <= limit, independent of the pressure.
 
     Parameters
     ----------
@@ -97,11 +95,10 @@ class Tresca:
         checks.convert(self, checks.function_or, "limit", check=_parameter)
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Tresca:
-        """The nodal forces: traction times lumped boundary mass."""
+        """Return the law with nodal forces: traction times lumped boundary mass."""
         return _with(self, "limit", _at_points("limit", self.limit, points) * weights)
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Nodal limits, zero friction."""
         return _nodal("limit", self.limit, n_contact), np.zeros(n_contact)
 
 
@@ -121,9 +118,8 @@ class Coulomb:
         checks.convert(self, checks.function_or, "friction", check=_parameter)
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Coulomb:
-        """The coefficient at each contact node."""
+        """Return the law with the coefficient at each contact node."""
         return _with(self, "friction", _at_points("friction", self.friction, points))
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Zero limit, nodal friction."""
         return np.zeros(n_contact), _nodal("friction", self.friction, n_contact)

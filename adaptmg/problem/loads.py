@@ -1,4 +1,4 @@
-"""Loads and supports, by boundary or body name. SI units.
+"""Loads and supports by boundary or body name, in SI units.
 
 Values are numbers, or vectorised functions of position (n, dim) -> (n,).
 """

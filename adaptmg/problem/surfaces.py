@@ -53,19 +53,9 @@ class Plane:
         return self.point.size
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Contact normals and gaps at boundary points.
+        """Return directions (n, dim) out of the body and gaps (n,), m, along them at points (n, dim) of the boundary.
 
-        Parameters
-        ----------
-        points, normals : (n, dim) arrays
-            Nodes of the contact boundary (m) and outward unit normals of the body there.
-
-        Returns
-        -------
-        normals : (n, dim) array
-            The direction in which the gap is measured, out of the body.
-        gaps : (n,) array
-            m; negative where the node lies behind the plane.
+        ``normals`` (n, dim) are the outward unit normals of the body; a gap is negative behind the plane.
         """
         facing = normals @ self.normal
         if (facing > 0).any():
@@ -92,7 +82,7 @@ class GapFunction:
         checks.offers("function", self.function, "__call__", "a function of points (n, dim) that returns gaps (n,)")
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Contact normals and gaps at boundary points; see :meth:`Plane.contact`."""
+        """Return the outward normals and the gaps at boundary points; see :meth:`Plane.contact`."""
         return normals.copy(), checks.field("gap", self.function, points)
 
 
@@ -117,7 +107,7 @@ class ContactPair:
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
     reach : float, optional
-        Largest initial distance at which the surfaces are looked for, m, > 0; by default it is found from the meshes.
+        Largest initial distance of the surfaces, m, > 0; by default it follows from the meshes.
     gap : float or callable, optional
         Initial gap along the slave's normal, m, in place of the computed one: a number, or a function of position
         (n, dim) -> (n,).
