@@ -49,21 +49,16 @@ def kept(name: str, mark: str = "mine", mesh_of: int = 2) -> Path:
 
 
 def _swapped(folder: Path) -> None:
-    (folder / "step_0001.npz").rename(folder / "x")
-    (folder / "step_0002.npz").rename(folder / "step_0001.npz")
-    (folder / "x").rename(folder / "step_0002.npz")
+    first, last, aside = folder / "step_0001.npz", folder / "step_0002.npz", folder / "x"
+    first.rename(aside), last.rename(first), aside.rename(last)
 
 
 def _copied(source: str, target: str):
     return lambda folder: shutil.copy(folder / source, folder / target)
 
 
-def _cut(name: str, size: int | None = None):
-    def change(folder: Path) -> None:
-        data = (folder / name).read_bytes()
-        (folder / name).write_bytes(data[:len(data) // 2 if size is None else size])
-
-    return change
+def _cut(name: str, share: float = 0.5):
+    return lambda folder: os.truncate(folder / name, int(share * (folder / name).stat().st_size))
 
 
 def _head(**changes: object):
@@ -79,10 +74,6 @@ def _foreign(**options: object):
     return lambda folder: shutil.copy(kept("other", **options) / "step_0001.npz", folder / "step_0001.npz")
 
 
-def _alone(folder: Path) -> None:
-    results()[1].save(folder / "step_0001.npz")
-
-
 def _written(name: str, data: bytes):
     return lambda folder: (folder / name).write_bytes(data)
 
@@ -93,9 +84,10 @@ _PATHS = {
     "step_0001.npz": {
         "steps swapped": _swapped, "the first step copied": _copied("step_0000.npz", "step_0001.npz"),
         "a step of another path": _foreign(mark="another"), "a step on another mesh": _foreign(mark="a", mesh_of=3),
-        "a result outside a path": _alone, "half a step": _cut("step_0001.npz"),
+        "a result outside a path": lambda folder: results()[1].save(folder / "step_0001.npz"),
+        "half a step": _cut("step_0001.npz"),
         "a step missing": lambda folder: (folder / "step_0001.npz").unlink()},
-    "step_0002.npz": {"an empty step": _cut("step_0002.npz", 0)},
+    "step_0002.npz": {"an empty step": _cut("step_0002.npz", 0.0)},
     "step_0003.npz": {"a step too many": _copied("step_0002.npz", "step_0003.npz")},
     "path.json": {
         "no head": lambda folder: (folder / "path.json").unlink(), "half a head": _cut("path.json"),
@@ -179,17 +171,16 @@ def _protected() -> None:
 
 _STUDIES = {
     "bad UTF-8": "UPDATE runs SET results = CAST(x'7b22ff' AS TEXT)", "junk JSON": "UPDATE runs SET results = '{\"'",
-    "a list": "UPDATE runs SET results = '[1]'", "a nested result": "UPDATE runs SET results = '{\"a\": [1]}'",
+    "a nested result": "UPDATE runs SET results = '{\"a\": [1]}'",
+    "seconds of text": "UPDATE runs SET seconds = 'long'",
     "numbers for JSON": "UPDATE runs SET versions = 3", "junk parameters": "UPDATE runs SET parameters = 'n=1'",
-    "seconds of text": "UPDATE runs SET seconds = 'long'", "an error that is a blob": "UPDATE runs SET error = x'00ff'",
+    "an error that is a blob": "UPDATE runs SET error = x'00ff'", "no table": "DROP TABLE runs",
     "deep JSON": f"UPDATE runs SET results = '{'[' * 10**5}'",
-    "another table": "DROP TABLE runs; CREATE TABLE runs (id, name)", "no table": "DROP TABLE runs",
+    "another table": "DROP TABLE runs; CREATE TABLE runs (id, name)",
     "an endless view": "DROP TABLE points; CREATE VIEW points AS WITH RECURSIVE n(study, parameters) AS (SELECT 's', 1 "
                        "UNION ALL SELECT study, parameters + 1 FROM n) SELECT * FROM n",
-    "a view for runs": "ALTER TABLE runs RENAME TO t; CREATE VIEW runs AS SELECT * FROM t",
     "a trigger": "CREATE TRIGGER t AFTER INSERT ON runs BEGIN DELETE FROM runs; END",
-    "a newer version": "PRAGMA user_version = 7", "another program": "DROP TABLE runs; CREATE TABLE t (a); "
-                                                                     "PRAGMA user_version = 0"}
+    "a newer version": "PRAGMA user_version = 7"}
 
 
 def _studies():
