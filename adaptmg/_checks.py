@@ -1,8 +1,8 @@
-"""Argument checks shared by every layer: one line where used, one clear message when they fail.
+"""Checks of arguments, called where a public dataclass is made or a public function is entered.
 
-Each check returns the value in the type the caller wants, or raises ``TypeError`` / ``ValueError`` with the
-name of the argument, what was given and what is wanted. Comparisons are written ``not value >= 0`` so that NaN
-never passes. Arrays and matrices: :mod:`adaptmg._check_arrays`.
+Each check returns the value in the type that the caller needs, or raises ``TypeError`` / ``ValueError`` with the name
+of the argument, the condition and the value. Comparisons are written ``not value >= 0`` so that NaN never passes.
+Arrays and matrices: :mod:`adaptmg._check_arrays`.
 """
 
 from __future__ import annotations
@@ -12,137 +12,143 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
 
-__all__ = ["TINIEST", "VAST", "boundary_name", "choice", "described", "field", "file_path", "fits", "flag", "instance",
-           "integer", "items", "listed", "nonnegative", "number", "offers", "optional_callable", "positive", "quantity",
-           "shown", "strings", "suggestion", "tolerance"]
+__all__ = ["TINIEST", "VAST", "boundary_name", "choice", "convert", "described", "field", "file_path", "fits", "flag",
+           "function_or", "instance", "integer", "items", "listed", "mapping", "nonnegative", "number",
+           "offers", "optional_callable", "positive", "quantity", "shown", "strings", "suggestion", "tolerance"]
 
 VAST, TINIEST = 1e40, 1e-40
-"""Physical quantities are smaller than the one, moduli and lengths larger than the other: energies, products of some of
-them, are then in the range of double precision."""
+"""Physical quantities are smaller than ``VAST``, moduli and lengths larger than ``TINIEST``: energies, products of some
+of them, are then in the range of double precision."""
+
+_T = TypeVar("_T")
+_Key = TypeVar("_Key")
+Types = type[_T] | tuple[type[_T], ...]
 
 
-def number(name: str, value: Any) -> float:
+def convert(owner: object, check: Callable[..., object], /, *names: str, **options: object) -> None:
+    """Replace fields of a frozen dataclass by what ``check(name, value, **options)`` returns."""
+    for name in names:
+        object.__setattr__(owner, name, check(name, getattr(owner, name), **options))
+
+
+def number(name: str, value: object) -> float:
     """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several numbers are refused."""
     plain = hasattr(value, "__float__") and not isinstance(value, (bool, np.bool_, str, bytes, np.ma.MaskedArray))
-    if not plain or np.iscomplexobj(value):
-        raise TypeError(f"{name} must be a number, got {shown(value)}")
     try:
-        result = float(value)
+        result = float(value) if plain and not np.iscomplexobj(value) else None
     except (TypeError, ValueError, OverflowError):
-        raise TypeError(f"{name} must be a number, got {shown(value)}") from None
+        result = None
+    if result is None:
+        raise TypeError(f"{name} must be a number, got {shown(value)}")
     if not np.isfinite(result):
         raise ValueError(f"{name} must be finite, got {shown(value)}")
     return result
 
 
-def positive(name: str, value: Any) -> float:
+def _satisfies(name: str, value: object, condition: Callable[[float], bool], words: str) -> float:
+    result = number(name, value)
+    if not condition(result):
+        raise ValueError(f"{name} must be {words}, got {shown(value)}")
+    return result
+
+
+def positive(name: str, value: object) -> float:
     """Return ``value`` as a finite float > 0."""
-    result = number(name, value)
-    if not result > 0:
-        raise ValueError(f"{name} must be > 0, got {shown(value)}")
-    return result
+    return _satisfies(name, value, lambda x: x > 0, "> 0")
 
 
-def nonnegative(name: str, value: Any) -> float:
+def nonnegative(name: str, value: object) -> float:
     """Return ``value`` as a finite float >= 0."""
-    result = number(name, value)
-    if not result >= 0:
-        raise ValueError(f"{name} must be >= 0, got {shown(value)}")
-    return result
+    return _satisfies(name, value, lambda x: x >= 0, ">= 0")
 
 
-def quantity(name: str, value: Any, *, positive: bool = False) -> float:
+def tolerance(name: str, value: object) -> float:
+    """Return ``value`` as a float between 0 and 1, both excluded: a relative tolerance."""
+    return _satisfies(name, value, lambda x: 0 < x < 1, "> 0 and < 1, a share of the solution")
+
+
+def quantity(name: str, value: object, *, positive: bool = False) -> float:
     """Return ``value`` as a float of a size that physics may have, below ``VAST``; ``positive``: > ``TINIEST`` too."""
-    result = number(name, value)
-    if positive and not result > 0:
-        raise ValueError(f"{name} must be > 0, got {shown(value)}")
+    result = _satisfies(name, value, lambda x: x > 0 or not positive, "> 0")
     if not abs(result) <= VAST or (positive and not result >= TINIEST):
         bounds = f"between {TINIEST:g} and {VAST:g}" if positive else f"at most {VAST:g}"
-        raise ValueError(f"{name} must be {bounds} in SI units, got {shown(value)}: beyond that energies leave the "
-                         "range of double precision")
+        raise ValueError(f"{name} must be {bounds} in SI units, got {shown(value)}: otherwise energies leave the range "
+                         "of double precision")
     return result
 
 
-def tolerance(name: str, value: Any) -> float:
-    """Return ``value`` as a float between 0 and 1, both excluded: what a relative tolerance is."""
-    result = number(name, value)
-    if not 0 < result < 1:
-        raise ValueError(f"{name} must be > 0 and < 1, a share of the solution, got {shown(value)}")
+def integer(name: str, value: object, minimum: int = 0, maximum: int = 2**63 - 1) -> int:
+    """Return ``value`` as an int >= ``minimum`` (floats and bools are refused, numpy integers are fine)."""
+    try:
+        result = operator.index(None if isinstance(value, (bool, np.bool_, np.ma.MaskedArray)) else value)
+    except TypeError:
+        raise TypeError(f"{name} must be an integer, got {shown(value)}") from None
+    if not minimum <= result <= maximum:
+        bound = f">= {minimum}" if result < minimum else f"<= {maximum}"
+        raise ValueError(f"{name} must be {bound}, got {shown(value)}")
     return result
 
 
-def flag(name: str, value: Any) -> bool:
+def flag(name: str, value: object) -> bool:
     """Return ``value`` if it is True or False."""
     if not isinstance(value, (bool, np.bool_)):
         raise TypeError(f"{name} must be True or False, got {shown(value)}")
     return bool(value)
 
 
-def optional_callable(name: str, value: Any, words: str) -> Any:
-    """Return ``value`` if it is None or can be called; ``words`` say with what."""
-    if value is not None and not callable(value):
-        raise TypeError(f"{name} must be None or a function of {words}, got {shown(value)}")
-    return value
-
-
-def integer(name: str, value: Any, minimum: int = 0, maximum: int = 2**63 - 1) -> int:
-    """Return ``value`` as an int >= ``minimum`` (floats and bools are refused, numpy integers are fine)."""
-    if isinstance(value, (bool, np.bool_, np.ma.MaskedArray)):
-        raise TypeError(f"{name} must be an integer, got {shown(value)}")
-    try:
-        result = operator.index(value)
-    except TypeError:
-        raise TypeError(f"{name} must be an integer, got {shown(value)}") from None
-    if result < minimum:
-        raise ValueError(f"{name} must be >= {minimum}, got {shown(value)}")
-    if result > maximum:
-        raise ValueError(f"{name} must be <= {maximum}, got {shown(value)}")
-    return result
-
-
-def choice(name: str, value: Any, choices: Iterable[Any]) -> Any:
+def choice(name: str, value: _T, choices: Iterable[_T]) -> _T:
     """Return ``value`` if it is one of ``choices``."""
     choices = tuple(choices)
-    if not any(type(value) is type(known) and value == known for known in choices):
+    if not any(type(value) is type(one) and value == one for one in choices):
         raise ValueError(f"{name} must be one of {', '.join(map(repr, choices))}, got {shown(value)}")
     return value
 
 
-def instance(name: str, value: Any, wanted: type | tuple[type, ...], words: str = "") -> Any:
-    """Return ``value`` if it is an instance of ``wanted``; a class in place of an instance is named.
-
-    ``words`` say what is wanted, in place of the names of the types.
-    """
-    if isinstance(value, wanted):
+def instance(name: str, value: object, types: Types[_T], words: str = "") -> _T:
+    """Return ``value`` if it is an instance of ``types``, described by ``words`` or else by their names."""
+    if isinstance(value, types):
         return value
-    kinds = wanted if isinstance(wanted, tuple) else (wanted,)
-    words = words or " or ".join(kind.__name__ for kind in kinds)
-    raise TypeError(f"{name} must be {words}, got {described(value)}")
+    raise TypeError(f"{name} must be {words or _names(types)}, got {described(value)}")
 
 
-def offers(name: str, value: Any, method: str, words: str) -> Any:
-    """Return ``value`` if it is an instance with a method of that name; ``words`` say what is wanted."""
+def offers(name: str, value: _T, method: str, words: str) -> _T:
+    """Return ``value`` if it is an instance with a method of that name; ``words`` describe such objects."""
     if isinstance(value, type) or not callable(getattr(value, method, None)):
         raise TypeError(f"{name} must be {words}, got {described(value)}")
     return value
 
 
-def items(name: str, value: Any, wanted: type | tuple[type, ...], words: str = "") -> tuple[Any, ...]:
-    """Return a sequence of instances of ``wanted`` as a tuple; one instance alone stands for a sequence of one."""
-    if isinstance(value, wanted):
+def optional_callable(name: str, value: _T, words: str) -> _T:
+    """Return ``value`` if it is None or a function; ``words`` describe its arguments."""
+    if value is not None and not callable(value):
+        raise TypeError(f"{name} must be None or a function of {words}, got {shown(value)}")
+    return value
+
+
+def function_or(name: str, value: _T, check: Callable[[str, _T], object] = quantity) -> _T | object:
+    """Return a function unchanged, anything else as ``check`` returns it; a class is not a function."""
+    return value if callable(value) and not isinstance(value, type) else check(name, value)
+
+
+def items(name: str, value: _T | Iterable[_T], types: Types[_T], words: str = "") -> tuple[_T, ...]:
+    """Return a sequence of instances of ``types`` as a tuple; one instance alone stands for a sequence of one."""
+    if isinstance(value, types):
         return (value,)
-    kinds = wanted if isinstance(wanted, tuple) else (wanted,)
-    found = listed(name, value, words or " or ".join(kind.__name__ for kind in kinds))
-    return tuple(instance(f"{name}[{i}]", item, wanted, words) for i, item in enumerate(found))
+    entries = listed(name, value, words or _names(types))
+    return tuple(instance(f"{name}[{i}]", item, types, words) for i, item in enumerate(entries))
 
 
-def listed(name: str, value: Any, words: str) -> tuple[Any, ...]:
-    """Return a sequence as a tuple; ``words`` say of what. Text, mappings, single numbers and matrices are none."""
+def _names(types: Types[_T]) -> str:
+    return " or ".join(kind.__name__ for kind in (types if isinstance(types, tuple) else (types,)))
+
+
+def listed(name: str, value: Iterable[_T], words: str) -> tuple[_T, ...]:
+    """Return a sequence (not text, a mapping or a matrix) as a tuple; ``words`` describe its items."""
     try:
         if not isinstance(value, (str, bytes, Mapping, type)) and not sparse.issparse(value):
             return tuple(value)
@@ -151,55 +157,20 @@ def listed(name: str, value: Any, words: str) -> tuple[Any, ...]:
     raise TypeError(f"{name} must be a sequence of {words}, got {described(value)}")
 
 
-def strings(name: str, value: Any) -> tuple[str, ...]:
-    """Return a sequence of names as a tuple; a string is no sequence of names (it would be split into letters)."""
+def mapping(name: str, value: Mapping[_Key, _T], words: str) -> dict[_Key, _T]:
+    """Return a mapping as a dictionary; ``words`` describe keys and values."""
+    if not isinstance(value, Mapping):
+        raise TypeError(f"{name} must map {words}, got {described(value)}")
+    return dict(value)
+
+
+def strings(name: str, value: object) -> tuple[str, ...]:
+    """Return a sequence of names as a tuple; a string is not a sequence of names (it would be split into letters)."""
     words = f"names such as ({value!r},)" if isinstance(value, str) and value.isprintable() else "names"
     return tuple(boundary_name(f"{name}[{i}]", item) for i, item in enumerate(listed(name, value, words)))
 
 
-def file_path(name: str, value: Any) -> Path:
-    """Return a path with ``~`` expanded; TypeError if it is none, ValueError for one with a zero byte or empty."""
-    if not isinstance(value, (str, os.PathLike)):
-        raise TypeError(f"{name} must be a path (str or pathlib.Path), got {described(value)}")
-    text = os.fspath(value)
-    if not isinstance(text, str):
-        raise TypeError(f"{name} must be a path of text, got {text!r}")
-    if not text or "\0" in text:
-        raise ValueError(f"{name} must be a path, got {text!r}")
-    try:
-        return Path(text).expanduser()
-    except RuntimeError as error:
-        raise ValueError(f"{name}: {text!r} has no home directory: {error}") from None
-
-
-def fits(name: str, size: float, words: str) -> None:
-    """ValueError if ``size`` bytes are more than the main memory of the machine; ``words`` say of what."""
-    try:
-        memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return  # the system does not say
-    if size > memory:
-        raise ValueError(f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory / 1e9:.3g} GB")
-
-
-def shown(value: Any) -> str:
-    """A short representation of a value for a message, safe to print: at most 80 characters, no lone surrogates."""
-    try:
-        text = repr(value)
-    except Exception as error:  # a representation that fails must not hide the message it belongs to
-        text = f"<{type(value).__name__} whose repr fails: {type(error).__name__}>"
-    text = text.encode("utf-8", "backslashreplace").decode()
-    return text if len(text) <= 80 else f"{text[:77]}..."
-
-
-def described(value: Any) -> str:
-    """A value in a message: a class is called one, with what to write instead."""
-    if isinstance(value, type):
-        return f"the class {value.__name__}: write {value.__name__}(...) for an instance"
-    return shown(value)
-
-
-def boundary_name(name: str, value: Any) -> str:
+def boundary_name(name: str, value: object) -> str:
     """Return ``value`` if it can be a name of a boundary, body or case: printable text, not empty."""
     if not isinstance(value, str):
         raise TypeError(f"{name} must be a string, got {shown(value)}")
@@ -210,40 +181,81 @@ def boundary_name(name: str, value: Any) -> str:
     return value
 
 
+def file_path(name: str, value: object) -> Path:
+    """Return a path with ``~`` expanded; TypeError if it is not a path, ValueError if empty or with a zero byte."""
+    text = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
+    if not isinstance(text, str):
+        raise TypeError(f"{name} must be a path (str or pathlib.Path), got {described(value)}")
+    if not text or "\0" in text:
+        raise ValueError(f"{name} must be a path, got {text!r}")
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:
+        raise ValueError(f"{name}: {text!r} has no home directory: {error}") from None
+
+
+def fits(name: str, size: float, words: str) -> None:
+    """ValueError if ``size`` bytes are more than the main memory of the machine; ``words`` name their content."""
+    try:
+        memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return  # the system does not report it
+    if size > memory:
+        raise ValueError(f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory / 1e9:.3g} GB")
+
+
 def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: np.ndarray,
-          *, minimum: float | None = None, maximum: float = VAST) -> np.ndarray:
-    """Evaluate a number or a function of position at points."""
+          *, minimum: float = -VAST) -> np.ndarray:
+    """Return the values (n,) of a number or a function of position at points (n, dim)."""
     n = len(points)
     if callable(value):
-        returned = value(points)
-        if isinstance(returned, np.ma.MaskedArray):
-            raise TypeError(f"{name}: the function must return real numbers, got a masked array: fill it first")
-        try:
-            result = np.asarray(returned)
-        except (TypeError, ValueError):
-            result = np.asarray(None)
-        if result.dtype.kind not in "iuf":
-            raise TypeError(f"{name}: the function must return real numbers, got {shown(returned)}")
-        if result.shape not in ((), (n,)):
+        result = value(points)
+        array = None if isinstance(result, np.ma.MaskedArray) else real_array(result)
+        if array is None:
+            raise TypeError(f"{name}: the function must return real numbers, got {shown(result)}")
+        if array.shape not in ((), (n,)):
             raise ValueError(f"{name}: the function must return shape ({n},) for points of shape {points.shape}, "
-                             f"got {result.shape}")
-        result = result.astype(np.float64)
-        result = np.broadcast_to(result, (n,)).copy()
+                             f"got {array.shape}")
     else:
-        result = np.full(n, number(name, value))
-    bad = ~(np.abs(result) <= maximum)
-    if minimum is not None:
-        bad |= ~(result >= minimum)
+        array = np.asarray(number(name, value))
+    values = np.array(np.broadcast_to(array, (n,)), dtype=np.float64)
+    bad = ~((values >= minimum) & (values <= VAST))
     if bad.any():
-        i = int(np.flatnonzero(bad)[0])
-        wanted = "finite" if minimum is None else f"finite and >= {minimum}"
-        if np.isfinite(result[i]) and abs(result[i]) > maximum:
-            wanted = f"at most {maximum:g} in SI units"
-        raise ValueError(f"{name} must be {wanted}, got {result[i]} at {tuple(float(c) for c in points[i])}")
-    return result
+        i = int(np.argmax(bad))
+        bounds = "finite" if minimum == -VAST else f"finite and >= {minimum}"
+        if VAST < abs(values[i]) < np.inf:
+            bounds = f"at most {VAST:g} in SI units"
+        raise ValueError(f"{name} must be {bounds}, got {values[i]} at {tuple(float(c) for c in points[i])}")
+    return values
 
 
-def suggestion(name: str, known: Iterable[str]) -> str:
-    """The most similar of ``known`` in words, to follow "does not exist"; "" if none is similar."""
-    close = get_close_matches(name, list(known), n=1)
+def real_array(value: object) -> np.ndarray | None:
+    """Return ``value`` as an array of integers or floats; None if it is anything else."""
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        return None
+    return array if array.dtype.kind in "iuf" else None
+
+
+def shown(value: object) -> str:
+    """Return a representation of at most 80 characters for a message, without lone surrogates."""
+    try:
+        text = repr(value)
+    except Exception as error:  # a representation that fails must not hide the message it belongs to
+        text = f"<{type(value).__name__} whose repr fails: {type(error).__name__}>"
+    text = text.encode("utf-8", "backslashreplace").decode()
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def described(value: object) -> str:
+    """Return a value for a message; a class is called one, with the instance to write instead."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}: write {value.__name__}(...) for an instance"
+    return shown(value)
+
+
+def suggestion(name: str, names: Iterable[str]) -> str:
+    """Return the most similar of ``names`` as text to follow "does not exist"; "" if none is similar."""
+    close = get_close_matches(name, list(names), n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""

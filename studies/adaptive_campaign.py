@@ -50,7 +50,7 @@ FIRST_SEED = 1000
 #: bands of estimate over true error, as the README has them
 BANDS = {"Residual": (1.9, 3.5), "Recovery": (0.67, 1.03)}
 #: by which the estimate in the loop may miss that of the discrete solution; largest spread of estimate over true error
-#: where contact is remote, on meshes after the second with so many nodes in contact
+#: where contact is remote, on meshes after the second with n nodes in contact
 MISSED, SPREAD, TOUCHING = 0.15, 1.35, 5
 #: of a quantity: errors below this part of it are rounding and what the reference is not sure of
 SMALL = 1e-6

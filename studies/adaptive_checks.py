@@ -42,7 +42,7 @@ def smallest_angle(mesh: MeshArrays) -> float:
 
 
 def mesh_faults(mesh: MeshArrays, first: MeshArrays, domain: Any) -> list[str]:
-    """What is wrong with a mesh: conformity, orientation, names, size of bodies, nodes beside curved boundaries."""
+    """What is wrong with a mesh: conformity, orientation, names, size of bodies, nodes off curved boundaries."""
     faults = []
     dim, corners = mesh.dim, mesh.points[mesh.elements]
     volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / math.factorial(dim)
@@ -95,7 +95,7 @@ def _off_curves(mesh: MeshArrays, domain: Any) -> list[str]:
                 points = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
             off = outline.arc(i).distance(points) / outline.arc(i).radius
             if off.max() > 1e-6:
-                faults.append(f"{int((off > 1e-6).sum())} of {len(off)} nodes of {name} lie beside it, by "
+                faults.append(f"{int((off > 1e-6).sum())} of {len(off)} nodes of {name} lie off it, by "
                               f"{off.max():.1g} of its radius")
     return faults
 
@@ -144,10 +144,7 @@ def a_norm(step: am.Step, displacement: np.ndarray) -> float:
 
 
 def fine_solution(step: am.Step) -> tuple[am.Hierarchy, am.Result]:
-    """A mesh several times finer than a step's, nested in it but for curved boundaries, solved to 1e-9.
-
-    Everything once, then where residuals are largest.
-    """
+    """A mesh several times finer than a step's, nested in it but for curved boundaries, solved to 1e-9."""
     problem, dim, nodes = step.hierarchy.problem, step.result.dim, step.nodes
     hierarchy, mesh = step.hierarchy, step.hierarchy.finest.mesh
     limit = min(FINER[dim] * nodes, MOST[dim])

@@ -17,7 +17,7 @@ from adaptive_cases import EXPONENTS
 from adaptive_runs import DEFAULT
 from paper_runs import listed
 
-#: engines of the loop, in words
+#: engines of the loop, as text
 ENGINES = {"bisected": "bisected", "remeshed": "remeshed by Netgen (the default)"}
 #: meshes over which rates are fitted, and along which costs are continued
 LAST = 3
@@ -26,11 +26,7 @@ SAMPLES = 200
 
 
 def at_error(group: pd.DataFrame, error: float, column: str) -> tuple[float, bool]:
-    """Value of a column where the energy error has fallen to ``error``, and whether it lies beyond the last mesh.
-
-    Logarithms are interpolated; beyond, the line through the last three meshes is continued (NaN of fewer). NaN where
-    the first mesh is better already.
-    """
+    """Value of a column where the energy error has fallen to ``error``, and whether it lies beyond the last mesh."""
     x, y = np.log(group["energy_error"].to_numpy()), np.log(group[column].to_numpy())
     wanted = np.log(error)
     below = np.flatnonzero(x <= wanted)
@@ -46,15 +42,7 @@ def at_error(group: pd.DataFrame, error: float, column: str) -> tuple[float, boo
 
 @dataclass(frozen=True)
 class Crossing:
-    """Below which error a family takes less time than uniform meshes, as far as both were measured.
-
-    Attributes
-    ----------
-    error : float
-        Relative energy error; NaN where they never do.
-    throughout : bool
-        They do so at every error that is compared; ``error`` is then the largest of them.
-    """
+    """Below which error a family takes less time than uniform meshes, as far as both were measured."""
 
     error: float
     throughout: bool = False
@@ -83,11 +71,7 @@ def crossing(uniform: pd.DataFrame, group: pd.DataFrame, least: float = 0.0) -> 
 
 
 def gains(rows: pd.DataFrame) -> pd.DataFrame:
-    """Nodes and time of uniform meshes over those of each mesh, at its energy error.
-
-    Columns ``nodes``, ``time`` and ``beyond`` (whether the uniform ones are extrapolated), rows as given; NaN for
-    uniform meshes and for errors larger than those of the coarsest.
-    """
+    """Nodes and time of uniform meshes over those of each mesh, at its energy error."""
     found = pd.DataFrame({"nodes": np.nan, "time": np.nan, "beyond": False}, index=rows.index)
     for _, of_case in rows.groupby("case", sort=False):
         uniform = of_case[of_case["family"] == "uniform"]

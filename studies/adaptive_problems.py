@@ -2,7 +2,7 @@
 
 Part of ``adaptive_campaign.py``. One body and pairs, in the plane, in space and axisymmetric; those of the other
 campaigns (:mod:`true_errors`) and what they lack: re-entrant corners, arcs and round faces, stacks of several pairs,
-interference fits, laws that vary in space, laws of one's own.
+interference fits, laws that vary in space, user-defined laws.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Fading:
 
 @dataclass(frozen=True)
 class Sticky:
-    """A law of one's own: Coulomb's with an adhesion in shear, Pa."""
+    """A user-defined law: Coulomb's with an adhesion in shear, Pa."""
 
     friction: float
     adhesion: float
@@ -285,7 +285,7 @@ class Loop:
     max_nodes: int
 
     def steps(self, **more: Any) -> Any:
-        """A loop of its own each time."""
+        """A new loop each time."""
         return am.adapt(self.problem, self.start, self.indicator, self.mark, self.engine, max_nodes=self.max_nodes,
                         **more)
 

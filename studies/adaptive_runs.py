@@ -107,10 +107,10 @@ def family(case: str, family: str, most: int, reference_nodes: int) -> dict[str,
     """All meshes of a family up to ``most`` nodes: errors and costs, as JSON, a list of one mapping a mesh."""
     against = known(case, reference_nodes)
     warm_up(case, family)
-    return {"meshes": json.dumps([measured(CASES[case], against, *made) for made in walk(case, family, most)])}
+    return {"meshes": json.dumps([measured(CASES[case], against, *made) for made in meshes_of(case, family, most)])}
 
 
-def walk(case: str, family: str, most: int) -> Made:
+def meshes_of(case: str, family: str, most: int) -> Made:
     """The meshes of a family, one after the other, with their solutions and costs."""
     this, problem = CASES[case], CASES[case].problem()
     by_rule = {"uniform": uniform, "graded by hand": graded}.get(family)
@@ -142,7 +142,7 @@ Made = Iterator[tuple[am.Result, dict[str, Any]]]
 
 
 def uniform(case: Case, problem: am.ContactProblem, most: int) -> Made:
-    """Uniform meshes, each solved on a hierarchy of its own: those below it."""
+    """Uniform meshes, each solved on its own hierarchy: those below it."""
     refinements = 1
     while True:
         begin = time.process_time()
@@ -191,7 +191,7 @@ def adapted(case: Case, problem: am.ContactProblem, family: str, most: int) -> M
         goal = {} if estimate.signed is None else {"value": estimate.value, "signed": estimate.signed}
         yield step.result, {**_costs(step.result, step.hierarchy, step.total_work_units, seconds),
                             "estimate": estimate.relative_energy, **goal}
-        # measuring errors is no part of the loop
+        # measuring errors is not part of the loop
         spent = time.process_time()
 
 
@@ -202,8 +202,5 @@ def _costs(result: am.Result, grids: am.Hierarchy, work: float, seconds: float) 
 
 @lru_cache(maxsize=64)
 def warm_up(case: str, family: str) -> None:
-    """The first meshes of a family, so that no measured second is one of the compiler, or of reading its cache.
-
-    Of a loop two: the second is the first with a coarser one below it.
-    """
-    list(islice(walk(case, family, 10**6), 2 if family in ADAPTIVE else 1))
+    """The first meshes of a family, so that no measured second is one of the compiler, or of reading its cache."""
+    list(islice(meshes_of(case, family, 10**6), 2 if family in ADAPTIVE else 1))

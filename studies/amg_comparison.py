@@ -1,7 +1,7 @@
 """Algebraic multigrid (pyamg) on the same matrices: the glued problem, the steps of the active set method, and ours.
 
 1. The glued problem (all contact dofs fixed, hence linear): conjugate gradients with smoothed aggregation, with and
-   without rigid-body modes, beside the contact problem solved by FullMultigrid on the same grid, as it is by default
+   without rigid-body modes, compared with the contact problem solved by FullMultigrid on the same grid, by default
    (truncated mode) and in the monotone mode.
 2. The contact problem: FullMultigrid against the active set method with direct and with algebraic linear solves, cold
    and from coarser grids.
@@ -100,10 +100,7 @@ def glued(discrete: am.DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, n
 
 
 def medians(calls: Mapping[str, Callable[[], dict[str, Any]]], repetitions: int) -> dict[str, Any]:
-    """Run all calls in turns; results of the last turn, with medians of what ends in ``_s``; keys 'name: result'.
-
-    Calls that take longer than ``LONG_S`` are run once: what disturbs them is small beside that.
-    """
+    """Run all calls in turns; results of the last turn, with medians of what ends in ``_s``; keys 'name: result'."""
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in calls}
     long = set()
     for _ in range(repetitions):
@@ -237,7 +234,7 @@ def by_method(rows: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def linear_table(rows: pd.DataFrame) -> common.Table:
-    """The glued problem beside the contact problem."""
+    """The glued problem compared with the contact problem."""
     modes, constants, ours = (by_method(rows, name) for name in (MODES, "AMG-CG, constants", DEFAULT))
     ratio = rows.apply(lambda row: row["total_s"] / modes.loc[(row["grid"], row["size"]), "total_s"], axis=1)
     frame = pd.DataFrame({

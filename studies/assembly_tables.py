@@ -33,7 +33,7 @@ def single_grids(frame: pd.DataFrame) -> str:
     return f"'-': the error is not reached: {listed(names)}. "
 
 
-def told(frame: pd.DataFrame) -> str:
+def counts_text(frame: pd.DataFrame) -> str:
     """Work of the default, of the monotone mode and of the best run on one grid, for a summary."""
     default, monotone = (frame[frame["label"].str.contains(name)]["work_at"] for name in ("truncated", "monotone"))
     singles = frame[frame["label"].str.startswith("one grid")]
@@ -48,7 +48,7 @@ def told(frame: pd.DataFrame) -> str:
 
 def smoothing_table(context: Context, run: Callable[..., dict[str, Any]], counts: Sequence[tuple[int, int]],
                     name: str, fixed: dict[str, Any]) -> Table:
-    """Table 2: how many smoothings; ``run`` takes counts, stop and rtol beside what is fixed."""
+    """Table 2: how many smoothings; ``run`` takes counts, stop and rtol with what is fixed."""
     frame = context.study(run, {"counts": counts}, stop="error", rtol=RTOL, **fixed)
     own = context.study(run, {"counts": counts}, stop="change", rtol=CHANGE, **fixed)
     pre, post = zip(*counts, strict=True)
@@ -70,7 +70,7 @@ def smoothing_table(context: Context, run: Callable[..., dict[str, Any]], counts
 
 def start_table(context: Context, run: Callable[..., dict[str, Any]], name: str, fixed: dict[str, Any],
                 remark: str = "") -> Table:
-    """Table 3: the full start; ``run`` takes correction, full, levels and rtol beside what is fixed."""
+    """Table 3: the full start; ``run`` takes correction, full, levels and rtol with what is fixed."""
     frames = []
     for levels in (3,) if context.quick else (2, 4):
         frame = context.study(run, {"correction": ("monotone", "truncated"), "full": (False, True)}, levels=levels,
@@ -88,7 +88,7 @@ def start_table(context: Context, run: Callable[..., dict[str, Any]], name: str,
             + listed([f"{value:.2f} ({mode})" for mode, value in zip(gains["mode"], gains["zero over full"],
                                                                      strict=True)])
             + "; the paper: 2.1 in CPU time for two grids on the bar." + f" {remark}" * bool(remark)
-            + " In the truncated mode the coarsest level is factorised anew when states change: in the seconds, not "
+            + " In the truncated mode the coarsest level is factorised again when states change: in the seconds, not "
             "in the work.")
     if (frame["taken over by"] != "-").any():
         note += (" Where the truncated cycles from zero were too slow the active set method took over; it is also what "

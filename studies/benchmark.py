@@ -1,9 +1,9 @@
 """The fast solver against linear solvers on the same mesh: cycles, work, seconds by phase, memory, scaling.
 
-Both sides are stopped at a true relative energy error of 1e-8, each of its own problem: ours of the contact problem
+Both sides are stopped at a true relative energy error of 1e-8, each for its own problem: ours of the contact problem
 with friction, the rivals of the linear problem in which all contact dofs are fixed ('glued'). Our seconds hold the
 nested start; set-up (splitting and coarse matrices) and transfers are listed apart and in a ratio of their own. A first
-run learns how many cycles or iterations that takes; timed runs then do exactly so many, in turns, medians are kept.
+run learns how many cycles or iterations that takes; timed runs then do exactly that many, in turns, medians are kept.
 The exact solution of a contact problem is our own at an estimated error of 1e-13, on grids small enough checked against
 the active set method with direct solves.
 
@@ -146,7 +146,7 @@ def measure(family: str, size: int, friction: float, repetitions: int, linear: b
 
 
 def _time_ours(hierarchy: am.Hierarchy, cycles: int) -> dict[str, float]:
-    # the tolerance is out of reach, so that exactly so many cycles are done
+    # the tolerance is out of reach, so that exactly that many cycles are done
     run, _, _ = run_ours(hierarchy, 1e-300, cycles)
     return {"setup": run.timings["setup"], "solve": run.timings["start"] + run.timings["cycles"],
             "full_passes": full_passes(run, hierarchy)}

@@ -63,7 +63,7 @@ def seconds_table(rows: pd.DataFrame) -> Table:
             "aggregation, set-up and solve, with its defaults and with the best of some settings; with our set-up: our "
             "transfers and set-up too. MG-CG: conjugate gradients with geometric multigrid on our levels, solve alone. "
             "Cholesky: factorisation and solve.")
-    return printed("benchmark_seconds", rows, _SECONDS, "The same, in seconds, beside linear solvers", note)
+    return printed("benchmark_seconds", rows, _SECONDS, "The same, in seconds, compared with linear solvers", note)
 
 
 def exponent(nodes: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
@@ -112,8 +112,8 @@ def summary(rows: pd.DataFrame) -> str:
     """What was asked and what came out."""
     large = rows[rows["nodes"] == rows.groupby("family")["nodes"].transform("max")]
     parts = [f"{row['family']} ({row['nodes']} nodes) {row['over_pyamg']:.2g}" for _, row in large.iterrows()]
-    return ("What does contact with friction cost beside one linear solve on the same mesh, both to a true energy "
-            f"error of 1e-8? The default solver takes {span(rows['cycles'], 'd')} cycles and "
+    return ("What does contact with friction cost compared with one linear solve on the same mesh, both to a true "
+            f"energy error of 1e-8? The default solver takes {span(rows['cycles'], 'd')} cycles and "
             f"{span(rows['work'], '.0f')} passes over the matrix on all meshes. Its seconds over those of "
             "pyamg's smoothed aggregation (defaults) "
             f"with contact nodes fixed, on the largest meshes: {', '.join(parts)}.")
@@ -140,5 +140,5 @@ def figure(rows: pd.DataFrame) -> common.Figure:
     kept = [k for k, label in enumerate(labels) if label]
     canvas.legend([handles[k] for k in kept], [labels[k] for k in kept], loc="outside lower center", ncols=3)
     return common.Figure("benchmark", canvas, "Work units of the contact problem, and its seconds (nested start and "
-                         "cycles) beside those of pyamg, set-up and solve, for one linear solve on the same mesh "
-                         "(grey, same marker).")
+                         "cycles) compared with those of pyamg, set-up and solve, for one linear solve on the same "
+                         "mesh (grey, same marker).")

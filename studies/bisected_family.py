@@ -1,4 +1,4 @@
-"""A family bisected at contact alone, beside meshes that follow the error. Part of ``estimator_effectivity.py``.
+"""A family bisected at contact alone, compared with meshes that follow the error. Part of ``estimator_effectivity.py``.
 
 :meth:`adaptmg.Hierarchy.bisected` refines the elements that touch contact, and no others: after two or three levels the
 error of the elements that stay is all that is left.

@@ -17,7 +17,7 @@ import bolted_sector
 import common
 import numpy as np
 import pandas as pd
-from assembly_tables import TRUE_ERROR, best_of, single_grids, smoothing_table, start_table, told
+from assembly_tables import TRUE_ERROR, best_of, counts_text, single_grids, smoothing_table, start_table
 from bolted_grids import chain, exact, nodes_of
 from common import Context, Figure, Section, Table, main
 from paper_runs import COUNT, RTOL, TARGET, measured, repeats, table
@@ -54,7 +54,7 @@ def several_grids(finest: int, levels: int, method: str, rtol: float, target: fl
 
 def smoothing(finest: int, counts: tuple[int, int], stop: str, rtol: float, target: float, times: int
               ) -> dict[str, Any]:
-    """Two grids in the monotone mode, so many sweeps before and after the correction; full start."""
+    """Two grids in the monotone mode, n sweeps before and after the correction; full start."""
     pre, post = counts
     solver = am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(pre=pre, post=post), stop=stop, rtol=rtol,
                               max_cycles=CYCLES)
@@ -77,7 +77,7 @@ def on_chain(finest: int, levels: int, solver: Any, target: float, times: int) -
 
 
 def compared(finest: int, case: str, friction: float, rtol: float, times: int) -> dict[str, Any]:
-    """The default solver beside the active set method on the finest grid: work, and how far they differ."""
+    """The default solver compared with the active set method on the finest grid: work, and how far they differ."""
     warm_up()
     grids, reference = chain(case, finest, finest + 1, friction), exact(case, finest, friction)
     result = common.quickest(grids, am.FullMultigrid(rtol=rtol), times=times)
@@ -214,7 +214,7 @@ def summary(counts: pd.DataFrame, rows: pd.DataFrame) -> str:
     at = rows[rows["friction"] == 0.2].set_index("case")
     return ("Tables 1 to 3 on the paper's Example 3, of which it prints no figures; dimensions and loads are ours: two "
             "flanged vessels under internal pressure, held by an equivalent ring of bolts, axisymmetric, Coulomb "
-            f"friction .2, {counts['grids'].iloc[0]} nodes. {told(counts)} These three bodies take "
+            f"friction .2, {counts['grids'].iloc[0]} nodes. {counts_text(counts)} These three bodies take "
             f"{at.loc['ring', 'work'] / at.loc['bar', 'work']:.2f} times the work of one on about as many nodes "
             f"({at.loc['bar', 'grids'].split('/')[0]}), two bodies "
             f"{at.loc['traction', 'work'] / at.loc['bar', 'work']:.2f} times.")

@@ -173,7 +173,7 @@ def force_figure(rows: pd.DataFrame, found: dict[str, float], flanges: Flanges) 
 
 @styled
 def joint_figure(path: am.PathResult, steps: tuple[float, ...], flanges: Flanges) -> Figure:
-    """Contact pressure along the joint beside that of the fluid."""
+    """Contact pressure along the joint compared with that of the fluid."""
     figure, ax = plt.subplots(figsize=(7.0, 4.4))
     colors = plt.get_cmap("viridis")(np.linspace(0.0, 0.88, len(CURVES)))
     for pressure, color in zip(CURVES, colors, strict=True):

@@ -56,7 +56,7 @@ def on_grid(number: int) -> dict[str, Any]:
 
 
 def cost(first: int, last: int, rtol: float) -> dict[str, Any]:
-    """Full multigrid beside the active set method on the finest grid, tightened and under pressure at once."""
+    """Full multigrid against the active set method on the finest grid, tightened and under pressure in one step."""
     chain = grids(first, last)
     reference = am.solve(chain.finest.discrete, am.ActiveSet(rtol=1e-11))
     result = am.solve(chain, am.FullMultigrid(rtol=rtol), throw=False)
@@ -77,7 +77,7 @@ def items(context: common.Context, ring: pd.DataFrame) -> list[Table | Figure]:
 
 
 def grid_table(rows: pd.DataFrame, ring: pd.DataFrame) -> Table:
-    """The sector on its grids beside the ring."""
+    """The sector on its grids compared with the ring."""
     at = {p: ring.loc[np.isclose(ring["pressure"], p)].iloc[0] for p in (0.0, 4 * MPA, 8 * MPA)}
     shown = pd.DataFrame({
         "model": [f"sector, {1e3 * SIZES[k]:g} mm" for k in rows["number"]] + ["ring, axisymmetric"],
@@ -93,7 +93,7 @@ def grid_table(rows: pd.DataFrame, ring: pd.DataFrame) -> Table:
             f"{rows['opening'].iloc[-1] / rows['opening'].iloc[0] - 1:.0%}. "
             "The eight bolts stand 188 mm apart, so that the joint opens between them first; the ring, "
             "which presses evenly, does not know that.")
-    return Table("bolted_sector", shown, "The sector with real bolts beside the ring", note,
+    return Table("bolted_sector", shown, "The sector with real bolts compared with the ring", note,
                  {"bolt force": "MN", "at 4 MPa": "MN", "at 8 MPa": "MN", "opening at 4 MPa": "µm"},
                  {"nodes": ".0f", "bolt force": ".3f", "at 4 MPa": ".3f", "at 8 MPa": ".3f",
                   "opening at 4 MPa": ".2f"})
@@ -107,7 +107,7 @@ def cost_table(costs: pd.DataFrame) -> Table:
         columns={"start_work": "start work", "run_seconds": "seconds", "active_seconds": "active set",
                  "method": "taken over by", "residual": "natural residual", "outcome": "status"})
     note = ("Full multigrid to an estimated error of 1e-8; difference: to the active set method, relative A-norm, with "
-            "1e-10. Tightened and under 4 MPa at once. Seconds of the active set method: finest grid alone, direct "
+            "1e-10. Tightened and under 4 MPa in one step. Seconds of the active set method: finest grid alone, direct "
             "factorisation.")
     return Table("bolted_sector_cost", shown, "Multigrid on the sector, friction .2", note,
                  {"start work": "WU", "work": "WU", "seconds": "s", "active set": "s"},

@@ -33,7 +33,7 @@ from adaptmg._files import make_folder, write_bytes
 from adaptmg.export.report import small_png
 from adaptmg.mesh import refine_near, structured
 
-# sections that are made at once hold their figures until they are drawn
+# sections that are made at the same time hold their figures until they are drawn
 matplotlib.rcParams["figure.max_open_warning"] = 0
 
 DATA = Path(__file__).resolve().parent.parent / "data" / "paper"
@@ -154,14 +154,7 @@ class Context:
 
     def study(self, run: Callable[..., dict[str, Any]], parameters: Mapping[str, Sequence[Any]], *,
               timed: bool = False, **fixed: Any) -> pd.DataFrame:
-        """Run a parameter study through the store of this context; rows that are stored are not computed again.
-
-        Parameters
-        ----------
-        run, parameters, fixed : as of :class:`adaptmg.Study`
-        timed : bool
-            The seconds of its runs are a result: they run alone, when all others are done.
-        """
+        """Run a parameter study through the store of this context; rows that are stored are not computed again."""
         make_folder("--out", self.out)
         study = am.Study(run, parameters, self.out / "studies.sqlite", fixed=fixed,
                          name=f"{Path(run.__code__.co_filename).stem}.{run.__name__}")
@@ -199,10 +192,7 @@ def energy_error(result: am.Result, reference: am.Result, hierarchy: am.Hierarch
 
 
 def first_below(result: am.Result, tolerance: float) -> dict[str, float]:
-    """Cycles, work units and seconds when the true error first fell below a tolerance.
-
-    Between two checks of the error the logarithm of the error is interpolated; NaN where it was never reached.
-    """
+    """Cycles, work units and seconds when the true error first fell below a tolerance."""
     error = result.history["true_error"]
     below = np.flatnonzero(error <= tolerance)
     names = ("cycle", "work_units", "seconds")
@@ -254,10 +244,7 @@ def slope(x: Sequence[float], y: Sequence[float]) -> float:
 
 
 def plain_ticks(*axes: Any) -> None:
-    """Label logarithmic axes (``ax.xaxis``, ...) without exponents, at 1, 2, 5 times powers of ten where there is room.
-
-    Over more than a decade and a half such labels would overlap: then at 1 and 3, or at the powers alone.
-    """
+    """Label logarithmic axes (``ax.xaxis``, ...) without exponents, as many as there is room for."""
     for axis in axes:
         low, high = axis.get_view_interval()
         span = high / low if low > 0 else 1.0

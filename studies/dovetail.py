@@ -16,7 +16,7 @@ import dovetail_history
 import dovetail_pictures
 import dovetail_sweeps
 import pandas as pd
-from assembly_tables import TRUE_ERROR, best_of, single_grids, smoothing_table, start_table, told
+from assembly_tables import TRUE_ERROR, best_of, counts_text, single_grids, smoothing_table, start_table
 from common import Context, Figure, Section, Table, main
 from paper_runs import COUNT, RTOL, TARGET, measured, repeats, span, table
 
@@ -25,8 +25,8 @@ import adaptmg as am
 #: sizes away from contact, m; at contact 4 times finer. The third has about as many nodes as the paper's grid 1
 SIZES = (8e-3, 4e-3, 2e-3, 1e-3)
 NAME = "dovetail"
-START_REMARK = ("From zero the joint comes loose first, and the contact zones have to be found, in the truncated mode "
-                "by safe cycles.")
+START_REMARK = ("From zero the joint loses contact first, and the contact zones have to be found, in the truncated "
+                "mode by safe cycles.")
 OMEGAS = (1.9, 1.97, 1.98, 1.95)
 CONDENSED_OMEGAS = (1.7, 1.8, 1.95, 1.9)
 MOST_SWEEPS = 20_000
@@ -67,7 +67,7 @@ def several_grids(finest: int, levels: int, method: str, rtol: float, target: fl
 
 def smoothing(finest: int, counts: tuple[int, int], stop: str, rtol: float, target: float, times: int
               ) -> dict[str, Any]:
-    """Two grids in the monotone mode, so many sweeps before and after the correction; full start."""
+    """Two grids in the monotone mode, n sweeps before and after the correction; full start."""
     pre, post = counts
     solver = am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(pre=pre, post=post), stop=stop, rtol=rtol,
                               max_cycles=CYCLES)
@@ -76,7 +76,7 @@ def smoothing(finest: int, counts: tuple[int, int], stop: str, rtol: float, targ
 
 def local_smoothing(finest: int, levels: int, interface: int, coarse: int, rtol: float, target: float, times: int
                     ) -> dict[str, Any]:
-    """The truncated mode with so many sweeps along the interface, and so many on the coarser levels."""
+    """The truncated mode with n sweeps along the interface, and on the coarser levels."""
     correction = am.Truncated(interface_sweeps=interface, coarse_sweeps=coarse)
     return on_chain(finest, levels, am.FullMultigrid(correction=correction, rtol=rtol), target, times)
 
@@ -182,7 +182,7 @@ def summary(counts: pd.DataFrame) -> str:
     """What was asked and what came out."""
     return ("Tables 1 to 3 on the paper's Example 2, of which it prints no figures; geometry and loads are ours: a "
             "tongue pulled out of its notch, one half by symmetry, plane strain, Coulomb friction .2, "
-            f"{counts['grids'].iloc[0]} nodes. {told(counts)}")
+            f"{counts['grids'].iloc[0]} nodes. {counts_text(counts)}")
 
 
 def further_text(ratios: pd.DataFrame, costs: pd.DataFrame) -> str:

@@ -40,7 +40,7 @@ def history(finest: float, levels: int, steps: int, unload: bool, rtol: float) -
 
 
 def cost(finest: float, levels: int, steps: int, unload: bool, rtol: float, times: int) -> dict[str, Any]:
-    """A path beside one step with all loads; the quickest of some runs."""
+    """A path compared with one step with all loads; the quickest of some runs."""
     # the mesh, and kernels
     am.solve(grids(finest, levels), am.FullMultigrid(rtol=rtol), throw=False)
     single = common.quickest(grids(finest, levels), am.FullMultigrid(rtol=rtol), seconds=1e9, times=times)
@@ -64,7 +64,7 @@ def walked(finest: float, levels: int, steps: int, unload: bool, rtol: float) ->
     slid = np.zeros(len(path[0].contact))
     for k, (result, (_, line)) in enumerate(zip(path, path.table().iterrows(), strict=True)):
         c = result.contact
-        # from the first step on: what the clamp alone did is no part of it
+        # from the first step on: what the clamp alone did is not part of it
         slid = slid + (c.slip[:, 0] if k else 0.0)
         found = {"factor": factors(steps, unload)[k], "lift": float(result.probe([TOP])[0, 1]), **zones(result),
                  "slid": float(np.abs(slid[c.boundary == c.names.index("tongue.flank")]).max()),
@@ -95,7 +95,7 @@ def unfolded(row: pd.Series) -> pd.DataFrame:
 
 
 def costs_of(context: Context, here: dict[str, Any]) -> pd.DataFrame:
-    """Paths beside single steps."""
+    """Paths compared with single steps."""
     fixed = {"steps": 10, "rtol": RTOL, "times": 1 if context.quick else 2}
     cases = [(here, False)]
     if not context.quick:

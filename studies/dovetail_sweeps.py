@@ -1,4 +1,4 @@
-"""The dovetail against friction, clearance and angle, beside one body, and beside the active set method.
+"""The dovetail against friction, clearance and angle, compared with one body, and compared with the active set method.
 
 Part of ``dovetail.py``.
 """
@@ -154,7 +154,7 @@ def shape_table(clearances: pd.DataFrame, angles: pd.DataFrame) -> Table:
 
 
 def agreement_table(frame: pd.DataFrame) -> Table:
-    """Multigrid beside the active set method, and equilibrium."""
+    """Multigrid compared with the active set method, and equilibrium."""
     worst = pd.DataFrame([{
         "joints": len(frame), "converged": int((frame["outcome"] == "CONVERGED").sum()),
         "active set converged": int((frame["other_outcome"] == "CONVERGED").sum()),
@@ -172,7 +172,7 @@ def agreement_table(frame: pd.DataFrame) -> Table:
 
 
 def ratios_of(context: Context) -> pd.DataFrame:
-    """Two bodies beside one."""
+    """Two bodies compared with one."""
     families = ((1.6, 3),) if context.quick else FAMILIES
     parts = [context.study(beside_one_body, {"family": families, "body": ("GRECO bar", "dovetail")}, finest=finest,
                            rtol=RTOL, times=repeats(context))
@@ -206,7 +206,7 @@ def ratio_table(frame: pd.DataFrame) -> Table:
     made = table("dovetail_one_body", frame, ["body", "finest size", "sizes fall by", "levels", "coarsest", "nodes",
                                               "h ratio", "cycles", "start_work", "work", "over one body", "rate",
                                               "run_seconds", "test", "residual", "outcome"],
-                 "Two bodies beside one (GRECO bar) on grids of equal sizes and grading", note,
+                 "Two bodies compared with one (GRECO bar) on grids of equal sizes and grading", note,
                  {"finest size": ".2f", "sizes fall by": ".1f", "h ratio": ".2f", "over one body": ".2f"})
     made.units = dict(made.units) | {"finest size": "mm"}
     return made

@@ -85,15 +85,7 @@ def loop(case: str, engine: str, most: int, reference_nodes: int) -> dict[str, A
 
 
 def algebraic(before: am.Step | None, step: am.Step, error: float) -> dict[str, Any]:
-    """Cycles that are needed, algebraic error left by the loop, and the asymptotic rate.
-
-    Parameters
-    ----------
-    before : Step or None
-    step : Step
-    error : float
-        True error of the step over ||u_h||_A.
-    """
+    """Cycles that are needed, algebraic error left by the loop, and the asymptotic rate."""
     if before is None or len(step.hierarchy) < 2:
         return dict.fromkeys(("needed", "needed_zz", "start_left", "left", "rate", "exact_cycles"), np.nan)
     h = step.hierarchy

@@ -69,7 +69,7 @@ def _spread(values: pd.Series) -> float:
 
 
 def _missed(row: dict) -> str:
-    """What was aimed at and not reached, in words."""
+    """What was aimed at and not reached, as text."""
     words = []
     if row["spread"] > SPREAD:
         words.append("spread")

@@ -1,4 +1,4 @@
-"""The first screen of the report: the paper's three tables beside ours, and two pictures.
+"""The first screen of the report: the paper's three tables next to ours, and two pictures.
 
 A section says itself what stands there (``Section.headline``); for one that does not, what stands here is made from its
 tables. Nothing is computed.

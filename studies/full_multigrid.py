@@ -3,7 +3,7 @@
     python studies/full_multigrid.py [--quick | --full] [--out DIR]
 
 The paper's two grids (289/81) first; then what the start costs on deeper hierarchies, and how far it gets: its error
-against the exact discrete solution beside the discretisation error.
+against the exact discrete solution compared with the discretisation error.
 """
 
 from __future__ import annotations
@@ -46,10 +46,7 @@ DEFAULT = "default (truncated)"
 
 def method(problem: str, name: str, correction: str, stop: str, coarse_condensed: bool, start_rtol: float,
            rtol: float, target: float, times: int) -> dict[str, Any]:
-    """One of :data:`METHODS` with two smoothings; coarse problems to 1e-2, the first one to ``start_rtol``.
-
-    The default (``correction`` "truncated") has its own ways: one symmetric sweep, the coarsest level factorised.
-    """
+    """One of :data:`METHODS` with two smoothings; coarse problems to 1e-2, the first one to ``start_rtol``."""
     if name == METHODS[0]:
         solver = am.SingleGrid(stop=stop, rtol=rtol)
     elif correction == "truncated":

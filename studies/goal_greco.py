@@ -40,7 +40,7 @@ def points() -> tuple[np.ndarray, np.ndarray]:
     return np.array(list(reference["points"].values())), np.array(list(reference["values"]["converged"].values()))
 
 
-def walk(way: str, size: float, growth: float, max_nodes: int) -> dict[str, Any]:
+def loop_errors(way: str, size: float, growth: float, max_nodes: int) -> dict[str, Any]:
     """One loop: nodes and largest relative errors at A-E of all its meshes, as they are and with estimates added."""
     problem, (at, exact) = am.cases.greco_bar(), points()
     goal, rows = am.Goal(am.Displacement(at, "x")), []
@@ -107,7 +107,7 @@ def posed(quantity: str, levels: int) -> tuple[am.Hierarchy, Any]:
 def run(context: common.Context) -> common.Section:
     """Tables and figure; see the module."""
     ways = QUICK_WAYS if context.quick else WAYS
-    loops = pd.concat([context.study(walk, {"size": SIZES[1:2] if context.quick else SIZES, "growth": GROWTHS},
+    loops = pd.concat([context.study(loop_errors, {"size": SIZES[1:2] if context.quick else SIZES, "growth": GROWTHS},
                                      way=way, max_nodes=most).assign(way=way) for way, most in ways.items()],
                       ignore_index=True)
     for column in ("nodes", "errors", "corrected", "differences", "estimates"):

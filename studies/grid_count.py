@@ -207,7 +207,7 @@ def gain_table(name: str, frame: pd.DataFrame, problem: str, divisions: int) -> 
                "gain in s"]
     if divisions == 32 and problem == BAR:
         printed = common.paper("table1_methods").set_index("n_grids")
-        # the paper does not say whether its regular resolution was over-relaxed or condensed: beside omega 1 only
+        # the paper does not say whether its regular resolution was over-relaxed or condensed: only omega 1 is compared
         same = (frame["levels"] > 1) | (frame.index == 0)
         for column, source in (("paper CPU", "printed"), ("paper speed-up", "speedup")):
             frame[column] = frame["levels"].map(printed[source]).where(same, None)

@@ -14,7 +14,7 @@ import adaptmg as am
 from adaptmg.plot.style import BLUE, GREEN, GREY, INK, ORANGE, SKY, styled
 
 BAR = "Coulomb bar"
-#: name of the row that has no run of its own
+#: name of the row without its own run
 PREDICTED = "one grid, omega 1 (predicted)"
 
 

@@ -60,10 +60,7 @@ def elastic_system(dim: int, divisions: int) -> LocalSystem:
 
 
 def best_times(calls: list[Callable[[], object]], repeats: int) -> list[float]:
-    """Shortest of several runs of each call, s, taken in turns so that all see the same load of the machine.
-
-    One run before them compiles and fills the caches.
-    """
+    """Shortest of several runs of each call, s, taken in turns so that all see the same load of the machine."""
     for call in calls:
         call()
     times = np.full((repeats, len(calls)), np.inf)

@@ -1,7 +1,7 @@
 """Linear solvers on the glued problem (all contact dofs fixed): the rivals of the benchmark, stopped at a true error.
 
 Each rival first runs to a relative energy error of 1e-8, measured against its own solution at 1e-13, to learn how many
-iterations that takes; then exactly so many are timed. Set-up and solve are timed apart.
+iterations that takes; then exactly that many are timed. Set-up and solve are timed apart.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class Timed:
 
 
 def time_iterative(problem: Glued, build: Callable[[], Callable[[np.ndarray], np.ndarray]], iterations: int) -> Timed:
-    """Set up and iterate so many times."""
+    """Set up and iterate n times."""
     begin = time.perf_counter()
     precondition = build()
     ready = time.perf_counter()

@@ -55,17 +55,7 @@ def nodes_text(divisions: tuple[int, ...]) -> str:
 
 def measured(hierarchy: am.Hierarchy, solver: Any, reference: am.Result, target: float, times: int = 3
              ) -> dict[str, Any]:
-    """One row: a solve, the quickest of up to ``times`` where it is short.
-
-    Returns
-    -------
-    dict
-        ``cycles_at``, ``work_at``, ``seconds_at``: when the true error first fell below ``target`` (NaN: never);
-        ``cycles``, ``work``, ``start_work``, ``run_seconds``, ``true_error``, ``residual``, ``change``, ``rate``,
-        ``outcome``: at the end; ``fallback``: the method that took over, "" if none did; ``work at 1e-03`` and so on:
-        at each of :data:`ERRORS`; ``error_0``, ``work_0``, ``error_1``, ``work_1``: at the first two rows of the
-        history, which with several grids are after the start, k cycles and the smoothing of the next.
-    """
+    """One row: a solve, the quickest of up to ``times`` where it is short."""
     common.warm_up()
     results = [am.solve(hierarchy, solver, reference=reference, throw=False)]
     while len(results) < times and sum(result.seconds for result in results) < 0.3:

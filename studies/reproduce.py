@@ -1,4 +1,4 @@
-"""All studies, one HTML report that opens offline, with the tables as CSV beside it.
+"""All studies, one HTML report that opens offline, with the tables as CSV next to it.
 
     python studies/reproduce.py [--quick | --full] [--workers N] [--out DIR] [--fresh] [--pictures] [STUDY ...]
 """
@@ -29,7 +29,7 @@ STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolte
 LARGE = ("hertz", "estimator_effectivity", "goal_greco", "kernels", "benchmark", "robustness", "true_errors",
          "adaptive_campaign")
 TITLE = "adaptmg: multigrid for frictional contact"
-SUMMARY = "'Multigrid in Structure Assembling Problem' recomputed: its tables beside ours, and what they leave open."
+SUMMARY = "'Multigrid in Structure Assembling Problem' recomputed: its tables next to ours, and what they leave open."
 TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,
 inside coarse solves and in nested starts too. It counts matrix read, not operations: a pass of the default method's
 half sweeps uses each entry twice, a sweep of the other methods once. Direct factorisations are reported in seconds
@@ -43,8 +43,8 @@ forces and reactions. CONVERGED: the estimated error is below the tolerance and 
 LIMIT: cycles or sweeps ran out before. STALLED: the iteration no longer changes though the residual is above.
 
 Seconds are of this machine and this run, on one thread. Those of adaptive meshes, of building transfers and of
-algebraic multigrid were measured alone; elsewhere other runs may have gone on beside, so that they are rough. The paper
-counts grid 1 as the finest."""
+algebraic multigrid were measured alone; elsewhere other runs may have gone on at the same time, so that they are
+rough. The paper counts grid 1 as the finest."""
 
 
 def main() -> None:
@@ -92,13 +92,7 @@ def cores() -> int:
 
 
 def report(context: Context, names: Sequence[str], workers: int, pictures: bool = False) -> list[str]:
-    """Run studies, show them as they are done, and write the report.
-
-    Returns
-    -------
-    list of str
-        Names of the studies that failed.
-    """
+    """Run studies, show them as they are done, and write the report."""
     begin, sections, drawn = time.perf_counter(), {}, {}
 
     def done(name: str, section: Section, made: dict[str, Picture], seconds: float) -> None:
@@ -123,10 +117,7 @@ def report(context: Context, names: Sequence[str], workers: int, pictures: bool 
 
 
 def page_of(sections: Mapping[str, Section], context: Context, drawn: Mapping[str, Picture] | None = None) -> Report:
-    """The report of what studies returned, by their names: first screen, a section each, how it was made.
-
-    ``drawn`` has figures by their names that are pictures already.
-    """
+    """The report of what studies returned, by their names: first screen, a section each, how it was made."""
     from adaptmg.export import Report
 
     page = Report(TITLE, SUMMARY + " This is a quick run, on smaller grids." * context.quick, terms=TERMS)

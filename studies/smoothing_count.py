@@ -41,7 +41,7 @@ def coarse_solve(name: str, size: float, tolerance: float) -> am.CoarseSolve:
 
 def smoothing(problem: str, correction: str, start: str, coarse: str, smoothings: int, tolerance: float,
               max_cycles: int, target: float, times: int) -> dict[str, Any]:
-    """Two grids, so many smoothings before the correction."""
+    """Two grids, n smoothings before the correction."""
     reference = exact(problem, DIVISIONS[-1])
     method = am.FullMultigrid if start == "full" else am.Multigrid
     solver = method(cycle=am.Cycle(pre=smoothings), correction=CORRECTIONS[correction](), stop="change", rtol=tolerance,
@@ -111,7 +111,7 @@ def paper_table(frame: pd.DataFrame) -> Table:
                "grids", "test", "true_error", "residual", "outcome"]
     return table("smoothing_count", bar, columns, "Frictionless bar, two grids (289/81), the paper's mode: cycles and "
                  f"work to a change of {CHANGE:g}", "Coarse solves by sweeps: to an estimated error of 1e-8, or until "
-                 "a sweep changes the solution by so many times what the outer test allows. " + paper_note(bar),
+                 "a sweep changes the solution by that many times what the outer test allows. " + paper_note(bar),
                  {"paper iterations": ".0f"})
 
 

@@ -1,6 +1,6 @@
-"""Sections of several studies at once, their runs on the workers of one cluster, and timed runs alone at the end.
+"""Sections of several studies at the same time, their runs on the workers of one cluster; timed runs alone at the end.
 
-Each section is made in a thread of its own, and has its turn: one thread at a time computes, tabulates and draws
+Each section is made in its own thread, and has its turn: one thread at a time computes, tabulates and draws
 (pyplot is not safe for more); while it waits for runs the others go on. A timed study waits until no other section
 computes, and runs in this process while the workers are idle.
 """
@@ -26,17 +26,7 @@ from adaptmg.export.report import Picture, picture_of
 
 
 class Turns:
-    """Whose turn it is, and whether all others wait to measure.
-
-    Parameters
-    ----------
-    threads : int
-        How many sections there are.
-    client : distributed.Client
-        Of the cluster that computes their runs.
-    progress : callable or bool
-        Told of each run, see :meth:`adaptmg.study.Study.run`.
-    """
+    """Whose turn it is, and whether all others wait to measure."""
 
     def __init__(self, threads: int, client: Any, progress: Callable[[Any], None] | bool = False) -> None:
         self._client, self._turn, self._progress = client, threading.Lock(), progress

@@ -82,8 +82,8 @@ def adaptive_items(context: common.Context) -> list[common.Table | common.Figure
     return [transfer_table(pd.concat(found, ignore_index=True)), ratio_table(ratios), ratio_figure(ratios)]
 
 
-def beside(rows: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """The default method's cycles, rate and work, and the monotone one's beside them."""
+def compared(rows: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """The default method's cycles, rate and work, and the monotone one's next to them."""
     default, monotone = (rows[rows["method"] == name].set_index(keys) for name in METHODS)
     frame = default[["nodes", "levels", "size_ratio", "cycles", "rate", "work", "outcome"]].join(
         monotone[["cycles", "rate", "work", "outcome"]].add_suffix(", monotone"))
@@ -99,7 +99,7 @@ FORMATS = {"size ratio": ".2f"} | {name + mode: spec for name, spec in (("rate",
 
 def transfer_table(rows: pd.DataFrame) -> common.Table:
     """Each transfer on the same levels."""
-    frame = beside(rows, ["case", "engine", "transfer"])
+    frame = compared(rows, ["case", "engine", "transfer"])
     key = ["problem", "engine"]
     base = frame[frame["transfer"] == "Interpolation"].set_index(key)["work"]
     words = [f"{name} {span(group.set_index(key)['work'] / base, '.2f')}"
@@ -112,7 +112,7 @@ def transfer_table(rows: pd.DataFrame) -> common.Table:
 
 def ratio_table(rows: pd.DataFrame) -> common.Table:
     """Levels left out, and what becomes of the rate."""
-    frame = beside(rows, ["case", "stride"])
+    frame = compared(rows, ["case", "stride"])
     words = []
     for case, group in frame.groupby("problem", sort=False):
         first, last = group.iloc[0], group.iloc[-1]

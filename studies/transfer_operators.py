@@ -5,7 +5,7 @@
    proven: contact rows >= 0 with sums 1. Contact rows, which interpolate along the coarse contact boundary whatever
    the transfer does elsewhere, give this to every transfer; on a straight boundary interpolation has it anyway.
 2. Cycles and work units with each of them, from a zero and from a nested start: the default method, and the monotone
-   one with V(2,0) and W(2,0) beside it.
+   one with V(2,0) and W(2,0) next to it.
 3. Two grids with a growing ratio of their mesh sizes, everywhere or at contact only.
 4. With --full the same on the levels that adaptive loops leave: transfers, and size ratios by leaving levels out.
 

@@ -1,8 +1,8 @@
 """What a user waits for: seconds of wall time from the problem to its solution, by phase, one thread.
 
 Everything counts: meshes, assembly, transfers, statics, set-up, the nested start, cycles to an estimated error of 1e-8
-and the certificate; beside it pyamg's smoothed aggregation (its defaults, rigid motions as near-nullspace) on the glued
-matrix of the same mesh, set-up and solve alone.
+and the certificate; pyamg's smoothed aggregation (its defaults, rigid motions as near-nullspace) stands next to it, on
+the glued matrix of the same mesh, set-up and solve alone.
 """
 
 from __future__ import annotations

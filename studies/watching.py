@@ -1,4 +1,4 @@
-"""What one sees while many studies run at once: a line that follows them on a terminal, else a line now and then."""
+"""Progress of studies that run at the same time: a line that follows them on a terminal, else a line now and then."""
 
 from __future__ import annotations
 
@@ -15,17 +15,7 @@ if TYPE_CHECKING:
 
 
 class Watching:
-    """Counts of studies that run at once, told from any of their threads.
-
-    Parameters
-    ----------
-    studies : int
-        How many there are.
-    every : float
-        Seconds from line to line where there is no terminal.
-    console : rich.console.Console, optional
-        Default: standard error.
-    """
+    """Counts of studies that run at the same time, told from any of their threads."""
 
     def __init__(self, studies: int, every: float = 15.0, console: Console | None = None) -> None:
         self._studies, self._ended, self._runs = studies, 0, 0

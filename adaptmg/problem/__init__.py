@@ -1,4 +1,4 @@
-"""What is posed: problems, materials, laws, loads, obstacles, pairs, domains. Pure data in SI units, no NGSolve."""
+"""Problems: materials, laws, loads, obstacles, pairs and domains as pure data in SI units, without NGSolve."""
 
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.laws import Coulomb, Frictionless, Law, Tresca
@@ -7,16 +7,16 @@ from adaptmg.problem.loads import BodyForce, InitialStrain, Pressure, Support, T
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStrain, PlaneStress, Solid
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import (
-           Assembly,
-           Ball,
-           Common,
-           Cut,
-           Cylinder,
-           Extrusion,
-           Fuse,
-           Moved,
-           Revolution,
-           StepFile,
+    Assembly,
+    Ball,
+    Common,
+    Cut,
+    Cylinder,
+    Extrusion,
+    Fuse,
+    Moved,
+    Revolution,
+    StepFile,
 )
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
 

@@ -37,8 +37,8 @@ class Contact:
     ----------
     boundary : str
         Name of the contact boundary.
-    obstacle : Plane or GapFunction
-        What it may touch.
+    obstacle : Plane, GapFunction or user-defined
+        The obstacle; an object with ``contact(points, normals)``.
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
     """
@@ -55,7 +55,7 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactProblem:
-    """What is posed; pure data in SI units, no mesh.
+    """Elastic bodies in contact: pure data in SI units, without a mesh.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ class ContactProblem:
         Of all bodies, or of each body by its name.
     contact : Contact, ContactPair or sequence of them
         The boundaries that may touch a rigid obstacle, or each other.
-    law : Frictionless, Tresca, Coulomb or one's own
+    law : Frictionless, Tresca, Coulomb or user-defined
         The contact law, the same on all contact boundaries (its parameters may vary in space).
     loads : sequence of Pressure, Traction, BodyForce, InitialStrain
-        What acts on the bodies.
+        Loads on the bodies.
     supports : sequence of Support
         Prescribed displacement components.
     domain : Domain, optional
@@ -89,20 +89,19 @@ class ContactProblem:
     def __post_init__(self) -> None:
         if not isinstance(self.material, Elastic):
             object.__setattr__(self, "material", _materials(self.material))
-        contact = checks.items("contact", self.contact, (Contact, ContactPair))
-        if not contact:
+        checks.convert(self, checks.items, "contact", types=(Contact, ContactPair))
+        if not self.contact:
             raise ValueError("contact is empty: a contact problem needs a Contact or a ContactPair")
         check_law(self.law)
-        object.__setattr__(self, "contact", contact)
-        object.__setattr__(self, "loads", checks.items("loads", self.loads, _LOADS))
-        object.__setattr__(self, "supports", checks.items("supports", self.supports, Support))
+        checks.convert(self, checks.items, "loads", types=_LOADS)
+        checks.convert(self, checks.items, "supports", types=Support)
         checks.boundary_name("name", self.name)
         checks.instance("reference", self.reference, Mapping, "a mapping of names to values")
         for load in self.loads:
             _check_load(load, self.dim)
         for support in self.supports:
             support.components(self.dim)
-        _check_contact(contact, self.dim)
+        _check_contact(self.contact, self.dim)
         self._check_name_contact()
         if self.domain is not None:
             self._check_domain(self.domain)
@@ -112,10 +111,9 @@ class ContactProblem:
     def _check_name_contact(self) -> None:
         """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""
         if CONTACT in self._uses() and self.contact_boundaries != (CONTACT,):
-            raise ValueError(f"the name {CONTACT!r} stands for all contact boundaries together (as in "
-                             f"Result.resultant): it may only be that of the one contact boundary, or slave, of a "
-                             f"problem, but names a boundary used for {self._uses()[CONTACT]} where contact is on "
-                             f"{', '.join(map(repr, self.contact_boundaries))}; rename it")
+            raise ValueError(f"the name {CONTACT!r} stands for all contact boundaries together, but names a boundary "
+                             f"used for {self._uses()[CONTACT]} where contact is on "
+                             f"{', '.join(map(repr, self.contact_boundaries))}: rename it")
 
     def _uses(self) -> dict[str, str]:
         """What each boundary that the problem names is used for."""
@@ -212,8 +210,8 @@ def _materials(material: object) -> dict[str, Elastic]:
     soft, stiff = (pick(material, key=lambda name: material[name].young) for pick in (min, max))
     if material[stiff].young > _MOST_STIFFER * material[soft].young:
         raise ValueError(f"material: Young's moduli must lie within a factor {_MOST_STIFFER:g} of each other, got "
-                         f"{material[stiff].young:g} ({stiff!r}) and {material[soft].young:g} ({soft!r}): beyond, the "
-                         "soft body is lost in rounding; an obstacle (am.Contact) is a rigid body")
+                         f"{material[stiff].young:g} ({stiff!r}) and {material[soft].young:g} ({soft!r}): use "
+                         "am.Contact for a rigid body")
     return dict(material)
 
 
@@ -228,9 +226,8 @@ def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int) -> None
     names = [c.boundary for c in contact]
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"boundary {name!r} is named twice as contact boundary (slave of a pair, or in front of "
-                             "an obstacle): its nodes can carry one condition; swap slave and master of a pair, or "
-                             "cut the boundary in two")
+            raise ValueError(f"boundary {name!r} is named twice as contact boundary: swap slave and master of a pair, "
+                             "or cut the boundary in two")
     for c in contact:
         if isinstance(c, ContactPair) and c.master in names and not _rigid(contact, c.master):
             raise ValueError(f"boundary {c.master!r} is the master of {c.slave!r} and slave of another pair: "

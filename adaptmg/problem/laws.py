@@ -4,7 +4,7 @@ With the compressive nodal force p >= 0 every law here has the form
 
 .. math:: |f_t| \le s + \mu\,p, \qquad f_t \text{ opposite to the slip where equal},
 
-a Tresca limit s plus a Coulomb part. A law of one's own is any object with the two methods :meth:`at_nodes` and
+a Tresca limit s plus a Coulomb part. A user-defined law is any object with the two methods :meth:`at_nodes` and
 :meth:`bounds`.
 """
 
@@ -22,41 +22,46 @@ from adaptmg import _checks as checks
 __all__ = ["Coulomb", "Frictionless", "Law", "Tresca"]
 
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
-_Given = TypeVar("_Given")
+_AnyLaw = TypeVar("_AnyLaw")
 
 
 @runtime_checkable
 class Law(Protocol):
-    """What a contact law must offer."""
+    """The methods of a contact law."""
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Law:
-        """The law with its parameters evaluated at contact nodes (points (n, dim) m, weights (n,) m or m^2)."""
+        """Return the law with its parameters evaluated at contact nodes (points (n, dim) m, weights (n,) m or m^2)."""
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
+        """Return nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
 
 
-def _nodal(name: str, value: float | np.ndarray, n: int) -> np.ndarray:
+def _nodal(name: str, value: FieldLike | np.ndarray, n: int) -> np.ndarray:
+    if callable(value):
+        raise TypeError(f"{name}: a function of position must be evaluated at the nodes first (at_nodes)")
     if np.shape(value) not in ((), (n,)):
         raise ValueError(f"{name} must be a number or an array over the {n} contact nodes, got shape {np.shape(value)}")
     return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (n,)))
 
 
-def _check_parameter(name: str, value: FieldLike | np.ndarray) -> None:
-    if callable(value) and not isinstance(value, type):
-        return
-    try:
-        array = np.asarray(None if isinstance(value, np.ma.MaskedArray) else value)
-    except (TypeError, ValueError):
-        array = np.asarray(None)
-    if array.dtype.kind not in "fiu":
+def _parameter(name: str, value: FieldLike | np.ndarray) -> FieldLike | np.ndarray:
+    array = None if isinstance(value, np.ma.MaskedArray) else checks.real_array(value)
+    if array is None:
         raise TypeError(f"{name} must be a number, a function of position or an array, got {checks.described(value)}")
     if not ((array >= 0) & (array <= checks.VAST)).all():
         raise ValueError(f"{name} must be finite and >= 0, and at most {checks.VAST:g}, got {checks.shown(value)}")
+    return value
 
 
-def _with(law: _Given, name: str, values: np.ndarray) -> _Given:
-    """The law with other values, of the same class: a subclass may have bounds of its own."""
+def _at_points(name: str, value: FieldLike | np.ndarray, points: np.ndarray) -> np.ndarray:
+    if isinstance(value, np.ndarray) and value.ndim:
+        raise TypeError(f"{name} must be a number or a function of position on a ContactProblem; arrays over contact "
+                        "nodes belong on a DiscreteProblem")
+    return checks.field(name, value, points, minimum=0.0)
+
+
+def _with(law: _AnyLaw, name: str, values: np.ndarray) -> _AnyLaw:
+    """The law with other values, of the same class: a subclass may define its bounds."""
     result = copy.copy(law)
     object.__setattr__(result, name, values)
     return result
@@ -67,17 +72,15 @@ class Frictionless:
     """No tangential force: f_t = 0."""
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Frictionless:
-        """Nothing to evaluate."""
         return self
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Zero limit, zero friction."""
         return np.zeros(n_contact), np.zeros(n_contact)
 
 
 @dataclass(frozen=True, eq=False)
 class Tresca:
-    """Given friction: |f_t| <= limit, whatever the pressure.
+    """Tresca friction: |f_t| <= limit, independent of the pressure.
 
     Parameters
     ----------
@@ -89,19 +92,13 @@ class Tresca:
     limit: FieldLike | np.ndarray
 
     def __post_init__(self) -> None:
-        _check_parameter("limit", self.limit)
+        checks.convert(self, checks.function_or, "limit", check=_parameter)
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Tresca:
-        """The nodal forces: traction times lumped boundary mass."""
-        if isinstance(self.limit, np.ndarray) and self.limit.ndim:
-            raise TypeError("limit: give a number (Pa) or a function of position on a ContactProblem; "
-                            "arrays of nodal forces belong on a DiscreteProblem")
-        return _with(self, "limit", checks.field("limit", self.limit, points, minimum=0.0) * weights)
+        """Return the law with nodal forces: traction times lumped boundary mass."""
+        return _with(self, "limit", _at_points("limit", self.limit, points) * weights)
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Nodal limits, zero friction."""
-        if callable(self.limit):
-            raise TypeError("limit: a function of position must be evaluated at the nodes first (Tresca.at_nodes)")
         return _nodal("limit", self.limit, n_contact), np.zeros(n_contact)
 
 
@@ -118,17 +115,11 @@ class Coulomb:
     friction: FieldLike | np.ndarray
 
     def __post_init__(self) -> None:
-        _check_parameter("friction", self.friction)
+        checks.convert(self, checks.function_or, "friction", check=_parameter)
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Coulomb:
-        """The coefficient at each contact node."""
-        if isinstance(self.friction, np.ndarray) and self.friction.ndim:
-            raise TypeError("friction: give a number or a function of position on a ContactProblem; "
-                            "arrays over contact nodes belong on a DiscreteProblem")
-        return _with(self, "friction", checks.field("friction", self.friction, points, minimum=0.0))
+        """Return the law with the coefficient at each contact node."""
+        return _with(self, "friction", _at_points("friction", self.friction, points))
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Zero limit, nodal friction."""
-        if callable(self.friction):
-            raise TypeError("friction: a function of position must be evaluated at the nodes first (Coulomb.at_nodes)")
         return np.zeros(n_contact), _nodal("friction", self.friction, n_contact)

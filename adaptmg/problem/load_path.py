@@ -1,9 +1,6 @@
-"""LoadPath: a history of loads and prescribed displacements in steps, each a factor times what is posed.
+"""LoadPath: a quasi-static history of loads and prescribed displacements, in each step a factor times the problem's.
 
-Friction remembers: what a body does under a load depends on how the load came about. A path says it step by step,
-quasi-static, without time.
-
-step_problem: what is posed in one step of a load path, as a problem of its own.
+Friction depends on the history: the same load, applied in another order, leaves another slip.
 """
 
 from __future__ import annotations
@@ -20,20 +17,18 @@ from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Supp
 
 __all__ = ["BODY_FORCE", "DEFAULT", "LoadPath", "Scaled", "name_in_path", "names_in_path", "step_problem"]
 
-BODY_FORCE = "body force"
-"""Name of body forces that act on all bodies."""
-
-DEFAULT = "default"
-"""Name of all loads together where there is no ContactProblem that tells them apart."""
+BODY_FORCE = "body force"  # name of body forces that act on all bodies
+DEFAULT = "default"  # name of all loads together, where no ContactProblem names them
 
 Factors = float | Sequence[float]
+Field = float | Callable[[np.ndarray], np.ndarray]
 
 _ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
 class LoadPath:
-    """Load steps.
+    """Factors of loads and prescribed displacements in each load step.
 
     Parameters
     ----------
@@ -58,22 +53,20 @@ class LoadPath:
     default: Factors = 1.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.factors, Mapping):
-            raise TypeError("factors must map names of boundaries or bodies to factors, got "
-                            f"{checks.described(self.factors)}")
-        given = {}
-        for name, value in self.factors.items():
+        values = {}
+        names = "names of boundaries or bodies to factors"
+        for name, value in checks.mapping("factors", self.factors, names).items():
             checks.boundary_name("the names in factors", name)
-            given[name] = _factors(f"factors[{name!r}]", value)
+            values[name] = _factors(f"factors[{name!r}]", value)
         default = _factors("default", self.default)
-        lengths = {name: value.size for name, value in {**given, DEFAULT: default}.items() if value.ndim}
+        lengths = {name: value.size for name, value in {**values, DEFAULT: default}.items() if value.ndim}
         if len(set(lengths.values())) > 1:
             raise ValueError("factors must have the same number of steps, got "
                              + ", ".join(f"{n} for {name!r}" for name, n in lengths.items()))
         steps = next(iter(lengths.values()), 1)
         if not steps:
             raise ValueError("factors are empty: give a factor for each step, one at least")
-        object.__setattr__(self, "factors", {name: _spread(value, steps) for name, value in given.items()})
+        object.__setattr__(self, "factors", {name: _spread(value, steps) for name, value in values.items()})
         object.__setattr__(self, "default", _spread(default, steps))
 
     def __len__(self) -> int:
@@ -84,27 +77,17 @@ class LoadPath:
         return self.factors.get(name, self.default)
 
     def resolved(self, problem: ContactProblem | None) -> dict[str, np.ndarray]:
-        """Factors (n_steps,) of everything a problem has to scale.
+        """Return the factors (n_steps,) of each load and prescribed displacement of a problem, by name.
 
-        Parameters
-        ----------
-        problem : ContactProblem or None
-            None stands for a bare DiscreteProblem, whose loads have no names: then only ``default`` counts.
-
-        Raises
-        ------
-        ValueError
-            If the path names something that the problem does not load or move.
+        Without a problem (a bare DiscreteProblem, whose loads have no names) only ``default`` counts. ValueError if the
+        path names something that the problem does not load or move.
         """
-        known = (DEFAULT,) if problem is None else names_in_path(problem)
-        for name in self.factors:
-            if problem is None:
-                raise ValueError(f"path names {name!r}, but the loads of a bare DiscreteProblem have no names: give "
-                                 "default=... alone, or a hierarchy made from a ContactProblem")
-            if name not in known:
-                raise ValueError(f"path names {name!r}, where the problem has no load and no prescribed displacement "
-                                 f"other than zero; known are {', '.join(map(repr, known)) or 'none'}")
-        return {name: self.of(name) for name in known}
+        if problem is None and self.factors:
+            raise ValueError(f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem have "
+                             "no names: give default=... alone, or a hierarchy made from a ContactProblem")
+        names = (DEFAULT,) if problem is None else names_in_path(problem)
+        _check_names("path names", self.factors, names)
+        return {name: self.of(name) for name in names}
 
 
 def name_in_path(item: Load | Support) -> str:
@@ -145,9 +128,6 @@ def _spread(value: np.ndarray, steps: int) -> np.ndarray:
     return result
 
 
-Field = float | Callable[[np.ndarray], np.ndarray]
-
-
 @dataclass(frozen=True)
 class Scaled:
     """A function of position times a number."""
@@ -161,33 +141,36 @@ class Scaled:
 
 
 def step_problem(problem: ContactProblem, factors: Mapping[str, float]) -> ContactProblem:
-    """The problem with its loads and prescribed displacements multiplied.
+    """Return the problem with its loads and prescribed displacements multiplied by the factors of one load step.
 
     Parameters
     ----------
     problem : ContactProblem
     factors : mapping of str to float
-        By the names of a :class:`~adaptmg.problem.load_path.LoadPath`; what is not named keeps its size. Of step k of
-        a PathResult: ``{name: values[k] for name, values in path.factors.items()}``.
+        By the names of a :class:`LoadPath`; what is not named keeps its size. Those of step k of a PathResult are
+        ``{name: values[k] for name, values in path.factors.items()}``.
 
     Returns
     -------
     ContactProblem
-        Loads with factor 0 stay, as zeros. Friction's memory is not part of it.
+        Loads with factor 0 stay, as zeros. The slip of earlier steps is not part of it.
 
     Raises
     ------
     ValueError
         For a name under which nothing is loaded or moved, or a factor that is not finite.
     """
-    known = names_in_path(problem)
-    given = {name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()}
-    for name in given:
-        if name not in known:
-            raise ValueError(f"factors name {name!r}, where the problem has no load and no prescribed displacement "
-                             f"other than zero; known are {', '.join(map(repr, known)) or 'none'}")
-    return replace(problem, loads=tuple(_load(load, given.get(name_in_path(load), 1.0)) for load in problem.loads),
-                   supports=tuple(_support(one, given.get(name_in_path(one), 1.0)) for one in problem.supports))
+    factors = {name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()}
+    _check_names("factors name", factors, names_in_path(problem))
+    return replace(problem, loads=tuple(_load(load, factors.get(name_in_path(load), 1.0)) for load in problem.loads),
+                   supports=tuple(_support(one, factors.get(name_in_path(one), 1.0)) for one in problem.supports))
+
+
+def _check_names(what: str, factors: Mapping[str, object], names: tuple[str, ...]) -> None:
+    for name in factors:
+        if name not in names:
+            raise ValueError(f"{what} {name!r}, where the problem has no load and no prescribed displacement other "
+                             f"than zero; known are {', '.join(map(repr, names)) or 'none'}")
 
 
 def _times(value: Field | None, factor: float) -> Field | None:

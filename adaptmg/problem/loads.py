@@ -1,4 +1,4 @@
-"""Loads and supports, by boundary or body name. SI units.
+"""Loads and supports by boundary or body name, in SI units.
 
 Values are numbers, or vectorised functions of position (n, dim) -> (n,).
 """
@@ -17,17 +17,11 @@ __all__ = ["BodyForce", "InitialStrain", "Load", "Pressure", "Support", "Tractio
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
 
 
-def _field(name: str, value: FieldLike) -> FieldLike:
-    """A number, or a function of position; a class is neither."""
-    return value if callable(value) and not isinstance(value, type) else checks.quantity(name, value)
-
-
-def _check_components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]:
-    listed = checks.listed(name, values, "numbers or functions, one a component")
-    result = tuple(_field(name, value) for value in listed)
-    if len(result) not in (2, 3):
-        raise ValueError(f"{name} must have 2 or 3 components, got {len(result)}")
-    return result
+def _components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]:
+    entries = checks.listed(name, values, "numbers or functions, one a component")
+    if len(entries) not in (2, 3):
+        raise ValueError(f"{name} must have 2 or 3 components, got {len(entries)}")
+    return tuple(checks.function_or(name, value) for value in entries)
 
 
 @dataclass(frozen=True)
@@ -47,7 +41,7 @@ class Pressure:
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
-        object.__setattr__(self, "value", _field("value", self.value))
+        checks.convert(self, checks.function_or, "value")
 
 
 @dataclass(frozen=True)
@@ -67,7 +61,7 @@ class Traction:
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
-        object.__setattr__(self, "components", _check_components("components", self.components))
+        checks.convert(self, _components, "components")
 
 
 @dataclass(frozen=True)
@@ -86,7 +80,7 @@ class BodyForce:
     body: str | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "components", _check_components("components", self.components))
+        checks.convert(self, _components, "components")
         if self.body is not None:
             checks.boundary_name("body", self.body)
 
@@ -112,7 +106,7 @@ class InitialStrain:
 
     def __post_init__(self) -> None:
         checks.boundary_name("body", self.body)
-        object.__setattr__(self, "components", _check_components("components", self.components))
+        checks.convert(self, _components, "components")
 
 
 Load = Pressure | Traction | BodyForce | InitialStrain
@@ -138,9 +132,8 @@ class Support:
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         for name in "xyz":
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, _field(name, value))
+            if getattr(self, name) is not None:
+                checks.convert(self, checks.function_or, name)
         if self.x is None and self.y is None and self.z is None:
             raise ValueError(f"support on {self.boundary!r} fixes nothing: give x, y or z a displacement in m")
 

@@ -15,7 +15,7 @@ from adaptmg import _checks as checks
 
 __all__ = ["Axisymmetric", "Elastic", "PlaneStrain", "PlaneStress", "Solid"]
 
-_FROM_LIMIT = 1e-9  # nearer to its limits a ratio of Poisson makes one modulus rounding beside the other
+_FROM_LIMIT = 1e-9  # closer to its limits, one modulus is of the size of rounding of the other
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,12 +35,11 @@ class Elastic:
     dim: ClassVar[int]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "young", checks.quantity("young", self.young, positive=True))
-        poisson = checks.number("poisson", self.poisson)
-        if not -1 + _FROM_LIMIT < poisson < 0.5 - _FROM_LIMIT:
+        checks.convert(self, checks.quantity, "young", positive=True)
+        checks.convert(self, checks.number, "poisson")
+        if not -1 + _FROM_LIMIT < self.poisson < 0.5 - _FROM_LIMIT:
             raise ValueError(f"poisson must lie between -1 and 0.5 (both excluded, and by more than {_FROM_LIMIT:g}), "
                              f"got {self.poisson!r}")
-        object.__setattr__(self, "poisson", poisson)
 
     @property
     def shear_modulus(self) -> float:

@@ -1,15 +1,13 @@
-r"""Outline: a plane domain bounded by straight edges and circular arcs. Lengths in m, boundaries by name.
+r"""Plane domains and boxes as data that the mesh generators mesh. Lengths in m, boundaries by name.
 
-With the signed angle :math:`\theta` of an arc of radius r (positive: counter-clockwise about its centre) the area is
-that of the polygon of the vertices plus :math:`\tfrac12 r^2 (\theta - \sin\theta)` an arc.
-
-Domains as pure data: what the mesh generators mesh. Lengths in m, boundaries by name.
+With the signed angle :math:`\theta` of an arc of radius r (positive: counter-clockwise about its centre) the area of an
+outline is that of the polygon of the vertices plus :math:`\tfrac12 r^2 (\theta - \sin\theta)` an arc.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -20,8 +18,13 @@ from adaptmg import _checks as checks
 
 __all__ = ["Arc", "Box", "Domain", "Outline", "Polygon", "Rectangle"]
 
+# radii at the two ends of an arc may differ by this much of the radius
+_ROUND = 1e-9
+_CHORD = math.radians(3.0)
+
+
 class Domain:
-    """What a mesh generator can mesh: the base class of all domains.
+    """A domain that a mesh generator can mesh: the base class of all domains.
 
     Attributes
     ----------
@@ -31,15 +34,32 @@ class Domain:
         Names of the boundaries; those of several bodies are "body.edge". None where only the mesh knows them.
     bodies : tuple of str or None
         Names of the bodies; ``("body",)`` unless a subclass says otherwise. None where only the mesh knows them.
+    lower, upper : (dim,) arrays
+        Lowest and highest corner of a box around the domain, m; not for a StepFile.
     """
 
     dim: int
     boundaries: tuple[str, ...] | None
+    _extremes: Callable[[], np.ndarray]  # points (n, dim), m, whose bounding box contains the domain
 
     @property
     def bodies(self) -> tuple[str, ...] | None:
         """Names of the bodies."""
         return ("body",)
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lowest corner (dim,) of a box around the domain, m."""
+        return self._extremes().min(axis=0)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Highest corner (dim,) of a box around the domain, m."""
+        return self._extremes().max(axis=0)
+
+
+def _corner(name: str, value: object, dim: int) -> tuple[float, ...]:
+    return tuple(map(float, check_arrays.vector(name, value, dim)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,19 +81,11 @@ class Rectangle(Domain):
     boundaries: ClassVar[tuple[str, ...]] = ("bottom", "right", "top", "left")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "width", checks.quantity("width", self.width, positive=True))
-        object.__setattr__(self, "height", checks.quantity("height", self.height, positive=True))
-        object.__setattr__(self, "origin", tuple(map(float, check_arrays.vector("origin", self.origin, 2))))
+        checks.convert(self, checks.quantity, "width", "height", positive=True)
+        checks.convert(self, _corner, "origin", dim=2)
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lower left corner (2,), m."""
-        return np.array(self.origin)
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Upper right corner (2,), m."""
-        return self.lower + np.array([self.width, self.height])
+    def _extremes(self) -> np.ndarray:
+        return np.array([[0.0, 0.0], [self.width, self.height]]) + self.origin
 
     @property
     def polygon(self) -> Polygon:
@@ -102,32 +114,34 @@ class Box(Domain):
     boundaries: ClassVar[tuple[str, ...]] = ("bottom", "right", "top", "left", "front", "back")
 
     def __post_init__(self) -> None:
-        for name in ("width", "depth", "height"):
-            object.__setattr__(self, name, checks.quantity(name, getattr(self, name), positive=True))
-        object.__setattr__(self, "origin", tuple(map(float, check_arrays.vector("origin", self.origin, 3))))
+        checks.convert(self, checks.quantity, "width", "depth", "height", positive=True)
+        checks.convert(self, _corner, "origin", dim=3)
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner (3,), m."""
-        return np.array(self.origin)
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner (3,), m."""
-        return self.lower + np.array([self.width, self.depth, self.height])
+    def _extremes(self) -> np.ndarray:
+        return np.array([[0.0, 0.0, 0.0], [self.width, self.depth, self.height]]) + self.origin
 
 
-def edges(vertices: object, boundaries: object, least: int) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The vertices (n, 2) of an outline, at least so many, and the names of its edges, checked."""
-    points = check_arrays.array("vertices", vertices, (None, 2))
+def _check_edges(domain: Polygon | Outline, least: int) -> None:
+    """Check and convert the vertices of a polygon or outline, at least ``least``, and the names of its edges."""
+    points = check_arrays.array("vertices", domain.vertices, (None, 2))
     if len(points) < least:
-        raise ValueError(f"vertices must be at least {least} pairs of numbers, got {checks.shown(vertices)}")
+        raise ValueError(f"vertices must be at least {least} pairs of numbers, got {checks.shown(domain.vertices)}")
     if not (np.abs(points) <= checks.VAST).all():
-        raise ValueError(f"vertices must be at most {checks.VAST:g} m, got {checks.shown(vertices)}")
-    names = checks.strings("boundaries", boundaries)
-    if len(names) != len(points):
-        raise ValueError(f"boundaries must name each of the {len(points)} edges, got {len(names)} names")
-    return points, names
+        raise ValueError(f"vertices must be at most {checks.VAST:g} m, got {checks.shown(domain.vertices)}")
+    checks.convert(domain, checks.strings, "boundaries")
+    if len(domain.boundaries) != len(points):
+        raise ValueError(f"boundaries must name each of the {len(points)} edges, got {len(domain.boundaries)} names")
+    object.__setattr__(domain, "vertices", tuple(map(tuple, points.tolist())))
+
+
+def _check_area(area: float) -> None:
+    if not area > 0:
+        raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of {area}")
+
+
+def _polygon_area(vertices: tuple[tuple[float, float], ...]) -> float:
+    x, y = np.array(vertices).T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,37 +157,20 @@ class Polygon(Domain):
     """
 
     vertices: tuple[tuple[float, float], ...]
-    boundaries: tuple[str, ...] = field()
+    boundaries: tuple[str, ...]
     dim: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        points, boundaries = edges(self.vertices, self.boundaries, 3)
-        x, y = points.T
-        area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
-        if not area > 0:
-            raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of {area}")
-        object.__setattr__(self, "vertices", tuple((float(a), float(b)) for a, b in points))
-        object.__setattr__(self, "boundaries", boundaries)
+        _check_edges(self, 3)
+        _check_area(_polygon_area(self.vertices))
 
     @property
     def polygon(self) -> Polygon:
         """Itself: every plane domain offers its polygon."""
         return self
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lower left corner of the bounding box (2,), m."""
-        return np.min(self.vertices, axis=0)
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Upper right corner of the bounding box (2,), m."""
-        return np.max(self.vertices, axis=0)
-
-
-# radii at the two ends of an arc may differ by this much of the radius
-_ROUND = 1e-9
-_CHORD = math.radians(3.0)
+    def _extremes(self) -> np.ndarray:
+        return np.array(self.vertices)
 
 
 @dataclass(frozen=True)
@@ -229,26 +226,20 @@ class Outline(Domain):
     """
 
     vertices: tuple[tuple[float, float], ...]
-    boundaries: tuple[str, ...] = field()
+    boundaries: tuple[str, ...]
     arcs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     dim: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        points, boundaries = edges(self.vertices, self.boundaries, 2)
-        if not isinstance(self.arcs, Mapping):
-            raise TypeError(f"arcs must map edge numbers to centres, got {checks.shown(self.arcs)}")
-        arcs = {checks.integer("the edge number in arcs", i): tuple(map(float, check_arrays.vector(f"arcs[{i}]", c, 2)))
-                for i, c in self.arcs.items()}
-        object.__setattr__(self, "vertices", tuple((float(a), float(b)) for a, b in points))
-        object.__setattr__(self, "boundaries", boundaries)
+        _check_edges(self, 2)
+        arcs = {checks.integer("the edge number in arcs", i): _corner(f"arcs[{i}]", center, 2)
+                for i, center in checks.mapping("arcs", self.arcs, "edge numbers to centres").items()}
         object.__setattr__(self, "arcs", dict(sorted(arcs.items())))
         for i in arcs:
-            if i >= len(points):
-                raise ValueError(f"arcs names edge {i}, but there are {len(points)} edges, counted from 0")
+            if i >= len(self.vertices):
+                raise ValueError(f"arcs names edge {i}, but there are {len(self.vertices)} edges, counted from 0")
             self._check_arc(i)
-        if not self.area > 0:
-            raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of "
-                             f"{self.area}")
+        _check_area(self.area)
 
     def __hash__(self) -> int:
         return hash((self.vertices, self.boundaries, tuple(self.arcs.items())))
@@ -281,9 +272,7 @@ class Outline(Domain):
     @property
     def area(self) -> float:
         """Exact area, m^2."""
-        x, y = np.array(self.vertices).T
-        straight = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-        return straight + sum(self.arc(i).bulge for i in self.arcs)
+        return _polygon_area(self.vertices) + sum(self.arc(i).bulge for i in self.arcs)
 
     @property
     def lengths(self) -> tuple[float, ...]:
@@ -309,16 +298,6 @@ class Outline(Domain):
         """The outline with arcs replaced by chords of at most 3 degrees: for pictures and checks, not for meshes."""
         points, edges = self.chords()
         return Polygon(vertices=tuple(map(tuple, points.tolist())), boundaries=tuple(self.boundaries[i] for i in edges))
-
-    @property
-    def lower(self) -> np.ndarray:
-        """Lower left corner of the bounding box (2,), m."""
-        return self._extremes().min(axis=0)
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Upper right corner of the bounding box (2,), m."""
-        return self._extremes().max(axis=0)
 
     def _extremes(self) -> np.ndarray:
         """Vertices and the points of the arcs with horizontal or vertical tangents."""

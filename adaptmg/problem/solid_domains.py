@@ -1,13 +1,8 @@
-"""Solids as pure data: cylinders, balls, profiles turned or extruded. Lengths in m, angles in degrees.
+"""Solids, assemblies of several bodies and STEP files as data. Lengths in m, angles in degrees.
 
-A solid knows its boundaries by name and its bounding box; only the mesh layer builds its geometry.
-
-Solids moved and combined, and several bodies as one domain, as pure data. Lengths in m, angles in degrees.
-
-The names of faces survive: several faces may share one, and a name of which no face is left is an error only where it
+A solid knows its boundaries by name and its bounding box; only the mesh layer builds its geometry. When solids are
+combined, the names of faces survive: several faces may share one, and a name without a face is an error only where it
 is used.
-
-StepFile: the solids of a STEP file as a domain; the mesh layer reads them.
 """
 
 from __future__ import annotations
@@ -25,12 +20,14 @@ from adaptmg import _checks as checks
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 
 __all__ = ["Assembly", "Ball", "Combination", "Common", "Cut", "Cylinder", "Extrusion", "Fuse", "Moved", "Profile",
-           "Revolution", "SolidDomain", "StepFile", "Triple", "direction", "outline_of", "triple"]
+           "Revolution", "SolidDomain", "StepFile", "outline_of"]
 
 Triple = tuple[float, float, float]
 Profile = Polygon | Outline | Rectangle
 # relative to the profile: vertices nearer to the axis of revolution than this lie on it
 _ON_AXIS = 1e-12
+_PROFILE = "a Polygon, an Outline or a Rectangle"
+_SOLID = "a Box or another solid (Cylinder, Ball, Revolution, Cut, ...)"
 
 
 class SolidDomain(Domain):
@@ -39,24 +36,17 @@ class SolidDomain(Domain):
     dim: ClassVar[int] = 3
 
 
-def triple(name: str, value: object) -> Triple:
-    """Three finite numbers."""
+def _triple(name: str, value: object) -> Triple:
     return tuple(map(float, check_arrays.vector(name, value, 3)))
 
 
-def direction(name: str, value: object) -> Triple:
-    """A unit vector from one of any length > 0."""
+def _direction(name: str, value: object) -> Triple:
+    """A unit vector from a vector of any length > 0."""
     vector = check_arrays.vector(name, value, 3)
     length = float(np.linalg.norm(vector))
     if not length > 0:
         raise ValueError(f"{name} must not be zero, got {checks.shown(value)}")
     return tuple(map(float, vector / length))
-
-
-def _profile(name: str, value: object) -> Profile:
-    if not isinstance(value, Profile):
-        raise TypeError(f"{name} must be a Polygon, an Outline or a Rectangle, got {checks.described(value)}")
-    return value
 
 
 def outline_of(profile: Profile) -> Polygon | Outline:
@@ -85,26 +75,14 @@ class Cylinder(SolidDomain):
     boundaries: ClassVar[tuple[str, ...]] = ("side", "bottom", "top")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point", triple("point", self.point))
-        object.__setattr__(self, "axis", direction("axis", self.axis))
-        for name in ("radius", "height"):
-            object.__setattr__(self, name, checks.quantity(name, getattr(self, name), positive=True))
+        checks.convert(self, _triple, "point")
+        checks.convert(self, _direction, "axis")
+        checks.convert(self, checks.quantity, "radius", "height", positive=True)
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner of the bounding box (3,), m."""
-        return self._ends().min(axis=0) - self._reach()
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner of the bounding box (3,), m."""
-        return self._ends().max(axis=0) + self._reach()
-
-    def _ends(self) -> np.ndarray:
-        return np.array(self.point) + np.outer([0.0, self.height], self.axis)
-
-    def _reach(self) -> np.ndarray:
-        return self.radius * np.sqrt(np.maximum(0.0, 1.0 - np.square(self.axis)))
+    def _extremes(self) -> np.ndarray:
+        ends = np.array(self.point) + np.outer([0.0, self.height], self.axis)
+        reach = self.radius * np.sqrt(np.maximum(0.0, 1.0 - np.square(self.axis)))
+        return np.concatenate([ends - reach, ends + reach])
 
 
 @dataclass(frozen=True)
@@ -124,18 +102,11 @@ class Ball(SolidDomain):
     boundaries: ClassVar[tuple[str, ...]] = ("surface",)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", triple("centre", self.centre))
-        object.__setattr__(self, "radius", checks.quantity("radius", self.radius, positive=True))
+        checks.convert(self, _triple, "centre")
+        checks.convert(self, checks.quantity, "radius", positive=True)
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner of the bounding box (3,), m."""
-        return np.array(self.centre) - self.radius
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner of the bounding box (3,), m."""
-        return np.array(self.centre) + self.radius
+    def _extremes(self) -> np.ndarray:
+        return np.array([[-self.radius], [self.radius]]) + self.centre
 
 
 @dataclass(frozen=True)
@@ -157,8 +128,8 @@ class Revolution(SolidDomain):
     angle: float = 360.0
 
     def __post_init__(self) -> None:
-        _profile("polygon", self.polygon)
-        object.__setattr__(self, "angle", checks.positive("angle", self.angle))
+        checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle), _PROFILE)
+        checks.convert(self, checks.positive, "angle")
         if not self.angle <= 360:
             raise ValueError(f"angle must be at most 360 degrees, got {self.angle!r}")
         r = np.array(outline_of(self.polygon).vertices)[:, 0]
@@ -181,22 +152,12 @@ class Revolution(SolidDomain):
         names = [name for name, face in zip(outline.boundaries, swept, strict=True) if face]
         return tuple(dict.fromkeys(names)) + (("start", "end") if self.angle < 360 else ())
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner of the bounding box (3,), m."""
-        return np.append(self._extremes().min(axis=0), self.polygon.lower[1])
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner of the bounding box (3,), m."""
-        return np.append(self._extremes().max(axis=0), self.polygon.upper[1])
-
     def _extremes(self) -> np.ndarray:
-        """Points (n, 2) among which x and y are largest and smallest."""
         turns = np.radians([a for a in (0, 90, 180, 270, 360) if a < self.angle] + [self.angle])
         # rounded so that quarter turns are exact
         directions = np.round(np.stack([np.cos(turns), np.sin(turns)], axis=1), 15)
-        return np.concatenate([r * directions for r in (self.polygon.lower[0], self.polygon.upper[0])])
+        ends = self.polygon.lower, self.polygon.upper
+        return np.concatenate([np.column_stack([r * directions, np.full(len(turns), z)]) for r, z in ends])
 
 
 @dataclass(frozen=True)
@@ -218,9 +179,9 @@ class Extrusion(SolidDomain):
     base: float = 0.0
 
     def __post_init__(self) -> None:
-        _profile("polygon", self.polygon)
-        object.__setattr__(self, "height", checks.quantity("height", self.height, positive=True))
-        object.__setattr__(self, "base", checks.quantity("base", self.base))
+        checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle), _PROFILE)
+        checks.convert(self, checks.quantity, "height", positive=True)
+        checks.convert(self, checks.quantity, "base")
         if {"bottom", "top"} & set(self.polygon.boundaries):
             raise ValueError("the edges of polygon must not be called 'bottom' or 'top': these are the end planes")
 
@@ -229,22 +190,9 @@ class Extrusion(SolidDomain):
         """Distinct names, in the order of the edges."""
         return (*dict.fromkeys(self.polygon.boundaries), "bottom", "top")
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner of the bounding box (3,), m."""
-        return np.append(self.polygon.lower, self.base)
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner of the bounding box (3,), m."""
-        return np.append(self.polygon.upper, self.base + self.height)
-
-
-def _solid(name: str, value: object) -> SolidDomain | Box:
-    if not isinstance(value, SolidDomain | Box):
-        raise TypeError(f"{name} must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), "
-                        f"got {checks.described(value)}")
-    return value
+    def _extremes(self) -> np.ndarray:
+        return np.stack([np.append(self.polygon.lower, self.base),
+                         np.append(self.polygon.upper, self.base + self.height)])
 
 
 @dataclass(frozen=True)
@@ -268,27 +216,18 @@ class Moved(SolidDomain):
     axis: Triple = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        _solid("solid", self.solid)
-        object.__setattr__(self, "offset", triple("offset", self.offset))
-        object.__setattr__(self, "angle", checks.quantity("angle", self.angle))
-        object.__setattr__(self, "axis", direction("axis", self.axis))
+        checks.instance("solid", self.solid, (SolidDomain, Box), _SOLID)
+        checks.convert(self, _triple, "offset")
+        checks.convert(self, checks.quantity, "angle")
+        checks.convert(self, _direction, "axis")
 
     @property
     def boundaries(self) -> tuple[str, ...]:
         """Those of the solid."""
         return self.solid.boundaries
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner of a box around the moved bounding box (3,), m."""
-        return self._corners().min(axis=0)
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner of a box around the moved bounding box (3,), m."""
-        return self._corners().max(axis=0)
-
-    def _corners(self) -> np.ndarray:
+    def _extremes(self) -> np.ndarray:
+        """The corners of the bounding box, moved."""
         ends = np.stack([self.solid.lower, self.solid.upper])
         corners = np.stack([ends[[i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
         turn, axis = math.radians(self.angle), np.array(self.axis)
@@ -302,21 +241,20 @@ class Moved(SolidDomain):
 class Combination(SolidDomain):
     """Two solids combined: the base class of :class:`Cut`, :class:`Fuse` and :class:`Common`."""
 
-    a: SolidDomain | Box  # the solids. The result must be one piece
-    b: SolidDomain | Box  # the solids. The result must be one piece
+    a: SolidDomain | Box
+    b: SolidDomain | Box  # the result must be one piece
+    #: new names of faces: "side" of both solids, "b.side" of b alone
     rename: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        _solid("a", self.a)
-        _solid("b", self.b)
-        if not isinstance(self.rename, Mapping):
-            raise TypeError(f"rename must map names to names, got {checks.shown(self.rename)}")
+        checks.instance("a", self.a, (SolidDomain, Box), _SOLID)
+        checks.instance("b", self.b, (SolidDomain, Box), _SOLID)
+        checks.convert(self, checks.mapping, "rename", words="names to names")
         known = [key for part, solid in (("a", self.a), ("b", self.b)) for name in solid.boundaries
                  for key in (name, f"{part}.{name}")]
         for old, new in self.rename.items():
             checks.choice("the keys of rename", old, dict.fromkeys(known))
             checks.boundary_name(f"rename[{old!r}]", new)
-        object.__setattr__(self, "rename", dict(self.rename))
 
     def renamed(self, part: str, name: str) -> str:
         """The name in the result of the boundary ``name`` of ``part``, "a" or "b"."""
@@ -330,50 +268,30 @@ class Combination(SolidDomain):
 
 
 class Cut(Combination):
-    """What is left of ``a`` when ``b`` is taken away. Parameters as of :class:`Combination`."""
+    """``a`` without what it shares with ``b``. Parameters as of :class:`Combination`."""
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner of a box around the solid (3,), m."""
-        return self.a.lower
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner of a box around the solid (3,), m."""
-        return self.a.upper
+    def _extremes(self) -> np.ndarray:
+        return np.stack([self.a.lower, self.a.upper])
 
 
 class Fuse(Combination):
     """``a`` and ``b`` as one solid. Parameters as of :class:`Combination`."""
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner of the bounding box (3,), m."""
-        return np.minimum(self.a.lower, self.b.lower)
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner of the bounding box (3,), m."""
-        return np.maximum(self.a.upper, self.b.upper)
+    def _extremes(self) -> np.ndarray:
+        return np.stack([self.a.lower, self.b.lower, self.a.upper, self.b.upper])
 
 
 class Common(Combination):
-    """What ``a`` and ``b`` have in common. Parameters as of :class:`Combination`."""
+    """The intersection of ``a`` and ``b``. Parameters as of :class:`Combination`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (self.lower < self.upper).all():
+        lower, upper = self._extremes()
+        if not (lower < upper).all():
             raise ValueError(f"{self.a!r} and {self.b!r} have nothing in common: their bounding boxes do not overlap")
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner of a box around the solid (3,), m."""
-        return np.maximum(self.a.lower, self.b.lower)
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner of a box around the solid (3,), m."""
-        return np.minimum(self.a.upper, self.b.upper)
+    def _extremes(self) -> np.ndarray:
+        return np.stack([np.maximum(self.a.lower, self.b.lower), np.minimum(self.a.upper, self.b.upper)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -395,25 +313,21 @@ class Assembly(Domain):
     parts: Mapping[str, Domain]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.parts, Mapping):
-            raise TypeError(f"parts must map body names to domains, got {checks.described(self.parts)}")
-        parts = dict(self.parts)
+        checks.convert(self, checks.mapping, "parts", words="body names to domains")
+        parts = self.parts
         if not parts:
             raise ValueError("parts is empty: an assembly needs at least one body")
         for name, part in parts.items():
             checks.boundary_name("the name of a body in parts", name)
             if "." in name:
                 raise ValueError(f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'")
-            if not isinstance(part, Domain):
-                raise TypeError(f"parts[{name!r}] must be a Domain (Rectangle, Polygon, Outline, Box, ...), "
-                                f"got {checks.described(part)}")
+            checks.instance(f"parts[{name!r}]", part, Domain, "a Domain (Rectangle, Polygon, Outline, Box, ...)")
             if part.bodies is None or len(part.bodies) != 1 or part.boundaries is None or isinstance(part, Assembly):
                 raise ValueError(f"parts[{name!r}] must be one body with known boundaries; name the bodies of "
                                  f"{type(part).__name__} one by one")
         dims = {name: part.dim for name, part in parts.items()}
         if len(set(dims.values())) > 1:
             raise ValueError(f"all parts must have the same dimension, got {dims}")
-        object.__setattr__(self, "parts", parts)
 
     def __hash__(self) -> int:
         return hash(tuple(self.parts.items()))
@@ -433,15 +347,8 @@ class Assembly(Domain):
         """The distinct boundary names "body.edge", body by body."""
         return tuple(dict.fromkeys(f"{body}.{edge}" for body, part in self.parts.items() for edge in part.boundaries))
 
-    @property
-    def lower(self) -> np.ndarray:
-        """Lowest corner of the bounding box (dim,), m."""
-        return np.min([part.lower for part in self.parts.values()], axis=0)
-
-    @property
-    def upper(self) -> np.ndarray:
-        """Highest corner of the bounding box (dim,), m."""
-        return np.max([part.upper for part in self.parts.values()], axis=0)
+    def _extremes(self) -> np.ndarray:
+        return np.stack([corner for part in self.parts.values() for corner in (part.lower, part.upper)])
 
 
 @dataclass(frozen=True)
@@ -472,13 +379,11 @@ class StepFile(Domain):
     bodies: ClassVar[None] = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "path", checks.file_path("path", self.path))
-        object.__setattr__(self, "unit", checks.quantity("unit", self.unit, positive=True))
+        checks.convert(self, checks.file_path, "path")
+        checks.convert(self, checks.quantity, "unit", positive=True)
         if self.names is None:
             object.__setattr__(self, "names", {})
-        if not isinstance(self.names, Mapping):
-            raise TypeError(f"names must map names to names, got {checks.shown(self.names)}")
-        object.__setattr__(self, "names", dict(self.names))
+        checks.convert(self, checks.mapping, "names", words="names to names")
         for old, new in self.names.items():
             checks.boundary_name("the keys of names", old)
             if "." in checks.boundary_name(f"names[{old!r}]", new):

@@ -1,8 +1,6 @@
-r"""Rigid obstacles: where a contact boundary may not go.
+r"""What a contact boundary may touch: rigid obstacles, or another boundary (ContactPair).
 
 The condition at a contact node is :math:`u_n = u \cdot n \le g_0`, with n pointing out of the body.
-
-ContactPair: two boundaries that may touch each other.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 
 __all__ = ["COUPLINGS", "ContactPair", "GapFunction", "Obstacle", "Plane"]
+
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -54,19 +53,9 @@ class Plane:
         return self.point.size
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Contact normals and gaps at boundary points.
+        """Return directions (n, dim) out of the body and gaps (n,), m, along them at points (n, dim) of the boundary.
 
-        Parameters
-        ----------
-        points, normals : (n, dim) arrays
-            Nodes of the contact boundary (m) and outward unit normals of the body there.
-
-        Returns
-        -------
-        normals : (n, dim) array
-            The direction in which the gap is measured, out of the body.
-        gaps : (n,) array
-            m; negative where the node lies behind the plane.
+        ``normals`` (n, dim) are the outward unit normals of the body; a gap is negative behind the plane.
         """
         facing = normals @ self.normal
         if (facing > 0).any():
@@ -79,7 +68,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class GapFunction:
-    """Any obstacle given by the gap in front of the contact boundary.
+    """An obstacle, described by the gap in front of the contact boundary.
 
     Parameters
     ----------
@@ -90,17 +79,14 @@ class GapFunction:
     function: Callable[[np.ndarray], np.ndarray]
 
     def __post_init__(self) -> None:
-        if not callable(self.function) or isinstance(self.function, type):
-            raise TypeError(f"function must be callable (points (n, dim) -> gaps (n,)), "
-                            f"got {checks.described(self.function)}")
+        checks.offers("function", self.function, "__call__", "a function of points (n, dim) that returns gaps (n,)")
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Contact normals and gaps at boundary points; see :meth:`Plane.contact`."""
+        """Return the outward normals and the gaps at boundary points; see :meth:`Plane.contact`."""
         return normals.copy(), checks.field("gap", self.function, points)
 
 
 Obstacle = Plane | GapFunction
-
 
 COUPLINGS = ("mortar", "nodes")
 
@@ -113,7 +99,7 @@ class ContactPair:
     ----------
     slave : str
         The boundary that carries the contact nodes: rather that of the softer body, the finer one, and the one that
-        lies inside the other. Multigrid is slow where a stiff slave sits on a master that gives way.
+        lies inside the other. Multigrid is slow where a stiff slave sits on a soft master.
     master : str
         The boundary it may touch.
     coupling : {"mortar", "nodes"}
@@ -121,7 +107,7 @@ class ContactPair:
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
     reach : float, optional
-        Largest initial distance at which the surfaces are looked for, m, > 0; by default it is found from the meshes.
+        Largest initial distance of the surfaces, m, > 0; by default it follows from the meshes.
     gap : float or callable, optional
         Initial gap along the slave's normal, m, in place of the computed one: a number, or a function of position
         (n, dim) -> (n,).
@@ -144,10 +130,10 @@ class ContactPair:
         checks.choice("coupling", self.coupling, COUPLINGS)
         checks.flag("allow_interference", self.allow_interference)
         if self.reach is not None:
-            object.__setattr__(self, "reach", checks.quantity("reach", self.reach, positive=True))
-        if self.gap is not None and (not callable(self.gap) or isinstance(self.gap, type)):
-            object.__setattr__(self, "gap", checks.quantity("gap", self.gap))
-            if self.gap < 0 and not self.allow_interference:
+            checks.convert(self, checks.quantity, "reach", positive=True)
+        if self.gap is not None:
+            checks.convert(self, checks.function_or, "gap")
+            if not callable(self.gap) and self.gap < 0 and not self.allow_interference:
                 raise ValueError(f"gap must be >= 0, got {self.gap!r}; for an interference fit set "
                                  "allow_interference=True")
 

@@ -82,7 +82,7 @@ def by_ngsolve(mesh: MeshArrays, material, *, bonus: int | None = None) -> np.nd
     """The same form by NGSolve, dense; in axisymmetry with our rule, or its own of a higher order."""
     import ngsolve as ng
 
-    from adaptmg.mesh.ngsolve_bridge import with_source
+    from adaptmg.mesh import with_source
 
     source = with_source(mesh).source
     space = ng.H1(source, order=1, dim=mesh.dim)

@@ -1,4 +1,4 @@
-"""A queue that is none: sbatch, scancel and squeue as scripts, which start jobs on this machine after a while."""
+"""An imitation of a queue: sbatch and scancel as scripts that start and end jobs on this machine."""
 
 from __future__ import annotations
 
@@ -27,20 +27,7 @@ for job in sys.argv[1:]:
 
 
 def fake_slurm(folder: Path, wait_s: float) -> Path:
-    """Write the commands.
-
-    Parameters
-    ----------
-    folder : Path
-        To be put on PATH.
-    wait_s : float
-        How long a job waits.
-
-    Returns
-    -------
-    Path
-        A file to which each job adds its number, which is that of its process group.
-    """
+    """Write the commands into a folder for PATH; jobs wait ``wait_s`` and add their group to the returned file."""
     jobs = folder / "jobs"
     for name, text in (("sbatch", _SBATCH), ("scancel", _SCANCEL)):
         file = folder / name

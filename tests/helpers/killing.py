@@ -1,4 +1,4 @@
-"""A study of GRECO solves that is killed again and again, and resumed: what is there in the end, and how it went.
+"""A study of GRECO solves that is killed at random moments and resumed, compared with a run in one process.
 
     python tests/helpers/killing.py 64 20      (64 runs, 20 kills)
 """
@@ -40,22 +40,13 @@ study.run(workers=int(sys.argv[3]) or None, progress=False)
 def campaign(runs: int, kills: int, seed: int = 0, longest_s: float = 12.0) -> dict[str, object]:
     """Kill main process, a worker, or all, in turn, at random moments; then finish, and compare with a serial run.
 
-    Parameters
-    ----------
-    runs, kills, seed : int
-    longest_s : float
-        Until a kill.
-
-    Returns
-    -------
-    dict
-        ``kills`` by kind, ``done`` runs, ``different`` ones (bits of results and files), ``left`` processes, ``most``
-        tries.
+    Returns ``kills`` by kind, ``done`` runs, ``different`` ones (bits of results and files), processes ``left``, and
+    ``most`` tries of a run.
     """
     from adaptmg.study.store import Store
 
     chance = random.Random(seed)
-    told = {"main": 0, "worker": 0, "all": 0}
+    kills_by_kind = {"main": 0, "worker": 0, "all": 0}
     with tempfile.TemporaryDirectory() as folder:
         script, path = Path(folder, "script.py"), Path(folder, "killed.sqlite")
         script.write_text(SCRIPT, encoding="utf-8")
@@ -68,7 +59,7 @@ def campaign(runs: int, kills: int, seed: int = 0, longest_s: float = 12.0) -> d
             if process.poll() is not None:
                 path.unlink()  # all was done: begin again
                 continue
-            told[kind] += _kill(kind, process, children, chance)
+            kills_by_kind[kind] += _kill(kind, process, children, chance)
             if kind == "worker":
                 time.sleep(chance.uniform(0.5, 4.0))
                 children += _children(process)
@@ -80,7 +71,7 @@ def campaign(runs: int, kills: int, seed: int = 0, longest_s: float = 12.0) -> d
         found, wanted = Store(path).get("run"), Store(Path(folder, "serial.sqlite")).get("run")
         bits = [_bits(Path(folder, f"{name}.sqlite.files"), records)
                 for name, records in (("killed", found), ("serial", wanted))]
-        return {"kills": told, "done": sum(r.status == "done" for r in found.values()),
+        return {"kills": kills_by_kind, "done": sum(r.status == "done" for r in found.values()),
                 "different": sum(bits[0].get(key) != bits[1][key] for key in bits[1]),
                 "left": [p.pid for p in left], "most": max(r.tries for r in found.values())}
 

@@ -60,7 +60,7 @@ def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:
     dofs = system.nodes[:, None] * dim + np.arange(dim)
     delassus = flexibility[np.ix_(dofs.ravel(), dofs.ravel())]
     free = (flexibility @ problem.load)[dofs]
-    # a held tangent does not give way, but friction along it counts
+    # a fixed tangent does not move, but friction along it counts
     held = system.fixed[dofs]
     delassus[held.ravel()], delassus[:, held.ravel()], free[held] = 0.0, 0.0, 0.0
     zero = np.column_stack([contact.gap, contact.slip_reference])

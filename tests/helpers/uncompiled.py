@@ -1,4 +1,4 @@
-"""Kernels as Python runs them: what they do must not hang on the compiler."""
+"""Kernels as plain Python: their results must not depend on the compiler."""
 
 from __future__ import annotations
 

@@ -11,18 +11,18 @@ from pathlib import Path
 
 
 def outcome(row) -> dict[str, object]:
-    """What a row did: the exception, whether it is the wanted one, and the files it left."""
+    """What a row did: the exception, whether it is the expected one, and the files that remain."""
+    report: dict[str, object] = {"raised": "", "expected": False, "text": "nothing was raised"}
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         try:
             row.run()
-            found: dict[str, object] = {"raised": "", "wanted": False, "text": "nothing was raised"}
-        except BaseException as error:  # whatever it is, the parent is told
-            found = {"raised": type(error).__name__, "wanted": isinstance(error, row.error),
-                     "text": str(error).encode("utf-8", "backslashreplace").decode()[:2000]}
-        found["left"] = [] if row.writes else sorted(str(p.relative_to(folder)) for p in Path(folder).rglob("*"))
+        except BaseException as error:  # the parent judges it
+            report = {"raised": type(error).__name__, "expected": isinstance(error, row.error),
+                      "text": str(error).encode("utf-8", "backslashreplace").decode()[:2000]}
+        report["files"] = [] if row.writes else sorted(str(p.relative_to(folder)) for p in Path(folder).rglob("*"))
         os.chdir("/")
-    return found
+    return report
 
 
 if __name__ == "__main__":

@@ -1,33 +1,24 @@
-"""The form of the tables of hostile inputs: each row is run in a child process, as it may end the process."""
+"""The form of the tables of hostile inputs: each row is run in a child process, as it may end the process.
+
+A table belongs to a type of argument. A few representative arguments get all hostile values of the type, each other
+argument of the public API one or two.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-__all__ = ["TABLES", "Hostile"]
+__all__ = ["TABLES", "Hostile", "each"]
 
-#: the tables: modules beside this one with a tuple INPUTS of Hostile rows
-TABLES = (
-    "numbers_and_names",
-    "result_files",
-    "stores",
-    "outputs",
-    "command_line",
-    "problems",
-    "discrete_problems",
-    "user_parts",
-    "hierarchies_and_solvers",
-    "mesh_files",
-    "mesh_objects",
-    "domains_and_sizes",
-    "adaptive_loops",
-)
+#: modules next to this one with a sequence INPUTS of Hostile rows
+TABLES = ("numbers_and_counts", "arrays_and_matrices", "names_and_objects", "user_parts", "domains", "result_files",
+          "stores", "outputs", "command_line", "mesh_files", "mesh_objects", "adaptive_loops")
 
 
 @dataclass(frozen=True)
 class Hostile:
-    """One input that must be refused with words.
+    """One input that must be refused with a message.
 
     Parameters
     ----------
@@ -40,7 +31,7 @@ class Hostile:
     error : exception type or tuple of them
         What must be raised.
     writes : bool
-        Whether the row itself makes files (its own damaged input, say); otherwise nothing may be left behind.
+        Whether the row itself makes files (its own damaged input, say); otherwise no file may remain.
     """
 
     name: str
@@ -48,3 +39,12 @@ class Hostile:
     says: str
     error: type[Exception] | tuple[type[Exception], ...] = (ValueError, TypeError)
     writes: bool = False
+
+
+def each(argument: str, call: Callable[[object], object], values: Mapping[str, object], labels: Iterable[str] = (),
+         **options: object) -> Iterator[Hostile]:
+    """A row for each of ``values`` (or those of ``labels``); the last word of ``argument`` is what the message says."""
+    for label in labels or values:
+        says = options.get("says", argument.rsplit(" ", 1)[-1])
+        rest = {name: value for name, value in options.items() if name != "says"}
+        yield Hostile(f"{argument}: {label}", lambda value=values[label]: call(value), says, **rest)

@@ -8,16 +8,13 @@ import json
 import os
 import pickle
 import struct
-import sys
 import zipfile
 from pathlib import Path
 
 import numpy as np
-from hostile_table import Hostile
+from hostile_table import Hostile, each
 
 import adaptmg as am
-
-sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 
 FILE = "damaged.npz"
 
@@ -56,12 +53,11 @@ def zipped(method: int = zipfile.ZIP_DEFLATED, **entries: bytes) -> bytes:
 
 
 def _files():
-    """What is no archive, or a broken one."""
-    raw = {"empty": lambda d: b"", "junk": lambda d: bytes(range(256)) * 50, "text": lambda d: b"a result\n" * 9,
-           "zip magic": lambda d: b"PK\x03\x04", "half": lambda d: d[:len(d) // 2], "end cut off": lambda d: d[:-10],
-           "start cut off": lambda d: d[100:], "no arrays": lambda d: zipped(),
+    """What is not an archive, or a broken one."""
+    raw = {"empty": lambda d: b"", "junk": lambda d: bytes(range(256)) * 50, "zip magic": lambda d: b"PK\x03\x04",
+           "half": lambda d: d[:len(d) // 2], "start cut off": lambda d: d[100:], "no arrays": lambda d: zipped(),
            "another file": lambda d: packed({"a": np.ones(3)}, None), "array alone": lambda d: _npy(np.ones(3)),
-           "a text in it": lambda d: zipped(readme=b"hello"), "lzma": lambda d: zipped(zipfile.ZIP_LZMA, meta_npy=b"x"),
+           "lzma": lambda d: zipped(zipfile.ZIP_LZMA, meta_npy=b"x"),
            "pickle": lambda d: pickle.dumps({"displacement": 1}),
            "one byte changed": lambda d: _flipped(d, b"displacement.npy"), "encrypted": _encrypted,
            "listed twice": lambda d: d.replace(b"contact.gap.npy", b"contact.u_n.npy"),
@@ -73,9 +69,7 @@ def _files():
     yield Hostile("no file", lambda: am.Result.load(FILE), FILE, FileNotFoundError)
     yield Hostile("no bytes ever", lambda: am.Result.load("/dev/null"), "/dev/null", ValueError)
     yield Hostile("bytes without end", lambda: am.Result.load("/dev/zero"), "/dev/zero", ValueError)
-    for label, path in {"None": None, "number": 3, "empty": "", "zero byte": "a\0b", "bytes": b"a", "class": Path,
-                        "no such user": "~nobody-here/x"}.items():
-        yield Hostile(f"path {label}", lambda path=path: am.Result.load(path), "path")
+    yield from each("path", am.Result.load, {"None": None, "zero byte": "a\0b", "no such user": "~nobody-here/x"})
 
 
 def _npy(array: np.ndarray) -> bytes:
@@ -114,13 +108,12 @@ def _bombs():
     headers = {
         "terabytes in a header": _header(shape % "(1000000000000,)"),
         "sizes that wrap": _header(shape % "(4294967296, 4294967296)"), "negative size": _header(shape % "(-8,)"),
-        "size of text": _header(shape % "('8',)"), "objects": _npy(np.array([{}, None], dtype=object)),
+        "objects": _npy(np.array([{}, None], dtype=object)),
         "code in a header": _header("__import__('os').mkdir('was-here')"), "no shape": _header("{'descr': '<f8'}"),
-        "list for a header": _header("[1, 2]"), "deep header": _header("(" * 5000 + ")" * 5000),
-        "long header": _header(shape % "(8,)", version=2, length=2**32 - 1), "cut header": b"\x93NUMPY\x01\0",
-        "new version": _header(shape % "(8,)", version=9), "records": _npy(np.zeros(3, dtype=[("a", "<f8")])),
-        "unknown type": _header((shape % "(8,)").replace("<f8", "<q99")), "dates": _npy(np.zeros(3, "M8[s]")),
-        "too few bytes": _header(shape % "(9,)"), "too many bytes": _header(shape % "(7,)")}
+        "deep header": _header("(" * 5000 + ")" * 5000), "cut header": b"\x93NUMPY\x01\0",
+        "long header": _header(shape % "(8,)", version=2, length=2**32 - 1),
+        "records": _npy(np.zeros(3, dtype=[("a", "<f8")])), "too few bytes": _header(shape % "(9,)"),
+        "unknown type": _header((shape % "(8,)").replace("<f8", "<q99"))}
     for name, content in headers.items():
         yield Hostile(name, lambda c=content: load(zipped(displacement_npy=c)), FILE, ValueError, writes=True)
     yield Hostile("zeros without end", lambda: load(zipped(displacement_npy=_npy(np.zeros((5_000_000, 2))))), FILE,
@@ -134,22 +127,17 @@ def _bombs():
 def _texts():
     """Wrong JSON."""
     texts = {"no text": None, "no JSON": b"{", "list": b"[1]", "bad UTF-8": b'{"format": "\xff"}',
-             "deep": b"[" * 100_000 + b"]" * 100_000, "null": b"null"}
+             "deep": b"[" * 100_000 + b"]" * 100_000}
     for name, text in texts.items():
         yield Hostile(f"meta: {name}", lambda t=text: load(packed(whole()[1], t)), FILE, ValueError, writes=True)
-    changes = {"format": 99, "status": "FINE", "names": "contact", "masters": ["a", "b"], "cycles": -1,
+    changes = {"format": 99, "status": "FINE", "names": "contact", "masters": ["a", "b"], "cycles": -1, "rate": True,
                "rtol": "small", "work_units": None, "timings": {"setup": "long"}, "path": [[0, "smooth"]],
                "levels": ["fine"], "versions": {"numpy": 2}, "problem_name": 3, "boundaries": ["bottom"],
                "bodies": [], "part_of": "a path"}
-    more = {"status as number": ("status", 1), "status true": ("status", True), "no names": ("names", []),
-            "a name of no text": ("names", [None]), "half a cycle": ("cycles", 1.5), "cycles true": ("cycles", True),
-            "rate true": ("rate", True), "path of numbers": ("path", [[0, 1, 2]]), "path is text": ("path", "abc"),
-            "no list of levels": ("levels", {"level": 0}), "no mapping of timings": ("timings", [1])}
-    rows = {name: (name, value) for name, value in changes.items()} | more
-    for name, (key, value) in rows.items():
-        yield Hostile(f"meta: {name} {value!r}"[:60], lambda k=key, v=value: load(
+    for key, value in changes.items():
+        yield Hostile(f"meta: {key} {value!r}", lambda k=key, v=value: load(
             packed(whole()[1], json.dumps(json.loads(whole()[2]) | {k: v}).encode())), FILE, ValueError, writes=True)
-    for key in ("status", "format", "names", "masters", "path", "rtol", "bodies", "problem_name", "versions"):
+    for key in ("status", "path", "versions"):
         yield Hostile(f"meta without {key}", lambda k=key: load(packed(whole()[1], json.dumps(
             {name: v for name, v in json.loads(whole()[2]).items() if name != k}).encode())), FILE, ValueError,
             writes=True)
@@ -166,32 +154,25 @@ def _at(index: int, value: float):
 
 def _arrays():
     """Arrays that point outside, of another kind or length, or not finite."""
-    nan, text = float("nan"), np.array(["a", "b"])
+    nan = float("nan")
     changes = {
-        "contact.node": {"outside": _at(0, 9), "negative": _at(0, -1), "far": _at(1, 2**40), "floats": lambda a: a + .5,
-                         "text": lambda a: text, "short": lambda a: a[1:], "none": lambda a: a[:0]},
-        "contact.boundary": {"outside": _at(0, 1), "negative": _at(0, -1)},
-        "contact.state": {"unknown": _at(0, 3), "negative": _at(0, -2), "bools": lambda a: a > 0},
-        "contact.master_node": {"outside": lambda a: np.array([99])}, "contact.gap": {"short": lambda a: a[:-1],
-                                                                                     "nan": _at(0, nan)},
-        "contact.frames": {"flat": lambda a: a[:, 0], "3D": lambda a: np.zeros((3, 3, 3))},
-        "contact.force_n": {"infinite": _at(0, np.inf), "objects": lambda a: a.astype(object)},
-        "contact.weights": {"complex": lambda a: a + 1j}, "contact.u_t": {"column": lambda a: a[:, :0]},
-        "displacement": {"nan": _at(0, nan), "short": lambda a: a[:-1], "single": lambda a: a.astype(np.float32),
-                         "whole": lambda a: a.astype(int), "flat": lambda a: a.reshape(-1), "number": lambda a: a[0, 0],
-                         "empty": lambda a: a[:0], "four components": lambda a: np.zeros((9, 4))},
-        "reaction": {"short": lambda a: a[:3], "nan": _at(1, nan)},
-        "history.cycle": {"short": lambda a: a[:-1], "square": lambda a: np.zeros((12, 2))},
-        "mesh.elements": {"outside": _at(0, 9), "negative": _at(0, -1), "far": _at(0, 2**33), "tetrahedra":
-                          lambda a: np.zeros((3, 4), int), "floats": lambda a: a.astype(float)},
-        "mesh.facets": {"outside": _at(0, 9), "negative": _at(0, -5)}, "mesh.facet_labels": {
-            "outside": _at(0, 4), "short": lambda a: a[1:]}, "mesh.element_body": {"outside": _at(0, 1)},
-        "mesh.points": {"nan": _at(0, nan), "short": lambda a: a[1:], "3D": lambda a: np.zeros((9, 3))}}
+        "contact.node": {"outside": _at(0, 9), "far": _at(1, 2**40), "floats": lambda a: a + .5,
+                         "text": lambda a: np.array(["a", "b"]), "short": lambda a: a[1:], "none": lambda a: a[:0]},
+        "contact.boundary": {"outside": _at(0, 1)}, "contact.state": {"unknown": _at(0, 3), "negative": _at(0, -2)},
+        "contact.master_node": {"outside": lambda a: np.array([99])}, "contact.gap": {"nan": _at(0, nan)},
+        "contact.frames": {"3D": lambda a: np.zeros((3, 3, 3))}, "contact.u_t": {"column": lambda a: a[:, :0]},
+        "contact.force_n": {"objects": lambda a: a.astype(object)}, "contact.weights": {"complex": lambda a: a + 1j},
+        "displacement": {"nan": _at(0, nan), "short": lambda a: a[:-1], "whole": lambda a: a.astype(int),
+                         "flat": lambda a: a.reshape(-1), "four components": lambda a: np.zeros((9, 4))},
+        "reaction": {"short": lambda a: a[:3]}, "history.cycle": {"short": lambda a: a[:-1]},
+        "mesh.elements": {"negative": _at(0, -1), "far": _at(0, 2**33), "tetrahedra": lambda a: np.zeros((3, 4), int)},
+        "mesh.facets": {"outside": _at(0, 9)}, "mesh.facet_labels": {"outside": _at(0, 4)},
+        "mesh.element_body": {"outside": _at(0, 1)}, "mesh.points": {"nan": _at(0, nan), "short": lambda a: a[1:]}}
     for name, kinds in changes.items():
         for label, change in kinds.items():
             yield Hostile(f"{name} {label}", lambda n=name, c=change: load(packed(
                 whole()[1] | {n: c(whole()[1][n])}, whole()[2].encode())), FILE, ValueError, writes=True)
-    for name in ("displacement", "reaction", "contact.node", "contact.frames", "contact.master_node", "mesh.points"):
+    for name in ("displacement", "contact.node", "mesh.points"):
         yield Hostile(f"without {name}", lambda n=name: load(packed(
             {k: v for k, v in whole()[1].items() if k != n}, whole()[2].encode())), FILE, ValueError, writes=True)
 

@@ -18,43 +18,36 @@ from hostile_table import TABLES
 HERE = Path(__file__).parent
 #: seconds that one row may take, the start of its process and its imports included
 LIMIT_S = 120
-ROWS = [(table, row) for table in TABLES for row in importlib.import_module(table).INPUTS]
+ROWS = {table: {row.name: row for row in importlib.import_module(table).INPUTS} for table in TABLES}
 
 
 def _batch(table: str) -> dict[str, dict]:
-    """Outcomes of all rows of a table; after a row that ends or hangs its process the rest goes on in a new one."""
-    left = [row.name for row in importlib.import_module(table).INPUTS]
-    found: dict[str, dict] = {}
+    """Outcomes of all rows of a table; after a row that ends or hangs its process the rest continues in a new one."""
+    open_rows, outcomes = list(ROWS[table]), {}
     folders = [str(HERE), str(HERE.parent / "helpers"), str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg",
                    "PYTHONPATH": os.pathsep.join(folders)}
-    while left:
-        with subprocess.Popen([sys.executable, str(HERE / "child.py"), table, *left], stdout=subprocess.PIPE,
+    while open_rows:
+        current = open_rows[0]
+        with subprocess.Popen([sys.executable, str(HERE / "child.py"), table, *open_rows], stdout=subprocess.PIPE,
                               stderr=subprocess.DEVNULL, text=True, env=environment) as child:
             lines: queue.Queue[str | None] = queue.Queue()
             threading.Thread(target=_read, args=(child.stdout, lines), daemon=True).start()
-            current = left[0]
-            while True:
-                try:
-                    line = lines.get(timeout=LIMIT_S)
-                except queue.Empty:
-                    child.kill()
-                    found[current] = {"raised": "hang", "wanted": False, "text": f"no end in {LIMIT_S} s", "left": []}
-                    break
-                if line is None:
-                    if left and current not in found:
-                        found[current] = {"raised": "crash", "wanted": False, "left": [],
-                                          "text": f"the process ended with {child.wait()}"}
-                    break
-                if not line.startswith("{"):
-                    continue  # libraries print
-                message = json.loads(line)
-                if "starts" in message:
-                    current = message["starts"]
-                else:
-                    found[message["name"]] = message
-        left = [name for name in left if name not in found]
-    return found
+            try:
+                while (line := lines.get(timeout=LIMIT_S)) is not None:
+                    if not line.startswith("{"):
+                        continue  # libraries print
+                    message = json.loads(line)
+                    current = message.get("starts", current)
+                    if "name" in message:
+                        outcomes[message["name"]] = message
+                end = {"raised": "crash", "text": f"the process ended with {child.wait()}"}
+            except queue.Empty:
+                child.kill()
+                end = {"raised": "hang", "text": f"no end in {LIMIT_S} s"}
+        outcomes.setdefault(current, {**end, "expected": False, "files": []})
+        open_rows = [name for name in open_rows if name not in outcomes]
+    return outcomes
 
 
 def _read(stream, lines) -> None:
@@ -70,16 +63,15 @@ def outcomes() -> dict[str, dict[str, dict]]:
         return dict(zip(TABLES, pool.map(_batch, TABLES), strict=True))
 
 
-@pytest.mark.parametrize(("table", "row"), ROWS, ids=lambda value: getattr(value, "name", value))
-def test_refused(outcomes, table, row):
-    found = outcomes[table][row.name]
-    assert found["raised"], found["text"]
-    assert found["wanted"], f"{found['raised']}: {found['text']}"
-    assert row.says in found["text"]
-    assert not found["left"]
+@pytest.mark.parametrize(("table", "name"), [(table, name) for table, rows in ROWS.items() for name in rows])
+def test_refused(outcomes, table, name):
+    outcome = outcomes[table][name]
+    assert outcome["raised"], outcome["text"]
+    assert outcome["expected"], f"{outcome['raised']}: {outcome['text']}"
+    assert ROWS[table][name].says in outcome["text"]
+    assert not outcome["files"]
 
 
-def test_names_are_unique_and_rows_many():
-    assert all(len({row.name for row in importlib.import_module(t).INPUTS}) == len(importlib.import_module(t).INPUTS)
-               for t in TABLES)
-    assert len(ROWS) >= 250
+def test_names_are_unique():
+    for table, rows in ROWS.items():
+        assert len(rows) == len(importlib.import_module(table).INPUTS)

@@ -1,7 +1,10 @@
-"""Transfers, laws, smoothers, corrections, linear solvers and solvers of one's own that do not keep their word."""
+"""Functions, transfers, laws, smoothers, corrections and solvers of a user that return what they must not."""
+
+from types import SimpleNamespace
 
 import numpy as np
-from hostile_table import Hostile
+from arrays_and_matrices import discrete
+from hostile_table import each
 from scipy import sparse
 
 import adaptmg as am
@@ -9,24 +12,35 @@ from adaptmg.solver.linear import LinearSolution
 from adaptmg.solver.record import Outcome
 
 
-def _problem(**changes):
+def _bar(**changes):
     return am.cases.greco_bar(**changes)
 
 
 def _grids(transfer=None, problem=None):
-    problem = _problem() if problem is None else problem
-    meshes = [am.mesh.structured(problem.domain, n) for n in (2, 4, 8)]
-    return am.Hierarchy.from_meshes(problem, meshes, transfer=transfer)
+    problem = problem or _bar()
+    return am.Hierarchy.from_meshes(problem, [am.mesh.structured(problem.domain, n) for n in (2, 4, 8)],
+                                    transfer=transfer)
 
 
-class _Transfer:
-    """Interpolation, changed."""
+def _by(**parts):
+    return am.solve(_grids(), am.FullMultigrid(**parts))
 
-    def __init__(self, change):
-        self.change = change
 
-    def build(self, coarse, fine):
-        return self.change(sparse.csr_array(am.Interpolation().build(coarse, fine)))
+def _square(contact=None, **changes):
+    parts = {"material": am.PlaneStrain(young=1e9, poisson=0.3), "law": am.Coulomb(0.3),
+             "domain": am.Rectangle(width=1.0, height=1.0), "supports": (am.Support("right", x=0.0),),
+             "contact": am.Contact("bottom", contact or am.Plane((0.0, 0.0), (0.0, 1.0)))}
+    return am.Hierarchy.uniform(am.ContactProblem(**(parts | changes)), divisions=(2, 4))
+
+
+def _functions():
+    values = {"None": lambda p: None, "complex": lambda p: 1j * p[:, 0], "text": lambda p: np.full(len(p), "1"),
+              "shape": lambda p: p, "bool": lambda p: p[:, 0] > 0, "1e300": lambda p: 1e300,
+              "masked": lambda p: np.ma.masked_array(0 * p[:, 0], mask=p[:, 0] > 0.2)}
+    yield from each("function friction", lambda v: _square(law=am.Coulomb(v)), values)
+    yield from each("function gap", lambda v: _square(am.GapFunction(v)), values, ("None", "complex", "masked"))
+    yield from each("function pressure on top", lambda v: _square(loads=(am.Pressure("top", v),)), values,
+                    ("None", "text", "1e300"))
 
 
 def _with(part, index, value):
@@ -39,162 +53,71 @@ def _with(part, index, value):
 
 
 def _transfers():
+    """Interpolation, changed."""
     changes = {
         "None": lambda m: None, "dense": lambda m: m.toarray(), "text": lambda m: "P", "transposed": lambda m: m.T,
-        "index too large": _with("indices", 5, 10_000_000), "index negative": _with("indices", 5, -9),
-        "index 2**33": _with("indices", 5, 2**33), "indptr falls": _with("indptr", 4, 0),
-        "indptr beyond": _with("indptr", -1, 10**9), "complex": lambda m: m * 1j, "nan": _with("data", 0, np.nan),
-        "infinite": _with("data", 0, np.inf), "bool": lambda m: m.astype(bool), "wrong rows": lambda m: m[:-1],
-        "zero": lambda m: m * 0.0, "huge": lambda m: m * 1e200, "tiny": lambda m: m * 1e-300,
-        "tuple": lambda m: (m, m), "list": lambda m: m.toarray().tolist(),
-        "coo": lambda m: _broken_coo(sparse.coo_array(m)),
-    }
-    for label, change in changes.items():
-        yield Hostile(f"transfer {label}", lambda c=change: _grids(_Transfer(c)), "transfer.build")
-    for cls in (am.L2, am.Interpolation, am.PseudoL2, _Transfer):
-        yield Hostile(f"transfer class {cls.__name__}", lambda c=cls: _grids(c), "transfer")
+        "index too large": _with("indices", 5, 10_000_000), "index 2**33": _with("indices", 5, 2**33),
+        "indptr falls": _with("indptr", 4, 0), "complex": lambda m: m * 1j, "nan": _with("data", 0, np.nan),
+        "bool": lambda m: m.astype(bool), "zero": lambda m: m * 0.0, "huge": lambda m: m * 1e200,
+        "tiny": lambda m: m * 1e-300, "tuple": lambda m: (m, m)}
+    yield from each("transfer.build", lambda change: _grids(SimpleNamespace(build=lambda coarse, fine: change(
+        sparse.csr_array(am.Interpolation().build(coarse, fine))))), changes)
 
 
-def _broken_coo(matrix):
-    matrix.coords[1][3] = 10**7
-    return matrix
-
-
-class _Smoother:
-    """The projected Gauss-Seidel smoother with another account of its work, or worse."""
-
-    def __init__(self, work=None, spoil=None):
-        self.work, self.spoil = work, spoil
-
-    def smooth(self, system, contact, load, unknowns, sweeps=1):
+def _smoother(work):
+    def smooth(system, contact, load, unknowns, sweeps=1):
         am.ProjectedGaussSeidel().smooth(system, contact, load, unknowns, sweeps)
-        if self.spoil is not None:
-            self.spoil(unknowns)
-        return self.work
+        return work
+    return SimpleNamespace(smooth=smooth)
 
 
-def _by(**parts):
-    return am.solve(_grids(), am.FullMultigrid(**parts))
+def _methods():
+    counts = {"negative": -1.0, "nan": np.nan, "None": None, "text": "1", "array": np.ones(3), "huge": 10**400}
+    yield from each("work of a smoother", lambda v: _by(smoother=_smoother(v), correction=am.Monotone()), counts)
 
-
-def _smoothers():
-    for label, work in {"negative": -1.0, "nan": np.nan, "None": None, "text": "1", "True": True, "complex": 1j,
-                        "array": np.ones(3), "infinite": np.inf, "huge": 10**400}.items():
-        yield Hostile(f"smoother work {label}",
-                      lambda w=work: _by(smoother=_Smoother(w), correction=am.Monotone()), "smoother")
-    yield Hostile("smoother class", lambda: am.Multigrid(smoother=am.ProjectedGaussSeidel), "smoother")
-    yield Hostile("smoother None", lambda: am.Multigrid(smoother=None), "smoother")
-    yield Hostile("smoother text", lambda: am.Multigrid(smoother="jacobi"), "smoother")
-
-
-class _Correction:
-    """A correction that hands on what it is told to."""
-
-    def __init__(self, change, needs_initial=False):
-        self.change, self.needs_initial = change, needs_initial
-
-    def transport(self, reach, opening, slip, limit, initial):
-        return self.change(*am.Monotone().transport(reach, opening, slip, limit, initial))
-
-
-def _corrections():
-    changes = {
+    transported = {
         "None": lambda gap, slip, limit: None, "two": lambda gap, slip, limit: (gap, slip),
         "short gap": lambda gap, slip, limit: (gap[:-1], slip, limit),
-        "text": lambda gap, slip, limit: ("a", slip, limit),
         "complex": lambda gap, slip, limit: (gap * 1j, slip, limit),
         "flat slip": lambda gap, slip, limit: (gap, slip.ravel(), limit),
-        "integers": lambda gap, slip, limit: (gap, slip, "limit"),
-        "number": lambda gap, slip, limit: 5,
-    }
-    for label, change in changes.items():
-        yield Hostile(f"correction {label}", lambda c=change: _by(correction=_Correction(c)), "correction")
-    yield Hostile("correction class", lambda: am.Multigrid(correction=am.Truncated), "correction")
-    yield Hostile("correction class of Monotone", lambda: am.Multigrid(correction=am.Monotone), "correction")
-    yield Hostile("correction as text", lambda: am.Multigrid(correction="monotone"), "correction")
-    yield Hostile("correction without needs_initial", lambda: am.Multigrid(correction=_Transfer(None)), "correction")
+        "text": lambda gap, slip, limit: (gap, slip, "limit")}
+    yield from each("correction", lambda change: _by(correction=SimpleNamespace(
+        needs_initial=False, transport=lambda *given: change(*am.Monotone().transport(*given)))), transported)
+    yield from each("correction", lambda v: am.Multigrid(correction=SimpleNamespace(transport=v)),
+                    {"without needs_initial": print})
 
+    solutions = {
+        "None": lambda b: None, "an array": lambda b: b, "short": lambda b: LinearSolution(b[:3], 1, 1.0, 0.0, True),
+        "complex": lambda b: LinearSolution(b * 1j, 1, 1.0, 0.0, True),
+        "negative passes": lambda b: LinearSolution(b, 1, -5.0, 0.0, True)}
+    yield from each("linear", lambda solution: am.solve(_grids(), am.ActiveSet(linear=_Linear(solution))), solutions)
+    yield from each("linear", lambda v: am.solve(_grids(), am.ActiveSet(linear=SimpleNamespace(
+        setup=lambda matrix, near_nullspace=None, **options: v))), {"prepares text": "ready"})
 
-class _Solver:
-    """A solver that returns what it is told to."""
-
-    def __init__(self, outcome):
-        self.outcome = outcome
-
-    def run(self, hierarchy, run, start):
-        return self.outcome(hierarchy.finest.discrete)
-
-
-def _outcome(**changes):
-    def make(discrete):
-        good = {"displacement": np.zeros((discrete.n_nodes, discrete.dim)), "status": am.Status.LIMIT, "cycles": 1,
-                "rtol": 1e-8}
-        return Outcome(**(good | {k: v(discrete) if callable(v) else v for k, v in changes.items()}))
-    return make
-
-
-def _solvers():
-    made = {
-        "None": lambda d: None, "an array": lambda d: np.zeros(d.n_dofs), "text": lambda d: "done",
-        "the class Outcome": lambda d: Outcome,
-        "displacement None": _outcome(displacement=None), "displacement text": _outcome(displacement="u"),
-        "displacement short": _outcome(displacement=np.zeros((3, 2))),
-        "displacement complex": _outcome(displacement=lambda d: np.zeros((d.n_nodes, 2), dtype=complex)),
-        "displacement bools": _outcome(displacement=lambda d: np.zeros((d.n_nodes, 2), dtype=bool)),
-        "status text": _outcome(status="converged"), "status None": _outcome(status=None),
-        "cycles float": _outcome(cycles=1.5), "cycles negative": _outcome(cycles=-1),
-        "rtol text": _outcome(rtol="1e-8"), "rtol nan": _outcome(rtol=np.nan), "rtol 1e30": _outcome(rtol=1e30),
-        "cycles None": _outcome(cycles=None),
-        "error_estimate text": _outcome(error_estimate="0"), "rate None": _outcome(rate=None),
-        "error_estimate negative": _outcome(error_estimate=-1.0),
-    }
-    for label, outcome in made.items():
-        yield Hostile(f"solver returns {label}",
-                      lambda o=outcome: am.solve(_grids(), _Solver(o), throw=False), "solver")
-        if label in ("None", "status text", "displacement short"):
-            yield Hostile(f"solver of a path returns {label}", lambda o=outcome: am.solve_path(
-                _grids(), am.LoadPath(default=[0.5, 1.0]), _Solver(o)), "solver")
-    for cls in (am.FullMultigrid, am.Multigrid, am.SingleGrid, am.ActiveSet, _Solver):
-        yield Hostile(f"solver class {cls.__name__}", lambda c=cls: am.solve(_grids(), c), "solver")
-    yield Hostile("solver class for a path", lambda: am.solve_path(_grids(), am.LoadPath(), am.FullMultigrid), "solver")
-    yield Hostile("solver text", lambda: am.solve(_grids(), "multigrid"), "solver")
+    answers = {"None": lambda b: None, "short": lambda b: b[1:], "complex": lambda b: b * 1j,
+               "NaN": lambda b: b * np.nan}
+    yield from each("coarse_solve", lambda v: _truncated(coarse_solve=_CoarsePart(v)), answers)
+    yield from each("passes of a coarse_solve", lambda v: _truncated(coarse_solve=_CoarsePart(np.copy, v)), counts,
+                    ("negative", "None"), says="coarse_solve")
+    yield from each("passes of a coarse_smoother", lambda v: _truncated(coarse_smoother=_CoarsePart(lambda b: v)),
+                    counts, ("negative", "None"), says="coarse_smoother")
 
 
 class _Linear:
-    """A linear solver that prepares or returns what it is told to."""
+    """A linear solver whose solution is ``solution(rhs)``."""
 
-    def __init__(self, prepared=None, solution=None):
-        self.prepared, self.solution = prepared, solution
+    def __init__(self, solution):
+        self.solution = solution
 
     def setup(self, matrix, near_nullspace=None, **options):
-        return self if self.prepared is None else self.prepared
+        return self
 
     def solve(self, rhs, start=None, rtol=1e-10):
         return self.solution(rhs)
 
 
-def _active_set(linear):
-    return am.solve(_grids(), am.ActiveSet(linear=linear))
-
-
-def _linear_solvers():
-    made = {
-        "None": lambda b: None, "an array": lambda b: b, "short": lambda b: LinearSolution(b[:3], 1, 1.0, 0.0, True),
-        "complex": lambda b: LinearSolution(b * 1j, 1, 1.0, 0.0, True),
-        "text": lambda b: LinearSolution("x", 1, 1.0, 0.0, True),
-        "negative passes": lambda b: LinearSolution(b, 1, -5.0, 0.0, True),
-        "passes None": lambda b: LinearSolution(b, 1, None, 0.0, True),
-    }
-    for label, solution in made.items():
-        yield Hostile(f"linear {label}", lambda s=solution: _active_set(_Linear(solution=s)), "linear")
-    yield Hostile("linear prepares text", lambda: _active_set(_Linear(prepared="ready")), "linear")
-    yield Hostile("linear class", lambda: am.ActiveSet(linear=am.Direct), "linear")
-    yield Hostile("linear class AMG", lambda: am.ActiveSet(linear=am.AMG), "linear")
-    yield Hostile("linear as text", lambda: am.ActiveSet(linear="direct"), "linear")
-
-
 class _CoarsePart:
-    """A linear coarse solve and smoother that answers what it is told; ``passes`` is what it counts."""
+    """A linear coarse solve and smoother that returns ``answer(rhs)``; ``passes`` is what it counts."""
 
     def __init__(self, answer, passes=0.0):
         self.answer, self.passes = answer, passes
@@ -209,72 +132,59 @@ class _CoarsePart:
         return self.answer(rhs)
 
 
-def _coarse_parts():
-    def truncated(**parts):
-        return _by(correction=am.Truncated(**parts))
-
-    for label, answer in {"None": lambda b: None, "short": lambda b: b[1:], "complex": lambda b: b * 1j,
-                          "text": lambda b: "x", "NaN": lambda b: b * np.nan}.items():
-        yield Hostile(f"coarse solve {label}", lambda a=answer: truncated(coarse_solve=_CoarsePart(a)), "coarse_solve")
-    for label, passes in {"negative": -1.0, "None": None, "NaN": np.nan}.items():
-        yield Hostile(f"coarse solve passes {label}",
-                      lambda p=passes: truncated(coarse_solve=_CoarsePart(np.copy, p)), "coarse_solve")
-        yield Hostile(f"coarse smoother passes {label}",
-                      lambda p=passes: truncated(coarse_smoother=_CoarsePart(lambda b: p)), "coarse_smoother")
-    for name in ("coarse_solve", "coarse_smoother"):
-        yield Hostile(f"{name} class", lambda n=name: truncated(**{n: _CoarsePart}), name)
-        yield Hostile(f"{name} text", lambda n=name: truncated(**{n: "direct"}), name)
+def _truncated(**parts):
+    return _by(correction=am.Truncated(**parts))
 
 
-class _Law:
-    """A law whose nodal form and bounds are what it is told."""
+def _solver(outcome):
+    return SimpleNamespace(run=lambda hierarchy, run, start: outcome(hierarchy.finest.discrete))
 
-    def __init__(self, nodal=None, bounds=None):
-        self.nodal, self.made = nodal, bounds
 
-    def at_nodes(self, points, weights):
-        return self if self.nodal is None else self.nodal(points)
+def _solvers():
+    def changed(**changes):
+        def make(d):
+            good = {"displacement": np.zeros((d.n_nodes, d.dim)), "status": am.Status.LIMIT, "cycles": 1, "rtol": 1e-8}
+            return Outcome(**(good | {k: v(d) if callable(v) else v for k, v in changes.items()}))
+        return make
 
-    def bounds(self, n_contact):
-        return self.made(n_contact)
+    made = {
+        "None": lambda d: None, "an array": lambda d: np.zeros(d.n_dofs), "the class Outcome": lambda d: Outcome,
+        "displacement text": changed(displacement="u"), "displacement short": changed(displacement=np.zeros((3, 2))),
+        "displacement complex": changed(displacement=lambda d: np.zeros((d.n_nodes, 2), dtype=complex)),
+        "status text": changed(status="converged"), "cycles float": changed(cycles=1.5),
+        "cycles negative": changed(cycles=-1), "rtol nan": changed(rtol=np.nan), "rtol 1e30": changed(rtol=1e30),
+        "rate None": changed(rate=None), "error_estimate negative": changed(error_estimate=-1.0)}
+    yield from each("solver", lambda v: am.solve(_grids(), _solver(v), throw=False), made)
+    yield from each("path solver", lambda v: am.solve_path(_grids(), am.LoadPath(default=[0.5, 1.0]), _solver(v)), made,
+                    ("None", "displacement short"))
 
 
 def _laws():
-    for label, nodal in {"None": lambda p: None, "an array": lambda p: p, "number": lambda p: 0.3,
-                         "text": lambda p: "law", "class": lambda p: am.Coulomb}.items():
-        yield Hostile(f"at_nodes {label}", lambda n=nodal: _grids(problem=_problem(law=_Law(nodal=n))), "law")
-    for label, made in {"None": lambda n: None, "short": lambda n: (np.zeros(1), np.zeros(1)),
-                        "negative": lambda n: (np.zeros(n), -np.ones(n)), "text": lambda n: ("a", "b"),
-                        "nan": lambda n: (np.full(n, np.nan), np.zeros(n))}.items():
-        yield Hostile(f"bounds {label}", lambda m=made: _grids(problem=_problem(law=_Law(bounds=m))), "law")
+    def law(bounds=None, at_nodes=None):
+        value = SimpleNamespace(bounds=bounds)
+        value.at_nodes = lambda points, weights: value if at_nodes is None else at_nodes(points)
+        return value
 
-
-class _Obstacle:
-    """An obstacle that answers what it is told to."""
-
-    def __init__(self, answer):
-        self.answer = answer
-
-    def contact(self, points, normals):
-        return self.answer(points, normals)
+    yield from each("law", lambda v: _grids(problem=_bar(law=law(at_nodes=v, bounds=print))), {
+        "at_nodes None": lambda p: None, "at_nodes an array": lambda p: p, "at_nodes a class": lambda p: am.Coulomb})
+    bounds = {
+        "None": lambda n: None, "one array": lambda n: np.zeros(n), "three": lambda n: (np.zeros(n),) * 3,
+        "short": lambda n: (np.zeros(n - 1), np.zeros(n)), "scalars": lambda n: (0.0, None), "number": lambda n: 5.0,
+        "text": lambda n: (np.zeros(n), np.full(n, "1")), "complex": lambda n: (np.zeros(n), np.full(n, 1j)),
+        "nan": lambda n: (np.zeros(n), np.full(n, np.nan)), "negative": lambda n: (np.full(n, -1.0), np.zeros(n)),
+        "column": lambda n: (np.zeros((n, 1)), np.zeros(n)), "bools": lambda n: (np.zeros(n), np.ones(n, dtype=bool))}
+    yield from each("bounds of a law", lambda v: discrete(law=law(v)), bounds)
+    yield from each("bounds in a problem of a law", lambda v: _grids(problem=_bar(law=law(v))), bounds,
+                    ("short", "nan"))
 
 
 def _obstacles():
-    made = {
+    answers = {
         "None": lambda x, n: None, "normals alone": lambda x, n: n, "gaps short": lambda x, n: (n, np.zeros(1)),
         "gaps text": lambda x, n: (n, np.full(len(x), "0")), "gaps nan": lambda x, n: (n, np.full(len(x), np.nan)),
-        "gaps complex": lambda x, n: (n, np.full(len(x), 1j)), "normals long": lambda x, n: (5 * n, np.zeros(len(x))),
-        "normals complex": lambda x, n: (n * 1j, np.zeros(len(x))), "number": lambda x, n: 5,
-        "three": lambda x, n: (n, np.zeros(len(x)), 1), "normals text": lambda x, n: (n.astype(str), np.zeros(len(x))),
-    }
-    for label, answer in made.items():
-        yield Hostile(f"obstacle {label}", lambda a=answer: _grids(problem=am.ContactProblem(
-            material=am.PlaneStrain(young=1e9, poisson=0.3), law=am.Coulomb(0.3),
-            domain=am.Rectangle(width=1.0, height=1.0), contact=am.Contact("bottom", _Obstacle(a)),
-            supports=(am.Support("right", x=0.0),))), "bottom")
-    yield Hostile("obstacle with contact as data", lambda: am.Contact(
-        "bottom", type("Data", (), {"contact": 5})()), "obstacle")
+        "normals long": lambda x, n: (5 * n, np.zeros(len(x))), "three": lambda x, n: (n, np.zeros(len(x)), 1),
+        "normals complex": lambda x, n: (n * 1j, np.zeros(len(x)))}
+    yield from each("obstacle at bottom", lambda v: _square(SimpleNamespace(contact=v)), answers)
 
 
-INPUTS = (*_transfers(), *_smoothers(), *_corrections(), *_solvers(), *_linear_solvers(), *_coarse_parts(),
-          *_laws(), *_obstacles())
+INPUTS = (*_functions(), *_transfers(), *_methods(), *_solvers(), *_laws(), *_obstacles())

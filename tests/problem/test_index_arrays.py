@@ -1,4 +1,4 @@
-"""Indices of sparse matrices in 32 bits: nothing else changes, and what comes in is so everywhere."""
+"""Indices of sparse matrices are narrowed to 32 bits on all levels; nothing else changes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg import _check_arrays as check_arrays
-from adaptmg import _check_arrays as index_arrays
-from adaptmg._check_arrays import narrowed
 
 
 def wide(matrix):
@@ -22,17 +20,17 @@ def wide(matrix):
 @pytest.mark.parametrize("kind", ["csr", "csc", "bsr"])
 def test_the_same_matrix_with_smaller_indices(kind):
     matrix = sparse.random_array((12, 12), density=0.3, rng=np.random.default_rng(1)).asformat(kind)
-    found = narrowed(wide(matrix))
-    assert found.indices.dtype == found.indptr.dtype == np.int32 and found.format == kind
-    assert (found != matrix).nnz == 0 and getattr(found, "blocksize", 0) == getattr(matrix, "blocksize", 0)
-    assert narrowed(found) is found
+    result = check_arrays.narrowed(wide(matrix))
+    assert result.indices.dtype == result.indptr.dtype == np.int32 and result.format == kind
+    assert (result != matrix).nnz == 0 and getattr(result, "blocksize", 0) == getattr(matrix, "blocksize", 0)
+    assert check_arrays.narrowed(result) is result
     assert check_arrays.sparse_matrix("matrix", wide(matrix)).indices.dtype == np.int32
 
 
 def test_indices_that_do_not_fit_stay(monkeypatch):
-    monkeypatch.setattr(index_arrays, "_MOST", 5)
+    monkeypatch.setattr(check_arrays, "_LARGEST_INDEX", 5)
     matrix = wide(sparse.eye_array(6, format="csr"))
-    assert narrowed(matrix) is matrix
+    assert check_arrays.narrowed(matrix) is matrix
 
 
 @pytest.mark.parametrize("case", ["greco_bar", "two_block_patch"])
@@ -41,6 +39,6 @@ def test_all_levels_have_them(case):
     parts = getattr(problem.domain, "parts", {"": problem.domain}).values()
     size = max(part.upper[0] - part.lower[0] for part in parts)
     grids = am.Hierarchy.graded(problem, (size / 3, size / 6))
-    found = [level.discrete.matrix for level in grids.levels] + [grids.finest.prolongation]
-    found += [grids.finest.surface_prolongation] * (grids.finest.surface_prolongation is not None)
-    assert {(m.indices.dtype, m.indptr.dtype) for m in found} == {(np.dtype(np.int32),) * 2}
+    result = [level.discrete.matrix for level in grids.levels] + [grids.finest.prolongation]
+    result += [grids.finest.surface_prolongation] * (grids.finest.surface_prolongation is not None)
+    assert {(m.indices.dtype, m.indptr.dtype) for m in result} == {(np.dtype(np.int32),) * 2}

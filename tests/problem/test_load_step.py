@@ -62,21 +62,6 @@ def test_supports_prescribe_functions_of_position_at_the_nodes():
         fixed_dofs(mesh, (am.Support("left", x=bent), am.Support("top", x=2e-3)))
 
 
-@pytest.mark.parametrize(("function", "error", "words"), [
-    (lambda x: np.full(len(x), np.nan), ValueError, "x of the support on 'left' must be finite"),
-    (lambda x: x, ValueError, r"must return shape \(5,\)"),
-    (lambda x: "a", TypeError, "must return real numbers")])
-def test_functions_that_are_no_displacement_are_refused(function, error, words):
-    with pytest.raises(error, match=words):
-        fixed_dofs(square(4, 1.0), (am.Support("left", x=function),))
-
-
-def test_what_is_neither_number_nor_function_is_refused():
-    for wrong in ("a", float, [1.0]):
-        with pytest.raises(TypeError, match="x must be a number"):
-            am.Support("left", x=wrong)
-
-
 def test_a_solution_has_the_prescribed_function_in_every_step():
     problem = dataclasses.replace(loaded(), loads=(am.Pressure("right", 1e6),))
     grids = am.Hierarchy.uniform(problem, divisions=(4, 8))

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 from study_scripts import load
 
-common = load("common")
 rivals = load("linear_rivals")
 benchmark = load("benchmark")
 robustness = load("robustness")
@@ -55,6 +54,24 @@ def test_random_cases_are_solved():
         assert max(row["nested_residual"], row["cold_residual"]) <= robustness.RESIDUAL
 
 
+def campaign(**changed) -> pd.DataFrame:
+    """Two problems, of which one is refused."""
+    row = {f"{name}_{key}": value for name in ("nested", "cold") for key, value in
+           (("status", ["CONVERGED", "REFUSED"]), ("cycles", [12, 0]), ("residual", [1e-9, np.nan]),
+            ("fallback", ["", ""]))}
+    return pd.DataFrame({"seed": [1, 2], "nested": True, "law": ["Coulomb", "Tresca"], "friction": [0.3, 2.0],
+                         "nodes": 100} | row | changed)
+
+
+def test_a_failure_that_the_status_hides_is_counted_as_silent():
+    counts = robustness._outcomes(campaign()).iloc[0]
+    assert (counts["refused"], counts["solved"], counts["silent failures"]) == (1, 1, 0)
+    counts = robustness._outcomes(campaign(nested_residual=[1e-3, np.nan])).iloc[0]
+    assert (counts["solved"], counts["silent failures"]) == (0, 1)
+    both = robustness._outcomes(campaign(nested_residual=[1e-3, np.nan])).assign(bodies="one body")
+    assert "Silent failures: 1." in robustness.summary(both)
+
+
 @pytest.mark.slow
 def test_converged_means_what_it_says():
     table = true_errors.outcomes(pd.DataFrame([true_errors.measure(seed, "compact") for seed in (1, 4, 10)]))
@@ -62,7 +79,6 @@ def test_converged_means_what_it_says():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script", [benchmark, robustness], ids=["benchmark", "robustness"])
-def test_quick_runs(script, tmp_path):
-    section = script.run(common.Context(True, tmp_path))
-    assert len(section.items) >= 2
+@pytest.mark.parametrize("name", ["benchmark", "robustness"])
+def test_quick_runs(quick, name):
+    assert len(quick(name)) >= 2

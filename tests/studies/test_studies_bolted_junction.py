@@ -8,9 +8,7 @@ from study_scripts import load
 import adaptmg as am
 from adaptmg.cases import Flanges
 
-common = load("common")
 grids = load("bolted_grids")
-junction = load("bolted_junction")
 pressure = load("bolted_pressure")
 sector = load("bolted_sector")
 
@@ -55,10 +53,8 @@ def test_paths_by_multigrid_and_by_the_active_set_method_agree():
 
 
 @pytest.mark.slow
-def test_bolted_junction(tmp_path):
-    section = junction.run(common.Context(quick=True, out=tmp_path, full=True))
-    common.show(section, tmp_path, pictures=False)
-    tables = {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
+def test_bolted_junction(tables):
+    tables = tables("bolted_junction", True)
     counts = tables["bolted_grids"].set_index("method")
     several = counts[~counts.index.str.startswith("one grid")]
     assert (several["status"] == "CONVERGED").all()

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import runpy
-import sys
-
 import numpy as np
-import pandas as pd
 import pytest
-from study_scripts import STUDIES, load
+from study_scripts import load
 
 import adaptmg as am
 
@@ -17,25 +13,10 @@ dovetail, history, sweeps = load("dovetail"), load("dovetail_history"), load("do
 pictures = load("dovetail_pictures")
 
 
-def test_the_pull_goes_up_and_down():
-    assert history.factors(4, False).tolist() == [0.25, 0.5, 0.75, 1.0]
-    assert history.factors(2, True).tolist() == [0.0, 0.5, 1.0, 0.5, 0.0]
-    assert history.factors(1, True).tolist() == [0.0, 1.0, 0.0]
-
-
-def test_sizes_fall_by_the_same_factor():
-    assert sweeps.sizes(1e-3, 2.0, 3) == pytest.approx((4e-3, 2e-3, 1e-3))
-
-
 def test_grids_of_a_chain_end_at_the_same_mesh():
     two, one = dovetail.chain(1, 2), dovetail.chain(1, 1)
     assert len(two) == 2 and len(one) == 1
     assert two.finest.mesh.points == pytest.approx(one.finest.mesh.points, abs=0)
-
-
-def test_stored_steps_unfold():
-    row = pd.Series({"n": 2, "complete": True, "lift 0": 1.0, "lift 1": 2.0, "state 0": "a", "state 1": "b"})
-    assert history.unfolded(row).to_dict("list") == {"lift": [1.0, 2.0], "state": ["a", "b"]}
 
 
 def test_zone_ends_lie_half_way_between_nodes():
@@ -56,77 +37,52 @@ def test_energy_errors_are_those_of_relative_coordinates():
     assert common.energy_error(exact, exact, grids) == 0.0
 
 
-def test_help_gives_an_example(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["dovetail.py", "--help"])
-    with pytest.raises(SystemExit):
-        runpy.run_path(str(STUDIES / "dovetail.py"), run_name="__main__")
-    assert "Example: python studies/dovetail.py --quick" in " ".join(capsys.readouterr().out.split())
-
-
-@pytest.fixture(scope="module")
-def tables(tmp_path_factory):
-    """Tables of a quick run by name."""
-    folder = tmp_path_factory.mktemp("dovetail")
-    section = dovetail.run(common.Context(quick=True, out=folder, full=True))
-    common.show(section, folder, pictures=False)
-    names = [item.name for item in section.items]
-    assert len(set(names)) == len(names)
-    assert all((folder / f"{item.name}.csv").stat().st_size > 100 for item in section.items
-               if isinstance(item, common.Table))
-    assert {"dovetail_deformed", "dovetail_stress", "dovetail_flank", "dovetail_hysteresis"} <= set(names)
-    return {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
-
-
 @pytest.mark.slow
-class TestQuickRun:
-    def test_several_grids_beat_one(self, tables):
-        frame = tables["dovetail_grids"].set_index("method")
-        plain = frame.loc["one grid, omega 1"]
-        assert plain["status"] == "LIMIT" and plain["true error"] > 1e-2
-        several = frame[~frame.index.str.startswith("one grid")]
-        assert (several["status"] == "CONVERGED").all() and (several["true error"] < 1e-6).all()
-        truncated = several[several.index.str.endswith("truncated")]
-        assert (truncated["over best one grid"] > 2).all()
-        assert truncated["work"].max() < several.drop(truncated.index)["work"].min()
-
-    def test_more_smoothing_needs_fewer_cycles(self, tables):
-        frame = tables["dovetail_smoothing"]
-        pre = frame[frame["post"] == 0].sort_values("pre")
-        assert (np.diff(pre["cycles"]) < 0).all()
-        local = tables["dovetail_local"].groupby("interface sweeps")["cycles"].max()
-        assert local[2] < 0.6 * local[0]
-
-    def test_the_full_start_pays(self, tables):
-        frame = tables["dovetail_start"]
-        assert (frame["zero over full"].dropna() > 1).all()
-
-    def test_friction(self, tables):
-        frame = tables["dovetail_friction"]
-        assert (frame["status"] == "CONVERGED").all() and (frame["rate"] <= 0.5).all()
-        assert (np.diff(frame["lift"]) < 0).all()
-        assert np.isnan(frame["stick from"].iloc[0]) and frame["stick from"].notna().iloc[-1]
-        assert frame["cycles"].max() <= 12
-
-    def test_two_methods_agree_and_forces_balance(self, tables):
-        row = tables["dovetail_agreement"].iloc[0]
-        assert row["converged"] == row["active set converged"] == row["joints"]
-        assert row["difference"] < 1e-8 and row["states that differ"] == 0
-        assert row["force error"] < 1e-7 and row["slave + master"] < 1e-12
-
-    def test_beside_one_body(self, tables):
-        frame = tables["dovetail_one_body"]
-        assert (frame["over one body"].dropna() < 3).all() and (frame["rate"] <= 0.5).all()
-
-    def test_history(self, tables):
-        frame = tables["dovetail_history"]
-        assert (frame["status"] == "CONVERGED").all()
-        up, down = frame["lift"][:11].to_numpy(), frame["lift"][10:].to_numpy()[::-1]
-        assert (np.diff(up) > 0).all() and (np.diff(down) > 0).all()
-        # friction holds back on both ways
-        assert (down[1:-1] > up[1:-1]).all()
-        assert tables["dovetail_steps"]["all converged"].all()
-
-    def test_ten_steps_cost_less_than_ten_times_one(self, tables):
-        frame = tables["dovetail_history_cost"]
-        assert frame["complete"].all()
-        assert (frame["work ratio"] < 10).all()
+def test_a_quick_run(quick, tables):
+    figures = {f"dovetail_{name}" for name in ("deformed", "stress", "flank", "hysteresis")}
+    assert figures <= set(quick("dovetail", True))
+    tables = tables("dovetail", True)
+    # several grids beat one
+    frame = tables["dovetail_grids"].set_index("method")
+    plain = frame.loc["one grid, omega 1"]
+    assert plain["status"] == "LIMIT" and plain["true error"] > 1e-2
+    several = frame[~frame.index.str.startswith("one grid")]
+    assert (several["status"] == "CONVERGED").all() and (several["true error"] < 1e-6).all()
+    truncated = several[several.index.str.endswith("truncated")]
+    assert (truncated["over best one grid"] > 2).all()
+    assert truncated["work"].max() < several.drop(truncated.index)["work"].min()
+    # more smoothing needs fewer cycles
+    frame = tables["dovetail_smoothing"]
+    pre = frame[frame["post"] == 0].sort_values("pre")
+    assert (np.diff(pre["cycles"]) < 0).all()
+    local = tables["dovetail_local"].groupby("interface sweeps")["cycles"].max()
+    assert local[2] < 0.6 * local[0]
+    # the full start pays
+    frame = tables["dovetail_start"]
+    assert (frame["zero over full"].dropna() > 1).all()
+    # friction
+    frame = tables["dovetail_friction"]
+    assert (frame["status"] == "CONVERGED").all() and (frame["rate"] <= 0.5).all()
+    assert (np.diff(frame["lift"]) < 0).all()
+    assert np.isnan(frame["stick from"].iloc[0]) and frame["stick from"].notna().iloc[-1]
+    assert frame["cycles"].max() <= 12
+    # two methods agree and forces balance
+    row = tables["dovetail_agreement"].iloc[0]
+    assert row["converged"] == row["active set converged"] == row["joints"]
+    assert row["difference"] < 1e-8 and row["states that differ"] == 0
+    assert row["force error"] < 1e-7 and row["slave + master"] < 1e-12
+    # beside one body
+    frame = tables["dovetail_one_body"]
+    assert (frame["over one body"].dropna() < 3).all() and (frame["rate"] <= 0.5).all()
+    # history
+    frame = tables["dovetail_history"]
+    assert (frame["status"] == "CONVERGED").all()
+    up, down = frame["lift"][:11].to_numpy(), frame["lift"][10:].to_numpy()[::-1]
+    assert (np.diff(up) > 0).all() and (np.diff(down) > 0).all()
+    # friction holds back on both ways
+    assert (down[1:-1] > up[1:-1]).all()
+    assert tables["dovetail_steps"]["all converged"].all()
+    # ten steps cost less than ten times one
+    frame = tables["dovetail_history_cost"]
+    assert frame["complete"].all()
+    assert (frame["work ratio"] < 10).all()

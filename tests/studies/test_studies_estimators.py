@@ -9,17 +9,8 @@ from study_scripts import load
 
 import adaptmg as am
 
-common = load("common")
 runs = load("estimator_runs")
-tables = load("estimator_tables")
-bisected = load("bisected_family")
-study = load("estimator_effectivity")
-
-
-def test_the_first_cycle_from_which_on_the_error_is_small():
-    cycle = np.arange(4.0)
-    assert runs.first(cycle, np.array([False, True, True, True])) == 1
-    assert np.isnan(runs.first(cycle, np.zeros(4, dtype=bool)))
+limits = load("estimator_tables")
 
 
 def test_rates_are_of_the_cycles_of_multigrid():
@@ -48,13 +39,6 @@ def test_a_warm_start_where_the_level_is_gone():
     assert runs.warm_start(before, gone)[:before.nodes] == pytest.approx(before.result.displacement)
 
 
-def test_what_is_missed_is_named():
-    row = {"case": "upset block", "spread": 1.3, "least ZZ/error": 0.9, "largest ZZ/error": 1.2, "needed": 2.0,
-           "left": 0.2, "rate": 0.6}
-    assert tables._missed(row) == "spread, ZZ, cycles, left, rate"
-    assert tables._missed(row | {"case": "dovetail", "spread": 1.1, "largest ZZ/error": 1.0, "left": 0.05}) == ""
-
-
 def test_phases_add_up_to_the_loop():
     problem, start = runs.posed("upset block")
     seconds, last = runs.timed_loop(problem, start, am.Bisect(), am.Doerfler(0.5), 200)
@@ -64,18 +48,16 @@ def test_phases_add_up_to_the_loop():
 
 
 @pytest.mark.slow
-def test_effectivity(tmp_path):
-    section = study.run(common.Context(quick=True, out=tmp_path))
-    common.show(section, tmp_path, pictures=False)
-    found = {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
+def test_effectivity(tables):
+    found = tables("estimator_effectivity")
     summary = found["estimator_summary"]
-    assert (summary["spread"] < tables.SPREAD).all()
+    assert (summary["spread"] < limits.SPREAD).all()
     assert (summary["least ZZ/error"] > 0.7).all() and (summary["largest ZZ/error"] < 1.2).all()
-    assert (summary["needed"] <= [tables.wanted_cycles(case) for case in summary["case"]]).all()
-    assert (summary["rate"] <= [tables.wanted_rate(case) for case in summary["case"]]).all()
+    assert (summary["needed"] <= [limits.wanted_cycles(case) for case in summary["case"]]).all()
+    assert (summary["rate"] <= [limits.wanted_rate(case) for case in summary["case"]]).all()
     costs = found["estimator_costs"]
-    assert (costs["work"] < tables.WORK).all()
-    assert (costs["over 1e-8"] < tables.TIGHT).all()
+    assert (costs["work"] < limits.WORK).all()
+    assert (costs["over 1e-8"] < limits.TIGHT).all()
     family = found["bisected_family"].groupby("family")
     line, followed = family.get_group("bisected at contact"), family.get_group("adapted")
     assert line["warns"].iloc[-1] and not line["warns"].iloc[0]

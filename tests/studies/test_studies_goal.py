@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from study_scripts import load
 
-common, study = load("common"), load("goal_greco")
+study = load("goal_greco")
 
 
 def test_the_nodes_needed_are_those_after_the_last_large_error():
@@ -15,13 +15,11 @@ def test_the_nodes_needed_are_those_after_the_last_large_error():
 
 
 @pytest.mark.slow
-def test_quick_run(tmp_path):
-    section = study.run(common.Context(True, tmp_path))
-    common.show(section, tmp_path, pictures=False)
-    tables = {item.name: item.frame for item in section.items if isinstance(item, common.Table)}
+def test_quick_run(quick, tables):
+    tables = tables("goal_greco")
     summary = tables["goal_greco_summary"].set_index("meshes")
     assert summary["median"]["goal"] < 1000 and summary["median"]["goal"] < summary["median"]["residual"]
     assert summary["error times nodes"]["goal"] < 0.7 * summary["error times nodes"]["residual"]
     between = tables["goal_greco_quantities"]["effectivity"].dropna()
     assert between.between(0.4, 1.2).all()
-    assert "goal_greco_errors" in {item.name for item in section.items if isinstance(item, common.Figure)}
+    assert "goal_greco_errors" in quick("goal_greco")

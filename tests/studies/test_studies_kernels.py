@@ -18,9 +18,8 @@ def test_bytes_are_counted_by_hand():
 
 
 @pytest.mark.slow
-def test_quick_run(tmp_path):
-    section = study.run(study.Context(quick=True, out=tmp_path))
-    kernels, transfer = (item.frame for item in section.items)
+def test_quick_run(tables):
+    kernels, transfer = tables("kernels").values()
     assert {(row.dim, row.kernel) for row in kernels.itertuples()} >= {(2, "sweep forward"), (3, "sweep backward")}
     assert (kernels["over triad"] > 0).all()
     assert (transfer.time > 0).all()

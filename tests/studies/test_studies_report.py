@@ -75,35 +75,6 @@ def test_the_front_is_made_of_what_sections_deliver_and_links_to_them():
     assert "takes 0.50 times the seconds of one linear solve" in page.text("p")
 
 
-def test_like_with_like_and_the_best_after_it():
-    line = front.grid_counts({"table1": grid_count(complete=(1.0, 2.0, 90.0)).items[0].frame})
-    assert line.item.frame["ours"].tolist() == [1.0, 1.0, 2.0, 90.0] and "cycles" not in line.text
-    assert "By default 650." in line.text
-
-
-@pytest.mark.parametrize(("seconds", "beyond", "said"), [
-    (2.0, "measured", "bisected, they pay in 3 of 3 problems (by up to 3 times); remeshed, they pay in 0 of 3 "
-     "problems. Bisected they pay below 4 % or more (bar), 3 % (punch) and 2.5 % (block)."),
-    (0.5, "measured", "; uniform meshes are quicker than both on: block."),
-    (2.0, "extrapolated", "Open marks: uniform meshes extrapolated.")])
-def test_the_sentence_on_adaptive_meshes_is_true_for_its_run(seconds, beyond, said):
-    frames = {item.name: item.frame for item in adaptive(seconds, beyond).items}
-    text = front.adaptive(frames).text
-    assert said in text and ("Open marks" in text) == (beyond != "measured") and ("than both" in text) == (seconds < 1)
-    plt.close("all")
-
-
-def test_a_section_s_own_headline_takes_the_place():
-    own = common.Headline("grids", common.Table("own", pd.DataFrame({"mine": ["yes"]}), "own"), "Said by itself.")
-    given = grid_count()
-    given.headline = [own]
-    page = made({"grid_count": given})
-    assert "Said by itself." in page.text("p") and "With V-cycles" not in page.text("p")
-    given.headline = [common.Headline("nowhere", own.item, "")]
-    with pytest.raises(ValueError, match="no place \\['nowhere'\\]"):
-        made({"grid_count": given})
-
-
 @pytest.mark.parametrize("broken", [
     section("x"), section("x", table1=pd.DataFrame({"grids": ["1"]})),
     section("x", adaptive_pays=adaptive().items[0].frame,
@@ -111,28 +82,3 @@ def test_a_section_s_own_headline_takes_the_place():
 def test_tables_that_lack_what_is_wanted_leave_the_rest_of_the_page(broken):
     page = made(dict.fromkeys([place.study for place in front.PLACES.values()], broken) | {"grid_count": broken})
     assert len(page.all("div", "absent")) == 5 and "have nothing for this place" in page.text("p")
-
-
-def test_open_tables_and_figures_come_before_folded_ones():
-    frame = pd.DataFrame({"a": [1]})
-    tables = [common.Table(f"t{k}", frame, f"t{k}") for k in range(3)]
-    figure = common.Figure("f", plt.figure(), "f")
-    order = reproduce.in_sight_first([tables[0], tables[1], figure, tables[2]])
-    assert [item.name for item in order] == ["t0", "f", "t1", "t2"]
-    tables[2].open, tables[0].open = True, False
-    assert [item.name for item in reproduce.in_sight_first([*tables, figure])] == ["t2", "f", "t0", "t1"]
-    plt.close("all")
-
-
-def test_at_most_fifteen_tables_stand_open():
-    sections = {f"s{k}": section(f"s{k}", a=pd.DataFrame({"a": [1]}), b=pd.DataFrame({"a": [1]})) for k in range(30)}
-    page = made(sections)
-    assert sum("open" in a for a in page.all("details", "table")) == 15 and len(page.all("details", "table")) == 60
-
-
-def test_summaries_and_seeds_are_said():
-    one = section("one", a=pd.DataFrame({"a": [1]}))
-    one.summary, one.seeds = "Asked and answered.", "0 to 99"
-    page = made({"one": one, "two": section("two")})
-    assert "Asked and answered." in page.text("p") and "one: 0 to 99" in page.text("dd")
-    assert "python studies/reproduce.py one two" in page.text("dd")

@@ -1,0 +1,33 @@
+"""Domains that Netgen or OCC cannot mesh."""
+
+from hostile_table import Hostile
+
+import adaptmg as am
+from adaptmg.mesh import graded
+
+SQUARE, CUBE = am.Rectangle(width=1, height=1), am.Box(width=1, depth=1, height=1)
+
+
+def _polygon(*vertices: tuple[float, float]) -> am.Polygon:
+    return am.Polygon(vertices=vertices, boundaries=tuple("abcdefgh"[:len(vertices)]))
+
+
+def _thin():
+    """Thin parts, for sizes of a tenth or so of the whole."""
+    thin = {"rectangle": am.Rectangle(width=1, height=1e-5), "needle": _polygon((0, 0), (1, 0), (1, 1e-4)),
+            "slot": _polygon((0, 0), (.5, 0), (.5, .5), (.500001, .5), (.500001, 0), (1, 0), (1, 1), (0, 1)),
+            "box": am.Box(width=1e-9, depth=1, height=1), "wire": am.Cylinder((0, 0, 0), (0, 0, 1), 1e-6, 1),
+            "tube": am.Revolution(_polygon((1, 0), (1.000001, 0), (1.000001, 1), (1, 1))),
+            "cut in two": am.Cut(CUBE, am.Box(width=1e-3, depth=2, height=2, origin=(.5, -.5, -.5))),
+            "nothing left": am.Cut(CUBE, am.Box(width=3, depth=3, height=3, origin=(-1, -1, -1))),
+            "hole": am.Cut(CUBE, am.Cylinder((.5, .5, -1), (0, 0, 1), 1e-6, 3)),
+            "moved": am.Moved(am.Cylinder((0, 0, 0), (1, 1, 1), 1, 1e-7), offset=(1, 2, 3), angle=30)}
+    far = am.Box(width=1, depth=1, height=1, origin=(5, 0, 0))
+    yield Hostile("parts apart", lambda: graded(am.Fuse(CUBE, far), 0.2), "Box", ValueError)
+    yield Hostile("nothing in common", lambda: graded(am.Common(CUBE, far), 0.2), "Box", ValueError)
+    for label, domain in thin.items():
+        part = {"hole": "Cylinder", "moved": "Cylinder"}.get(label, type(domain).__name__)
+        yield Hostile(f"thin {label}", lambda d=domain: graded(d, 0.2), part, ValueError)
+
+
+INPUTS = tuple(_thin())
