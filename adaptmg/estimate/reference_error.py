@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -34,9 +33,9 @@ from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
 
 __all__ = ["EnergyError", "Reference", "energy_error"]
 
-# of the largest force: what the solver leaves at free nodes is none
+#: of the largest force: less is what the solver leaves at free nodes
 _IDLE = 1e-12
-# of the energy: its differences are not known better, with solutions to a relative 1e-8
+#: of the energy: the accuracy of its differences, with solutions to a relative 1e-8
 _RESOLVED = 1e-8
 
 
@@ -91,15 +90,9 @@ class Reference:
 
     @classmethod
     def of(cls, hierarchy: Hierarchy, result: Result, *, own_error: float | None = None) -> Reference:
-        """From a solution on the finest mesh of a hierarchy.
+        """From a result on the finest mesh of a hierarchy, solved far below the errors to be measured.
 
-        Parameters
-        ----------
-        hierarchy : Hierarchy
-        result : Result
-            Solved to an algebraic error far below the errors to be measured.
-        own_error : float, optional
-            ||u - u_H||, sqrt(N m); by default the estimate of :class:`adaptmg.Recovery`.
+        ``own_error`` is ||u - u_H||, sqrt(N m); by default the estimate of :class:`adaptmg.Recovery`.
         """
         this = posed(hierarchy, result)
         if own_error is None:
@@ -107,13 +100,13 @@ class Reference:
         mesh = this.mesh
         forces = _exerted(this.discrete.fixed.reshape(-1, mesh.dim), result)
         prescribed = _constants(this.problem, mesh)
-        points, of_body, given = {}, {}, {}
+        points, on_body, constants = {}, {}, {}
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
         for k, body in enumerate(mesh.bodies):
             here = acting & (owner == k)
-            points[body], of_body[body], given[body] = mesh.points[here], forces[here], prescribed[here]
-        return cls(this.problem, this.norm**2, checks.nonnegative("own_error", own_error), points, of_body, given)
+            points[body], on_body[body], constants[body] = mesh.points[here], forces[here], prescribed[here]
+        return cls(this.problem, this.norm**2, checks.nonnegative("own_error", own_error), points, on_body, constants)
 
     def against(self, result: Result) -> float:
         """a(u, u_h) of a result, N m."""
@@ -173,7 +166,7 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
                        reference.own_error)
 
 
-def _made(reference: Any) -> Reference:
+def _made(reference: Reference | tuple[Hierarchy, Result]) -> Reference:
     """A reference that was made before, or one of a hierarchy and a result."""
     if isinstance(reference, Reference):
         return reference
@@ -207,6 +200,6 @@ def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
 
 
 def _displacement_in(mesh: MeshArrays, body: str, u: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Displacement (n, dim) of a body at points of it or beside it (curved surfaces)."""
-    found = PointLocator(mesh, mesh.bodies.index(body)).locate(points)
-    return np.einsum("nk,nkd->nd", found.weights, u[mesh.elements[found.element]])
+    """Displacement (n, dim) of a body at points of it or next to it (curved surfaces)."""
+    place = PointLocator(mesh, mesh.bodies.index(body)).locate(points)
+    return np.einsum("nk,nkd->nd", place.weights, u[mesh.elements[place.element]])

@@ -78,7 +78,7 @@ def test_unknown_boundaries_and_bare_results_are_refused():
     assert boundary_tractions(result, "bottom").pressure.max() > 0
     with pytest.raises(ValueError, match="boundary 'roof' does not exist"):
         boundary_tractions(result, "roof")
-    with pytest.raises(ValueError, match="knows no mesh or no materials"):
+    with pytest.raises(ValueError, match="has no mesh or no materials"):
         boundary_tractions(result_on(mesh), "bottom")
     with pytest.raises(TypeError, match="result must be"):
         boundary_tractions(None, "bottom")
