@@ -13,7 +13,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,19 +33,18 @@ from adaptmg.mesh.netgen_guard import MAX_NODES
 from adaptmg.problem import ContactProblem, LoadPath
 
 if TYPE_CHECKING:
-    import ngsolve
-
     from adaptmg.mesh.arrays import MeshArrays
     from adaptmg.solver.record import Solver
     from adaptmg.transfer import Transfer
 
-    Start = float | MeshArrays | ngsolve.Mesh | str | os.PathLike[str] | Hierarchy | None
+    #: Any is an ngsolve.Mesh, which only mesh/ imports
+    Start = float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None
 
 __all__ = ["adapt"]
 
 
 def adapt(problem: ContactProblem,
-          start: float | MeshArrays | ngsolve.Mesh | str | os.PathLike[str] | Hierarchy | None = None,
+          start: float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None = None,
           indicator: Indicator | None = None, mark: Mark | None = None, engine: Engine | None = None, *,
           tolerance: float | None = None, max_nodes: int | None = None, max_seconds: float | None = None,
           store: str | os.PathLike[str] | None = None, depends: Mapping[str, object] | None = None,
