@@ -91,24 +91,10 @@ class Bisect:
                max_nodes: int | None = None) -> MeshArrays:
         """The next mesh.
 
-        Parameters
-        ----------
-        problem : ContactProblem
-            Its domain, if it has one, says where curved boundaries lie.
-        mesh : MeshArrays
-            Not changed. Where it carries a history, bisection goes on from it.
-        estimate : Estimate
-            On ``mesh``.
-        marked : (n_elements,) array of bool
-            The elements to refine.
-        max_nodes : int, optional
-            Most nodes of the next mesh; if needed, only the marked elements with the largest squares are refined.
-
-        Returns
-        -------
-        MeshArrays
-            Sound, with its history. The same object where nothing is marked, ``max_nodes`` leaves no room, or
-            coordinates do not resolve smaller elements than those that are marked.
+        Where the mesh carries a history, bisection goes on from it; where the problem has a domain, this says where
+        curved boundaries lie. If ``max_nodes`` asks for it, only the marked (n_elements,) elements with the largest
+        squares are refined. The same mesh is returned where nothing is marked, ``max_nodes`` leaves no room, or
+        coordinates do not resolve smaller elements than those that are marked.
         """
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
         marked = check_marked(check_mesh(mesh), marked)

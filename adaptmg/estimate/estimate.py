@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ class Estimate:
     energy_error: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "squares", _checked_squares(self.squares))
+        object.__setattr__(self, "squares", _checked_squares("squares", self.squares))
         object.__setattr__(self, "norm", checks.nonnegative("norm", self.norm))
         checks.instance("indicator", self.indicator, str, "text")
         checks.instance("terms", self.terms, Mapping, "a mapping of names to parts of the sum of squares")
@@ -109,20 +108,20 @@ class Estimate:
         return "\n".join(lines)
 
 
-def _checked_squares(squares: np.ndarray) -> np.ndarray:
+def _checked_squares(name: str, squares: object) -> np.ndarray:
     """A read-only copy."""
     try:
         values = np.asarray(squares)
     except (TypeError, ValueError):
         values = np.asarray(None)
     if values.dtype.kind not in "iuf" and values.size:
-        raise TypeError(f"squares must be an array of real numbers, got {checks.described(squares)}")
+        raise TypeError(f"{name} must be an array of real numbers, got {checks.described(squares)}")
     if values.ndim != 1 or not len(values):
-        raise ValueError(f"squares must have shape (n_elements,), got {values.shape}")
+        raise ValueError(f"{name} must have shape (n_elements,), got {values.shape}")
     result = np.array(values, dtype=np.float64)
     if not (result >= 0).all() or not np.isfinite(result).all():
         k = int(np.argmin(np.where(np.isfinite(result), result, -np.inf)))
-        raise ValueError(f"squares must be finite and >= 0, got {result[k]} in element {k}")
+        raise ValueError(f"{name} must be finite and >= 0, got {result[k]} in element {k}")
     result.flags.writeable = False
     return result
 
@@ -227,12 +226,5 @@ def _share(theta: float) -> float:
 
 
 def _squares(estimate: Estimate | np.ndarray) -> np.ndarray:
-    """Squares of an estimate, which has checked them, or of an array."""
-    if isinstance(estimate, Estimate):
-        return estimate.squares
-    squares = check_arrays.vector("estimate", estimate)
-    if not len(squares):
-        raise ValueError("estimate is empty: give an Estimate, or the square of each element")
-    if not squares.min() >= 0:
-        raise ValueError(f"estimate: squares must be >= 0, got {squares.min()} in element {int(np.argmin(squares))}")
-    return squares
+    """Squares of an estimate, or an array of them."""
+    return estimate.squares if isinstance(estimate, Estimate) else _checked_squares("estimate", estimate)

@@ -79,33 +79,18 @@ def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
 class GoalEstimate(Estimate):
     """An estimate of the error of quantities of interest.
 
-    Parameters
-    ----------
-    names, units : tuples of str
-        Of the quantities.
-    values, errors : (n,) arrays
-        Of the discrete solution, and estimated exact minus discrete values.
-    algebraic : (n,) array
-        The part of ``errors`` that the solver has left.
-    discretisation : float
-        Estimated relative energy error of the discrete solution.
-    residuals : (n,) array
-        Relative residuals of the adjoint problems.
-    iterations : int
-        Of GMRES, in all; 0 of direct solutions.
-    converged : bool
-        Whether all adjoint problems were solved to the tolerance.
+    Arrays (n,) and tuples have an entry for each quantity.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    values: np.ndarray
-    errors: np.ndarray
-    algebraic: np.ndarray
-    discretisation: float
-    residuals: np.ndarray
-    iterations: int = 0
-    converged: bool = True
+    values: np.ndarray  # of the discrete solution
+    errors: np.ndarray  # estimated exact minus discrete values
+    algebraic: np.ndarray  # the part of errors that the solver has left
+    discretisation: float  # estimated relative energy error of the discrete solution
+    residuals: np.ndarray  # relative residuals of the adjoint problems
+    iterations: int = 0  # of GMRES, in all; 0 of direct solutions
+    converged: bool = True  # whether all adjoint problems were solved to the tolerance
 
     @property
     def corrected(self) -> np.ndarray:

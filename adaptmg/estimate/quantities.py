@@ -211,10 +211,10 @@ class ContactForce:
 class Opening:
     """The gap at a point of a contact boundary, or its mean over the boundary.
 
-    On boundaries that the domain knows as curved, and in front of a curved obstacle, the signed estimate contains what
-    the chords of the mesh change; on those of STEP files, combined solids and meshes without a domain it does not. Of a
-    pair only that part of the slave counts that faces the master: where the slave bends away, the end of this part
-    follows the mesh, and the mean with it, which the estimate does not contain; name a boundary that ends before.
+    On curved boundaries of the domain, and in front of a curved obstacle, the signed estimate contains what the chords
+    of the mesh change; on those of STEP files, combined solids and meshes without a domain it does not. Of a pair only
+    that part of the slave counts that faces the master: where the slave bends away, the end of this part follows the
+    mesh, which the estimate does not contain; name a boundary that ends before.
 
     Parameters
     ----------

@@ -41,52 +41,24 @@ _RESOLVED = 1e-8
 
 @dataclass(frozen=True)
 class EnergyError:
-    """An error in the energy norm.
+    """An error in the energy norm; where ``allowance`` is not well below, the figures are no better than it."""
 
-    Attributes
-    ----------
-    absolute : float
-        ||u - u_h||, sqrt(N m).
-    relative : float
-        The same over ||u||.
-    norm : float
-        ||u||, sqrt(N m).
-    allowance : float
-        The reference's own error, which is contained in ``absolute``, sqrt(N m): where it is not well below, the
-        figures are no better than it.
-    """
-
-    absolute: float
-    relative: float
-    norm: float
-    allowance: float
+    absolute: float  # ||u - u_h||, sqrt(N m)
+    relative: float  # the same over ||u||
+    norm: float  # ||u||, sqrt(N m)
+    allowance: float  # the reference's own error, which is contained in absolute, sqrt(N m)
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What errors are measured against; made once, by :meth:`of`.
-
-    Attributes
-    ----------
-    problem : ContactProblem
-    energy : float
-        ||u_H||^2, N m.
-    own_error : float
-        ||u - u_H||, sqrt(N m).
-    points : mapping of str to (n, dim) array
-        For each body the nodes at which contact or supports exert forces, m.
-    forces : mapping of str to (n, dim) array
-        These forces, on the body, N.
-    prescribed : mapping of str to (n, dim) array
-        Constants that supports prescribe there, m; NaN elsewhere.
-    """
+    """What errors are measured against; made once, by :meth:`of`. Mappings are by the name of the body."""
 
     problem: ContactProblem
-    energy: float
-    own_error: float
-    points: Mapping[str, np.ndarray] = field(repr=False)
-    forces: Mapping[str, np.ndarray] = field(repr=False)
-    prescribed: Mapping[str, np.ndarray] = field(repr=False)
+    energy: float  # ||u_H||^2, N m
+    own_error: float  # ||u - u_H||, sqrt(N m)
+    points: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): where contact or supports exert forces, m
+    forces: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): these forces, on the body, N
+    prescribed: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): constants of supports there, m; NaN elsewhere
 
     @classmethod
     def of(cls, hierarchy: Hierarchy, result: Result, *, own_error: float | None = None) -> Reference:
@@ -134,13 +106,12 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     Returns
     -------
     EnergyError
-        As a difference of energies it is blind below 1e-4 of the norm or so, where it may be 0.
+        As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0.
 
     Raises
     ------
     ValueError
-        Without a mesh, for other bodies, or where the squared error comes out negative: the reference is no better
-        than the result.
+        Without a mesh, for other bodies, or where the squared error comes out negative.
     """
     reference = _made(reference)
     checks.instance("result", result, Result, "a Result")

@@ -58,13 +58,12 @@ class Remesh:
     ----------
     growth : float
         Nodes of the next mesh over those of this one, > 1; at most 2 where elements with a third of the sum of squares
-        are to become smaller than .3 of their size: at strong singularities the sizes of a few elements have to follow
-        first (bolted junction, 10 000 nodes: 8 % less true error). The last two meshes before ``max_nodes`` grow alike,
-        by less or up to a fifth (in the exponent) more, so that the last is neither cut short nor close to that before.
+        are to become smaller than .3 of their size (bolted junction, 10 000 nodes: 8 % less true error). The last two
+        meshes before ``max_nodes`` grow alike, by less or up to a fifth (in the exponent) more.
     finest, coarsest : float
         Bounds of new over old size, 0 < ``finest`` < 1 <= ``coarsest``. At strong singularities sizes have to fall by
-        4 and more from mesh to mesh; the loop then puts a level between, as multigrid converges slowly above a ratio
-        of 4.5. Measured true errors at equal nodes, .1 over .25: .90 to .97 (upset block, flat punch), else equal.
+        4 and more from mesh to mesh; the loop then puts a level between. Measured true errors at equal nodes, .1 over
+        .25: .90 to .97 (upset block, flat punch), else equal.
     refinements : int
         Netgen makes a mesh of :math:`2^{-dk}` of the nodes, which is refined k times uniformly. One refinement takes a
         third of the time for up to 11 % more error on coarse meshes (flat punch, 1 000 nodes; none at 26 000, 0 to 6 %
@@ -90,22 +89,8 @@ class Remesh:
                max_nodes: int | None = None) -> MeshArrays:
         """The next mesh.
 
-        Parameters
-        ----------
-        problem : ContactProblem
-            With a domain.
-        mesh : MeshArrays
-        estimate : Estimate
-            On ``mesh``.
-        marked : ignored
-            Sizes follow from all squares of the estimate.
-        max_nodes : int, optional
-            5 % less are aimed at; a mesh may miss its number of nodes by 15 %.
-
-        Returns
-        -------
-        MeshArrays
-            Of about ``growth`` times as many nodes; otherwise where ``max_nodes`` is near or ``finest`` says so.
+        Sizes follow from all squares of the estimate; ``marked`` is ignored. The mesh has about ``growth`` times as
+        many nodes, within 15 %, less where ``max_nodes`` (5 % less are aimed at) or ``finest`` says so.
 
         Raises
         ------
