@@ -27,7 +27,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.materials import Axisymmetric, Elastic
 
 __all__ = ["Materials", "add_axisymmetric", "add_plane", "add_solid", "body_materials", "count_neighbours",
-           "fill_neighbours", "is_axisymmetric", "lame_constants", "stiffness"]
+           "fill_neighbours", "is_axisymmetric", "lame_constants", "plane_gradients", "solid_gradients", "stiffness"]
 
 #: one material for all bodies, body name -> material, or what :func:`body_materials` returns
 Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]
@@ -190,7 +190,7 @@ def fill_neighbours(elements, start, listed, marker, end, indices):
 
 
 @inner_kernel
-def _plane_gradients(points, corners, g):
+def plane_gradients(points, corners, g):
     """Write the gradients (3, 2) of the shape functions; returns the area, and nothing if that is not positive."""
     a, b, c = corners[0], corners[1], corners[2]
     x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
@@ -204,7 +204,7 @@ def _plane_gradients(points, corners, g):
 
 
 @inner_kernel
-def _solid_gradients(points, corners, g):
+def solid_gradients(points, corners, g):
     """Write the gradients (4, 3) of the shape functions; returns the volume, and nothing if that is not positive."""
     a, b, c, d = corners[0], corners[1], corners[2], corners[3]
     x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
@@ -253,7 +253,7 @@ def add_plane(points, elements, body, lame, shear, indptr, indices, data):
     """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies."""
     g = np.empty((3, 2))
     for e in range(len(elements)):
-        area = _plane_gradients(points, elements[e], g)
+        area = plane_gradients(points, elements[e], g)
         if not area > 0.0:
             return e
         first, mu = area * lame[body[e]], area * shear[body[e]]
@@ -271,7 +271,7 @@ def add_solid(points, elements, body, lame, shear, indptr, indices, data):
     """Add the element matrices of solid elasticity; ``lame`` and ``shear`` are those of the bodies."""
     g = np.empty((4, 3))
     for e in range(len(elements)):
-        volume = _solid_gradients(points, elements[e], g)
+        volume = solid_gradients(points, elements[e], g)
         if not volume > 0.0:
             return e
         first, mu = volume * lame[body[e]], volume * shear[body[e]]
@@ -299,7 +299,7 @@ def add_axisymmetric(points, elements, body, lame, shear, rule, weights, indptr,
     """
     g, hoop = np.empty((3, 2)), np.empty((3, 3))
     for e in range(len(elements)):
-        area = _plane_gradients(points, elements[e], g)
+        area = plane_gradients(points, elements[e], g)
         if not area > 0.0:
             return e
         r0, r1, r2 = points[elements[e, 0], 0], points[elements[e, 1], 0], points[elements[e, 2], 0]

@@ -1,32 +1,18 @@
-r"""The adjoint problem: what a force at any place changes in the quantity asked for.
+r"""The linearised contact problem of a solution, and its adjoint: what a force at any place changes in a quantity.
 
-With trial vectors E and test vectors T of :mod:`adaptmg.estimate.contact_state` and the functional j,
+With the normal n, a tangent t and the direction f of the friction force on the body, the condition of a slipping node
+is :math:`r_t - \mu p f = 0`, r = A u - b, p = -r_n. An error v of the displacement therefore has :math:`v_n = 0` where
+bodies touch and :math:`v_t = 0` where they stick, and its equations are those of A, but at slipping nodes
 
-.. math:: E^T (A + H)\,T\,y = E^T j, \qquad z = T y,
+.. math:: (A_t + H)\,v + \mu f A_n\,v, \qquad H = \frac{g}{|s|}\Bigl(I - \frac{s s^T}{|s|^2}\Bigr)
 
-the transpose of the linearised contact problem :math:`T^T (A + H) E`. It is solved by GMRES (Y. Saad, M. H. Schultz,
-SIAM J. Sci. Stat. Comput. 7, 1986), preconditioned by a multigrid cycle on the same matrix, or directly where it is
-small or there is one level only.
+(H in 3D; slip s, limit g). With the errors E and the combinations T of equations (:math:`t + \mu f\,n` at a slipping
+node) the dual field z of a functional j solves the transpose of :math:`T^T (A + H) E`,
 
-AdjointCycle: a multigrid cycle on the adjoint matrix, not symmetric where nodes slip with Coulomb friction.
+.. math:: E^T (A + H)\,T\,y = E^T j, \qquad z = T y .
 
-The finest matrix M is in local components with the dofs that cannot move decoupled, Z; with the frames F at contact
-nodes and the nodal prolongation P the coarse spaces are those of
-
-.. math:: \hat P = Z F P, \qquad M_c = \hat P^T M \hat P,
-
-and on the levels below Galerkin matrices with P alone.
-
-The algebraic part of the error of a quantity: what the solver has left of the discrete equations.
-
-With the residual r = A u - b, the slip force s f of Tresca's law, and the defects :math:`\delta` of what is prescribed
-(a gap left where bodies touch, a slip where they stick), the discrete solution and this u differ by
-
-.. math:: J(u_h) - J(u) \approx -z \cdot r + \sum_{\mathrm{slip}} s\, f \cdot z_t - \lambda^* \cdot \delta, \qquad
-          \lambda^* = A z - j .
-
-It is of first order in the algebraic error, where the discretisation error of a quantity is of second order in the
-energy error: solvers must go further for a quantity than for the energy.
+GMRES (Y. Saad, M. H. Schultz, SIAM J. Sci. Stat. Comput. 7, 1986, doi:10.1137/0907058) solves it, preconditioned by a
+multigrid cycle on the same matrix; small problems and those of a single level are factorised.
 """
 
 from __future__ import annotations
@@ -39,28 +25,107 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 
 from adaptmg._check_arrays import indices_frozen
-from adaptmg.estimate.contact_state import LinearisedContact
-from adaptmg.estimate.goal_view import Functional, GoalView
+from adaptmg.discrete.coordinates import rotate, rotate_back, to_frames
+from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.split_matrix import nodal_prolongations, split
 from adaptmg.smoother.system import ContactState as State
-from adaptmg.smoother.system import local_system
+from adaptmg.smoother.system import held_tangents, local_contact, local_system
+from adaptmg.solver.result import Result
 from adaptmg.transfer.galerkin import galerkin_product
 
-__all__ = ["AdjointCycle", "AdjointSolution", "AdjointSystem", "adjoint_system", "algebraic_part"]
+__all__ = ["AdjointSolution", "AdjointSystem", "LinearisedContact", "adjoint_system", "linearised_contact"]
 
 _LOG = logging.getLogger(__name__)
+
+#: slips below this part of the largest displacement are rounding
+_STILL = 1e-12
+#: relative residual of the adjoint problems, and iterations of GMRES
+RTOL, MAX_ITERATIONS = 1e-4, 100
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedContact:
+    """The contact nodes of a solution, in local components (normal, tangents)."""
+
+    discrete: DiscreteProblem
+    frames: np.ndarray  # (n, dim, dim)
+    state: np.ndarray  # (n,) int: am.OPEN, am.SLIP, am.STICK
+    unknowns: np.ndarray  # (n_dofs,): relative coordinates, Cartesian, m
+    residual: np.ndarray  # (n_dofs,): A u - b, Cartesian, N
+    gap: np.ndarray  # (n,), m
+    slip: np.ndarray  # (n, dim - 1), m
+    force: np.ndarray  # (n, dim): contact forces in local components, force[:, 0] <= 0, N
+    limit: np.ndarray  # (n,): of the friction, N
+    fixed_limit: np.ndarray  # (n,): its part that does not depend on the pressure, N
+    slips: np.ndarray  # (n,) bool: nodes with friction at its limit, open ones of Tresca's law included
+    sticks: np.ndarray  # (n,) bool
+    unit: np.ndarray  # (n, dim - 1): f at slipping nodes
+    direction: np.ndarray  # (n, dim - 1): mu f at nodes that slip and touch, else 0
+    hessian: np.ndarray  # (n, dim - 1, dim - 1): H of slipping nodes, N/m
+    free: np.ndarray  # (n, dim) bool: components in which an error may move
+    held: np.ndarray  # (n, dim - 1) bool: tangents that a support holds
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """The contact nodes."""
+        return self.discrete.contact.nodes
+
+    def local(self, vector: np.ndarray) -> np.ndarray:
+        """A Cartesian vector (n_dofs,) in local components at the contact nodes."""
+        return rotate(vector, self.frames, self.nodes)
+
+    def cartesian(self, vector: np.ndarray) -> np.ndarray:
+        """The inverse of :meth:`local`."""
+        return rotate_back(vector, self.frames, self.nodes)
+
+
+def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedContact:
+    """The contact conditions of a result, linearised."""
+    nodal, frames = local_contact(discrete)
+    dim, nodes = discrete.dim, discrete.contact.nodes
+    unknowns = discrete.relative(result.displacement).reshape(-1)
+    residual = discrete.matrix @ unknowns - discrete.load
+    held = held_tangents(discrete, frames)
+    moved = to_frames(frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference)
+    slip, gap = moved[:, 1:], nodal.gap - np.einsum(
+        "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes])
+    force = to_frames(frames, residual.reshape(-1, dim)[nodes])
+    force[:, 1:][held] = 0.0
+    state = np.asarray(result.contact.state).astype(int)
+    length = np.linalg.norm(slip, axis=1)
+    rubs = (state == State.OPEN) & (nodal.limit > 0)
+    still = rubs & (length <= _STILL * np.abs(unknowns).max(initial=0.0))
+    sticks, slips = (state == State.STICK) | still, (state == State.SLIP) | (rubs & ~still)
+    limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
+    unit = _opposite(slip, length, force[:, 1:])
+    direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
+    bent = slips & (length > 0)
+    stiffness = np.where(bent, limit / np.where(bent, length, 1.0), 0.0)
+    hessian = stiffness[:, None, None] * (np.eye(dim - 1) - unit[:, :, None] * unit[:, None, :])
+    free = np.ones((len(nodes), dim), dtype=bool)
+    free[state != State.OPEN, 0] = False
+    free[:, 1:] = ~held & ~sticks[:, None]
+    return LinearisedContact(discrete, frames, state, unknowns, residual, gap, slip, force, limit, nodal.limit, slips,
+                             sticks, unit, direction, hessian, free, held)
+
+
+def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Directions (n, dim - 1) against the slip; where there is none, of the force."""
+    size = np.linalg.norm(force, axis=1)
+    along = np.divide(force, size[:, None], out=np.zeros_like(slip), where=size[:, None] > 0)
+    return np.divide(-slip, length[:, None], out=along, where=length[:, None] > 0)
 
 
 @dataclass(frozen=True, eq=False)
 class AdjointSolution:
     """A dual field."""
 
-    field: np.ndarray  # (n_dofs,): z in the unknowns of the problem, Cartesian, m/N times the unit of the quantity
+    field: np.ndarray  # (n_dofs,): z in relative coordinates, Cartesian, m/N times the unit of the quantity
     residual: float  # euclidean, over that of the functional
     iterations: int  # 0 of a direct solution
-    converged: bool  # whether the residual is below the tolerance asked for
+    converged: bool  # whether the residual is below the tolerance
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,46 +133,52 @@ class AdjointSystem:
     """The adjoint matrix in local components."""
 
     contact: LinearisedContact
-    matrix: sparse.bsr_array  # bsr_array (n_dofs, n_dofs)
+    matrix: sparse.bsr_array  # (n_dofs, n_dofs)
     trial: np.ndarray  # (n_dofs,) bool: dofs that an error has
-    test: sparse.csr_array  # csr_array (n_dofs, n_dofs): T on them
+    test: sparse.csr_array  # (n_dofs, n_dofs): T on them
 
     def direct(self, functionals: list[np.ndarray]) -> list[AdjointSolution]:
         """Dual fields of functionals (n_dofs,), by one sparse factorisation."""
-        kept = np.flatnonzero(self.trial)
-        reduced = sparse.csc_array(sparse.csr_array(self.matrix)[kept][:, kept])
+        free = np.flatnonzero(self.trial)
+        reduced = sparse.csc_array(sparse.csr_array(self.matrix)[free][:, free])
         try:
             factors = splu(reduced)
         except RuntimeError as error:
             raise np.linalg.LinAlgError(
-                "the adjoint matrix is singular: with its contact state the solution leaves a motion free; solve more "
-                "accurately, or add a support") from error
+                "the adjoint matrix is singular, the contact state leaves a motion free: solve more accurately, or add "
+                "a support") from error
         result = []
         for functional in functionals:
             load, y = self._load(functional), np.zeros(len(self.trial))
-            y[kept] = factors.solve(load[kept])
+            y[free] = factors.solve(load[free])
             residual = self._relative(load, y)
             result.append(AdjointSolution(self._field(y), residual, 0, residual <= 1e-6))
         return result
 
-    def multigrid(self, hierarchy: Hierarchy, functionals: list[np.ndarray], rtol: float, max_iterations: int
-                  ) -> list[AdjointSolution]:
+    def multigrid(self, hierarchy: Hierarchy, functionals: list[np.ndarray], rtol: float = RTOL,
+                  max_iterations: int = MAX_ITERATIONS) -> list[AdjointSolution]:
         """Dual fields of functionals (n_dofs,), by GMRES with a multigrid cycle."""
-        cycle, n = AdjointCycle(hierarchy, self.contact, self.matrix, self.trial), len(self.trial)
-        preconditioner = LinearOperator((n, n), matvec=cycle.apply, dtype=np.float64)
+        cycle, n = _cycle(hierarchy, self), len(self.trial)
+        finest = len(hierarchy) - 1
+
+        def precondition(load: np.ndarray) -> np.ndarray:
+            cycle.vectors(finest).load[:] = load.reshape(-1)
+            return cycle.solve(finest).copy()
+
+        preconditioner = LinearOperator((n, n), matvec=precondition, dtype=np.float64)
         result = []
         for functional in functionals:
             load, norms = self._load(functional), []
-            # scipy measures the residual of the preconditioned system: asked for more until the true one is small
-            y, asked = np.zeros(n), rtol
+            # scipy tests the preconditioned residual: its tolerance is tightened until the true one is small
+            y, tolerance = np.zeros(n), rtol
             for _ in range(3):
-                y, _ = gmres(self.matrix, load, x0=y, rtol=asked, atol=0.0, restart=min(max_iterations, 30),
+                y, _ = gmres(self.matrix, load, x0=y, rtol=tolerance, atol=0.0, restart=min(max_iterations, 30),
                              maxiter=max(1, max_iterations // 30), M=preconditioner, callback=norms.append,
                              callback_type="pr_norm")
                 residual = self._relative(load, y)
                 if residual <= rtol or len(norms) >= max_iterations:
                     break
-                asked *= 0.1
+                tolerance *= 0.1
             if residual > rtol:
                 _LOG.info("the adjoint problem was solved to %.1e, not %.1e, in %d iterations", residual, rtol,
                           len(norms))
@@ -148,44 +219,35 @@ def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
     return AdjointSystem(contact, matrix, trial, test)
 
 
-class _Counted:
-    """Adds up the work, in passes over the finest matrix; see :class:`adaptmg.multigrid.corrections.Recorder`."""
-
-    def __init__(self, finest: int) -> None:
-        self.finest, self.work_units = finest, 0.0
+class _Unrecorded:
+    """The recorder of cycles that nobody counts."""
 
     def count(self, passes: float, nonzeros: int) -> None:
-        self.work_units += passes * nonzeros / self.finest
+        pass
 
     def visit(self, level: int, action: str, times: int = 1) -> None:
         pass
 
 
-class AdjointCycle:
-    """V-cycles for the adjoint problem, two symmetric sweeps a level."""
+def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
+    r"""A V-cycle for the adjoint matrix M, which is not symmetric where nodes slip with Coulomb friction.
 
-    def __init__(self, hierarchy: Hierarchy, contact: LinearisedContact, matrix: sparse.bsr_array,
-                 trial: np.ndarray) -> None:
-        levels, dim = hierarchy.levels, contact.discrete.dim
-        prolongation = _rotated(levels[-1].prolongation, contact, trial)
-        coarse = levels[-2].discrete
-        split_levels = [split(matrix, ~trial)]
-        matrix = _with_diagonal(sparse.csr_array(prolongation.T @ sparse.csr_array(matrix) @ prolongation), dim)
-        split_levels.insert(0, split(matrix, coarse.fixed))
-        prolongations = [prolongation]
-        for nodal, below in zip(reversed(nodal_prolongations(hierarchy)[:-1]), reversed(levels[:-2]), strict=True):
-            matrix = galerkin_product(matrix, nodal)
-            split_levels.insert(0, split(matrix, below.discrete.fixed))
-            prolongations.insert(0, nodal)
-        self.number = len(split_levels) - 1
-        self.recorder = _Counted(split_levels[-1].nonzeros)
-        self.cycle = LinearCycle(split_levels, prolongations, self.recorder, [2] * len(split_levels))
-        self.cycle.renew(self.number)
-
-    def apply(self, load: np.ndarray) -> np.ndarray:
-        """One cycle from zero for a load (n_dofs,) in local components."""
-        self.cycle.vectors(self.number).load[:] = load.reshape(-1)
-        return self.cycle.solve(self.number).copy()
+    M is in local components with the dofs that cannot move decoupled, Z; with the frames F at contact nodes and the
+    nodal prolongation P the first coarse matrix is :math:`(Z F P)^T M Z F P`; those below are Galerkin products with P.
+    """
+    levels, dim = hierarchy.levels, system.contact.discrete.dim
+    prolongations = [_rotated(levels[-1].prolongation, system.contact, system.trial)]
+    matrices = [split(system.matrix, ~system.trial)]
+    matrix = sparse.csr_array(prolongations[0].T @ sparse.csr_array(system.matrix) @ prolongations[0])
+    matrix = _with_diagonal(matrix, dim)
+    matrices.insert(0, split(matrix, levels[-2].discrete.fixed))
+    for nodal, below in zip(reversed(nodal_prolongations(hierarchy)[:-1]), reversed(levels[:-2]), strict=True):
+        matrix = galerkin_product(matrix, nodal)
+        matrices.insert(0, split(matrix, below.discrete.fixed))
+        prolongations.insert(0, nodal)
+    cycle = LinearCycle(matrices, prolongations, _Unrecorded(), [2] * len(matrices))
+    cycle.renew(len(matrices) - 1)
+    return cycle
 
 
 def _rotated(nodal: sparse.csr_array, contact: LinearisedContact, trial: np.ndarray) -> sparse.csr_array:
@@ -208,17 +270,3 @@ def _with_diagonal(matrix: sparse.csr_array, dim: int) -> sparse.bsr_array:
     empty = np.where(diagonal == 0, np.abs(diagonal).max(), 0.0)
     full = matrix + sparse.diags_array(empty, format="csr")
     return sparse.bsr_array(sparse.csr_array(full), blocksize=(dim, dim)).sorted_indices()
-
-
-def algebraic_part(view: GoalView, functional: Functional, dual: np.ndarray) -> float:
-    """J of the discrete solution minus J of the result, in the unit of the quantity."""
-    contact, discrete = view.contact, view.posed.discrete
-    dim, nodes, state = discrete.dim, contact.nodes, contact.state
-    residual = np.where(discrete.fixed, 0.0, contact.residual)
-    z = contact.local(dual).reshape(-1, dim)[nodes]
-    reaction = contact.local(discrete.matrix @ dual - functional.vector).reshape(-1, dim)[nodes]
-    part = -float(dual @ residual)
-    part += float(np.sum(np.where(contact.slips, contact.fixed_limit, 0.0) * np.sum(contact.unit * z[:, 1:], axis=1)))
-    touches, sticks = state != State.OPEN, contact.sticks[:, None] & ~contact.held
-    part -= float(np.sum(np.where(touches & np.isfinite(contact.gap), reaction[:, 0] * contact.gap, 0.0)))
-    return part + float(np.sum(np.where(sticks, reaction[:, 1:] * contact.slip, 0.0)))

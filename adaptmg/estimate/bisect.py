@@ -1,4 +1,4 @@
-"""Bisect: the next mesh of an adaptive loop by bisection of the marked elements, and coarsening where little is left.
+"""Bisect: the next mesh of an adaptive loop by bisection of the marked elements, and coarsening where errors are small.
 
 Each marked element is bisected, its neighbours as far as conformity asks; new nodes of curved boundaries are moved
 onto :attr:`ContactProblem.domain <adaptmg.ContactProblem>`. Elements that together hold less than a given part of the
@@ -26,15 +26,21 @@ from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.structured import structured
 from adaptmg.problem import Assembly, Box, ContactProblem, Rectangle
 
-__all__ = ["Bisect"]
+__all__ = ["Bisect", "divisible"]
 
-# how often fewer elements are marked until the mesh is small enough; which part of the room must be used, and is
-# aimed at; the growth of nodes with marks that is first assumed
+#: how often fewer elements are marked until the mesh is small enough
 _TRIES = 12
+#: the part of the room that must be used, and that is aimed at
 _ENOUGH, _AIM = 0.9, 0.95
+#: the power of the number of marks by which nodes grow, as first assumed
 _POWER = 0.7
-# elements below this part of the largest coordinate are not bisected: rounding would decide on their shape
+#: elements below this part of the largest coordinate are not bisected: rounding would decide on their shape
 _FINEST = 1e-9
+
+
+def divisible(mesh: MeshArrays) -> np.ndarray:
+    """Mask (n_elements,) of the elements that are so large that coordinates resolve smaller ones."""
+    return mesh.volumes > (_FINEST * np.abs(mesh.points).max()) ** mesh.dim
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,9 +68,8 @@ class Bisect:
 
     def __post_init__(self) -> None:
         if self.coarsen is not False:
-            if isinstance(self.coarsen, bool):
-                raise TypeError("coarsen must be a part of the sum of squares (.02 to .1 are sensible) or False, got "
-                                "True")
+            if self.coarsen is True:
+                raise TypeError("coarsen must be a part of the sum of squares or False, got True")
             object.__setattr__(self, "coarsen", checks.positive("coarsen", self.coarsen))
             if not self.coarsen < 1:
                 raise ValueError(f"coarsen must be below 1, got {self.coarsen!r}")
@@ -86,25 +91,10 @@ class Bisect:
                max_nodes: int | None = None) -> MeshArrays:
         """The next mesh.
 
-        Parameters
-        ----------
-        problem : ContactProblem
-            Its domain, if it has one, says where curved boundaries lie (:func:`adaptmg.mesh.onto_domain`).
-        mesh : MeshArrays
-            Not changed. Where it carries a history, bisection goes on from it.
-        estimate : Estimate
-            Of ``mesh``.
-        marked : (n_elements,) array of bool
-            The elements to refine.
-        max_nodes : int, optional
-            The mesh is to have no more nodes; if it would, only the marked elements with the largest squares are
-            refined.
-
-        Returns
-        -------
-        MeshArrays
-            Sound, with its history. The same object where nothing is marked, ``max_nodes`` leaves no room, or the
-            marked elements are so small that coordinates cannot tell finer ones apart.
+        Where the mesh carries a history, bisection goes on from it; where the problem has a domain, this says where
+        curved boundaries lie. If ``max_nodes`` asks for it, only the marked (n_elements,) elements with the largest
+        squares are refined. The same mesh is returned where nothing is marked, ``max_nodes`` leaves no room, or
+        coordinates do not resolve smaller elements than those that are marked.
         """
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
         marked = check_marked(check_mesh(mesh), marked)
@@ -112,7 +102,7 @@ class Bisect:
         if squares.shape != marked.shape:
             raise ValueError(f"estimate is of {len(squares)} elements, but mesh has {len(marked)}")
         limit = np.inf if max_nodes is None else checks.integer("max_nodes", max_nodes, 1)
-        marked = marked & (mesh.volumes > (_FINEST * np.abs(mesh.points).max()) ** mesh.dim)
+        marked = marked & divisible(mesh)
         if not marked.any():
             return mesh
         if self.coarsen is not False:
@@ -140,13 +130,13 @@ class Bisect:
                 most = count
             if most <= fits + 1 or _ENOUGH * room <= added <= room:
                 break
-            # the closure makes the first marks cost most: nodes grow like a power of their number, which two tries tell
+            # the closure makes the first marks cost most: nodes grow like a power of their number, fitted to two tries
             power = (np.log(added / tried[1]) / np.log(count / tried[0])) if attempt and added != tried[1] else _POWER
-            wanted = count * (_AIM * room / added) ** (1 / np.clip(power, 0.2, 1.5))
+            aim = count * (_AIM * room / added) ** (1 / np.clip(power, 0.2, 1.5))
             if best is None and attempt > 2:
-                wanted = min(wanted, count / 4)
+                aim = min(aim, count / 4)
             tried = count, added
-            count = int(min(max(wanted, fits + 1), most - 1))
+            count = int(min(max(aim, fits + 1), most - 1))
         return best
 
 

@@ -1,33 +1,33 @@
-r"""Estimate: what an indicator says of a discrete solution, element by element and in all.
+r"""Estimate: what an indicator finds for a discrete solution, element by element and in all, and which are marked.
 
 With :math:`\eta_E^2` the square of element E (an energy, N m; in 2D per metre of thickness),
 
 .. math:: \eta = \Bigl(\sum_E \eta_E^2\Bigr)^{1/2}, \qquad \eta / \|u_h\|_A .
 
 Goals (:class:`adaptmg.Goal`) quote a signed estimate of the error of one quantity; their squares only say where to
-refine.
-
-Marking: which elements to refine, by their parts :math:`\eta_E^2` of an estimate.
-
-Doerfler (bulk): a smallest set M with (W. Doerfler, SIAM J. Numer. Anal. 33, 1996, doi:10.1137/0733054)
+refine. Doerfler marks a smallest set M (W. Doerfler, SIAM J. Numer. Anal. 33, 1996, doi:10.1137/0733054),
 
 .. math:: \sum_{E \in M} \eta_E^2 \ge \theta \sum_E \eta_E^2 ,
 
-maximum: all elements with :math:`\eta_E^2 \ge \theta \max \eta^2`. Theta refers to squares in both. Any object with
-``mark(estimate) -> mask`` serves as well.
+Maximum all elements with :math:`\eta_E^2 \ge \theta \max \eta^2`; theta refers to squares in both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 
-__all__ = ["Doerfler", "Estimate", "Maximum"]
+if TYPE_CHECKING:
+    from adaptmg.hierarchy import Hierarchy
+    from adaptmg.solver.result import Result
+
+__all__ = ["Doerfler", "Estimate", "Indicator", "Mark", "Maximum", "estimate_of", "marks_of"]
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
@@ -41,7 +41,7 @@ class Estimate:
     norm : float
         Energy norm of the displacement ||u_h||_A, sqrt(N m): what ``relative`` refers to.
     indicator : str
-        Which indicator it is from, in words.
+        Name of the indicator, for messages.
     terms : mapping of str to float
         Parts of the sum of squares by name; they add up to it.
     value, signed : float, optional
@@ -59,7 +59,7 @@ class Estimate:
     energy_error: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "squares", _checked_squares(self.squares))
+        object.__setattr__(self, "squares", _checked_squares("squares", self.squares))
         object.__setattr__(self, "norm", checks.nonnegative("norm", self.norm))
         checks.instance("indicator", self.indicator, str, "text")
         checks.instance("terms", self.terms, Mapping, "a mapping of names to parts of the sum of squares")
@@ -81,13 +81,13 @@ class Estimate:
     def relative(self) -> float:
         """``total`` over ||u_h||_A; of a goal over the absolute value of the quantity.
 
-        Infinite of a quantity that is zero, unless nothing is left to refine for either.
+        Infinite of a quantity that is zero, unless all squares are zero too.
         """
         size = self.norm if self.value is None else abs(self.value)
         if size > 0:
             return self.total / size
-        unknown = self.total > 0 or (self.value is not None and bool(self.squares.any()))
-        return np.inf if unknown else 0.0
+        infinite = self.total > 0 or (self.value is not None and bool(self.squares.any()))
+        return np.inf if infinite else 0.0
 
     @property
     def relative_energy(self) -> float:
@@ -108,22 +108,60 @@ class Estimate:
         return "\n".join(lines)
 
 
-def _checked_squares(squares: np.ndarray) -> np.ndarray:
+def _checked_squares(name: str, squares: object) -> np.ndarray:
     """A read-only copy."""
     try:
-        given = np.asarray(squares)
+        values = np.asarray(squares)
     except (TypeError, ValueError):
-        given = np.asarray(None)
-    if given.dtype.kind not in "iuf" and given.size:
-        raise TypeError(f"squares must be an array of real numbers, got {checks.described(squares)}")
-    if given.ndim != 1 or not len(given):
-        raise ValueError(f"squares must have shape (n_elements,), got {given.shape}")
-    result = np.array(given, dtype=np.float64)
+        values = np.asarray(None)
+    if values.dtype.kind not in "iuf" and values.size:
+        raise TypeError(f"{name} must be an array of real numbers, got {checks.described(squares)}")
+    if values.ndim != 1 or not len(values):
+        raise ValueError(f"{name} must have shape (n_elements,), got {values.shape}")
+    result = np.array(values, dtype=np.float64)
     if not (result >= 0).all() or not np.isfinite(result).all():
         k = int(np.argmin(np.where(np.isfinite(result), result, -np.inf)))
-        raise ValueError(f"squares must be finite and >= 0, got {result[k]} in element {k}")
+        raise ValueError(f"{name} must be finite and >= 0, got {result[k]} in element {k}")
     result.flags.writeable = False
     return result
+
+
+class Indicator(Protocol):
+    """What estimates the error: Residual, Recovery, Goal or a user-defined object."""
+
+    def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
+        """The estimate for the elements of the finest mesh."""
+
+
+def estimate_of(indicator: Indicator, hierarchy: Hierarchy, result: Result) -> Estimate:
+    """The estimate of an indicator, of the elements of the finest mesh."""
+    estimate, name = indicator.indicate(hierarchy, result), f"the indicator {checks.shown(indicator)} returns"
+    checks.instance(f"what {name}", estimate, Estimate)
+    n_elements = len(hierarchy.finest.mesh.elements)
+    if len(estimate.squares) != n_elements:
+        raise ValueError(f"{name} an estimate of {len(estimate.squares)} elements for a mesh of {n_elements}")
+    return estimate
+
+
+class Mark(Protocol):
+    """What chooses the elements to refine: Doerfler, Maximum or a user-defined object."""
+
+    def mark(self, estimate: Estimate) -> np.ndarray:
+        """Mask (n_elements,) of the marked elements."""
+
+
+def marks_of(mark: Mark, estimate: Estimate) -> np.ndarray:
+    """The mask (n_elements,) that a marking chooses."""
+    mask, name = mark.mark(estimate), f"mark: {checks.shown(mark)} must return a boolean mask over the elements"
+    try:
+        marked = np.asarray(mask)
+    except (TypeError, ValueError):
+        marked = np.asarray(None)
+    if marked.dtype != bool:
+        raise TypeError(f"{name}, got {checks.described(mask)}")
+    if marked.shape != estimate.squares.shape:
+        raise ValueError(f"{name} (shape {estimate.squares.shape}), got shape {marked.shape}")
+    return marked
 
 
 @dataclass(frozen=True)
@@ -133,7 +171,7 @@ class Doerfler:
     Parameters
     ----------
     theta : float
-        Of the sum of squares, above 0 and at most 1. Larger marks more.
+        Share of the sum of squares, > 0 and <= 1. Larger marks more.
     """
 
     theta: float = 0.5
@@ -142,22 +180,9 @@ class Doerfler:
         object.__setattr__(self, "theta", _share(self.theta))
 
     def mark(self, estimate: Estimate | np.ndarray) -> np.ndarray:
-        """The marked elements.
+        """The marked elements (n_elements,), bool, of an estimate or of its squares (n_elements,).
 
-        Parameters
-        ----------
-        estimate : Estimate or (n_elements,) array
-            An estimate, or its squares.
-
-        Returns
-        -------
-        (n_elements,) bool array
-            Of elements with equal squares those with the lowest numbers come first; none where all squares are 0.
-
-        Raises
-        ------
-        ValueError
-            If a square is negative or not finite.
+        Of elements with equal squares those with the lowest numbers come first; none are marked where all are 0.
         """
         squares = _squares(estimate)
         total = squares.sum()
@@ -179,7 +204,7 @@ class Maximum:
     Parameters
     ----------
     theta : float
-        Of the largest square, above 0 and at most 1. Larger marks less.
+        Share of the largest square, > 0 and <= 1. Larger marks less.
     """
 
     theta: float = 0.5
@@ -188,7 +213,7 @@ class Maximum:
         object.__setattr__(self, "theta", _share(self.theta))
 
     def mark(self, estimate: Estimate | np.ndarray) -> np.ndarray:
-        """The marked elements (n_elements,), bool; parameters and errors as of :meth:`Doerfler.mark`."""
+        """The marked elements (n_elements,), bool, of an estimate or of its squares (n_elements,)."""
         squares = _squares(estimate)
         return (squares >= self.theta * squares.max()) & (squares > 0)
 
@@ -196,17 +221,10 @@ class Maximum:
 def _share(theta: float) -> float:
     result = checks.number("theta", theta)
     if not 0 < result <= 1:
-        raise ValueError(f"theta must be > 0 and <= 1, a share, got {checks.shown(theta)}")
+        raise ValueError(f"theta must be > 0 and <= 1, got {checks.shown(theta)}")
     return result
 
 
 def _squares(estimate: Estimate | np.ndarray) -> np.ndarray:
-    """Squares of an estimate, which has checked them, or of an array."""
-    if isinstance(estimate, Estimate):
-        return estimate.squares
-    squares = check_arrays.vector("estimate", estimate)
-    if not len(squares):
-        raise ValueError("estimate is empty: give an Estimate, or the square of each element")
-    if not squares.min() >= 0:
-        raise ValueError(f"estimate: squares must be >= 0, got {squares.min()} in element {int(np.argmin(squares))}")
-    return squares
+    """Squares of an estimate, or an array of them."""
+    return estimate.squares if isinstance(estimate, Estimate) else _checked_squares("estimate", estimate)

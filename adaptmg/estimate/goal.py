@@ -8,94 +8,58 @@ With the dual field z of a quantity J (:mod:`adaptmg.estimate.adjoint`) and edge
 refine, and overestimate the error several times (10 times on meshes by Netgen, where errors cancel).
 
 R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and friction linearised at
-the solution as in the semismooth Newton method. That the contact zones end elsewhere than in the discrete solution is
-not seen by the sum; both fields being singular at the ends of the zones, the marks refine there all the same. Nodes
-where the state changes can be given a part of their own (``transitions``,
-:mod:`adaptmg.estimate.goal`).
-
-Transitions: how much a quantity would change if the contact zones ended one node further or sooner.
-
-What the dual-weighted residuals take as given is the state of every contact node. Releasing a touching node with the
-force p, or closing an open one with the gap g, changes a quantity to first order by
-
-.. math:: \frac{p_i\,|\lambda^*_{n,i}|}{a_{nn,i}}, \qquad g_i\,|z_{n,i}|\,a_{nn,i},
-
-and likewise along the tangent at sticking nodes, with the force that is left before they slip, and slipping ones, with
-their slip; :math:`\lambda^* = A z - j` is the reaction of the dual field, a the diagonal of the matrix. Only nodes
-that have a neighbour in another state count. Both factors fall with the mesh size at the ends of the zones, the product
-as other parts of the error do; it is an overestimate (10 to 500 times what the signed estimate missed of the GRECO bar,
-50 in the median).
+the solution as in the semismooth Newton method. The sum does not contain that the contact zones end elsewhere than in
+the discrete solution; both fields are singular at the ends of the zones, so that the marks refine there all the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.estimate.adjoint import AdjointSolution, adjoint_system, algebraic_part
-from adaptmg.estimate.contact_state import linearised_contact
+from adaptmg.discrete.coordinates import from_frames
+from adaptmg.discrete.facets import named_facets
+from adaptmg.estimate.adjoint import AdjointSolution, adjoint_system, linearised_contact
 from adaptmg.estimate.edge_bubbles import BubbleError, bubble_error, bubble_spaces, edge_bubbles
-from adaptmg.estimate.goal_view import Functional, GoalEstimate, GoalView, checked_functionals
-from adaptmg.estimate.quantities import friction_work, master_work
+from adaptmg.estimate.goal_view import Functional, GoalEstimate, GoalView, Quantity, checked_functionals
 from adaptmg.estimate.stress_fields import posed
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import ContactState as State
-from adaptmg.smoother.system import contact_blocks, local_contact
 from adaptmg.solver.examine import energy_norm
 from adaptmg.solver.result import Result
 
-__all__ = ["Goal", "Quantity", "transition_changes"]
+__all__ = ["Goal"]
 
-#: of the sum of marks: a smaller signed error counts as chance
+#: dofs up to which the adjoint problems are solved directly
+DIRECT = 3000
+#: a signed error smaller than this part of the sum of marks is chance
 _CHANCE = 0.1
-
-
-class Quantity(Protocol):
-    """What a goal may ask for: one's own is any object with this method."""
-
-    def functionals(self, view: GoalView) -> list[Functional]:
-        """The quantity, or several, of a solution."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """The error of a quantity, or of several at once.
+    """The error of a quantity, or of several.
 
     Parameters
     ----------
     quantity : Displacement, MeanDisplacement, ContactForce, Opening, or a sequence of these
         Of several (also several points of one Displacement) everything is relative to their values: the squares are
         sums of relative parts, ``value`` is 1 and ``signed`` the relative error of that with the largest.
-    rtol : float
-        Relative residual of the adjoint problems.
-    max_iterations : int
-        Of GMRES, for each.
-    direct_below : int
-        Up to so many dofs, and where there is one level only, the adjoint problems are solved directly.
-    transitions : float
-        Weight, >= 0, with which the change of the quantity counts among the squares if the contact zones ended one node
-        further or sooner; a term "transitions". On the GRECO bar it gained nothing.
 
     Notes
     -----
     A quantity that the contact state holds (an opening while all nodes touch, the motion of a node that sticks) has no
     dual field; then elements are marked by the energy of the error, until a finer mesh has another state.
 
-    The algebraic error counts in the signed estimate (:mod:`adaptmg.estimate.adjoint`), as far as it leaves the
-    contact state as it is. It is of first order in the residual: ``energy_error`` of the estimate, by which solvers are
-    stopped, is the energy error that has as large a part in the quantity as the discretisation has, and not the
-    energy error of the discretisation.
+    The signed estimate contains the algebraic error, as far as it leaves the contact state unchanged. It is of first
+    order in the residual: ``energy_error`` of the estimate, by which solvers are stopped, is the energy error that has
+    as large a part in the quantity as the discretisation has, and not the energy error of the discretisation.
     """
 
     quantity: Quantity | Sequence[Quantity]
-    rtol: float = 1e-4
-    max_iterations: int = 100
-    direct_below: int = 3000
-    transitions: float = 0.0
 
     def __post_init__(self) -> None:
         for item in self.quantities:
@@ -105,10 +69,6 @@ class Goal:
             raise ValueError("quantity is empty: give at least one")
         if isinstance(self.quantity, list):
             object.__setattr__(self, "quantity", tuple(self.quantity))
-        object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
-        checks.integer("max_iterations", self.max_iterations, 1)
-        checks.integer("direct_below", self.direct_below, 0)
-        object.__setattr__(self, "transitions", checks.nonnegative("transitions", self.transitions))
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -116,91 +76,82 @@ class Goal:
         return tuple(self.quantity) if isinstance(self.quantity, (list, tuple)) else (self.quantity,)
 
     def indicate(self, hierarchy: Hierarchy, result: Result) -> GoalEstimate:
-        """Estimate the error on the finest mesh.
+        """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 
-        Parameters
-        ----------
-        hierarchy : Hierarchy
-            Of a ContactProblem.
-        result : Result
-            Of :func:`adaptmg.solve` on it.
-
-        Returns
-        -------
-        GoalEstimate
-            Terms: the sums of squares of each quantity by name, and "transitions".
+        The terms of the estimate are the sums of squares of each quantity by name.
 
         Raises
         ------
         TypeError, ValueError
-            As of :func:`adaptmg.estimate.stress_fields.posed`; where a point, boundary or pair of a quantity does not
-            exist, or of several quantities one is zero.
+            As of :meth:`adaptmg.Residual.indicate`; where a point, boundary or pair of a quantity does not exist, or
+            of several quantities one is zero.
         numpy.linalg.LinAlgError
             If the adjoint matrix is singular.
         """
         this = posed(hierarchy, result)
         view = GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
         wanted = [functional for item in self.quantities for functional in checked_functionals(view, item)]
-        if len({functional.name for functional in wanted}) < len(wanted):
-            raise ValueError(f"quantity: one is given twice, {', '.join(functional.name for functional in wanted)}")
-        return self.of_functionals(hierarchy, view, wanted)
-
-    def of_functionals(self, hierarchy: Hierarchy, view: GoalView, wanted: list[Functional]) -> GoalEstimate:
-        """The same for functionals at hand."""
-        sizes, norm = _sizes(wanted), view.posed.norm
-        duals = self._duals(hierarchy, view, [functional.vector for functional in wanted])
-        error, residual, weighted = _bubbles(view, wanted, duals)
-        energy = error.energy / norm if norm > 0 else 0.0
-        parts = np.abs(np.einsum("gnd,nd->gn", weighted, error.alone))
-        held = [_held(view, functional, dual) for functional, dual in zip(wanted, duals, strict=True)]
-        if any(held):
-            parts[held] = _energy_parts(view, [one for one, is_held in zip(wanted, held, strict=True) if is_held],
-                                        np.einsum("nd,nd->n", residual, error.alone), energy)
-        geometry = np.array([np.zeros(parts.shape[1]) if one.geometry is None else one.geometry for one in wanted])
-        parts = (parts + np.abs(geometry)) / sizes[:, None]
-        squares = {functional.name: view.bubbles.on_elements(part)
-                   for functional, part in zip(wanted, parts, strict=True)}
-        if self.transitions > 0:
-            squares["transitions"] = self.transitions * sum(
-                transition_changes(view, functional, dual.field) / size
-                for functional, dual, size in zip(wanted, duals, sizes, strict=True))
-        signed = np.einsum("gnd,nd->g", weighted, error.together) + geometry.sum(axis=1)
-        algebraic = np.array([algebraic_part(view, functional, dual.field)
-                              for functional, dual in zip(wanted, duals, strict=True)])
-        values, whole = np.array([functional.value for functional in wanted]), signed + algebraic
-        worst = int(np.argmax(np.abs(whole / sizes)))
+        names = tuple(one.name for one in wanted)
+        if len(set(names)) < len(names):
+            raise ValueError(f"quantity: one is given twice, {', '.join(names)}")
+        sizes = _sizes(wanted)
+        system, vectors = adjoint_system(view.contact), [one.vector for one in wanted]
+        direct = len(hierarchy) == 1 or this.discrete.n_dofs <= DIRECT
+        duals = system.direct(vectors) if direct else system.multigrid(hierarchy, vectors)
+        error, parts, signed = _bubbles(view, wanted, duals)
+        energy = error.energy / this.norm if this.norm > 0 else 0.0
+        algebraic = np.array([_algebraic(view, *pair) for pair in zip(wanted, duals, strict=True)])
+        errors = signed + algebraic
+        worst = int(np.argmax(np.abs(errors / sizes)))
+        squares = [view.bubbles.on_elements(part / size) for part, size in zip(parts, sizes, strict=True)]
+        values = np.array([one.value for one in wanted])
         return GoalEstimate(
-            squares=sum(squares.values()), norm=norm,
-            indicator=f"dual-weighted residuals for {wanted[0].name}"
-                      + (f" and {len(wanted) - 1} more" if len(wanted) > 1 else ""),
-            terms={name: part.sum() for name, part in squares.items()},
-            value=1.0 if len(wanted) > 1 else float(values[0]), signed=float(whole[worst] / sizes[worst]),
-            energy_error=_tolerance(view, duals, signed, parts.sum(axis=1) * sizes, energy),
-            names=tuple(f.name for f in wanted), units=tuple(f.unit for f in wanted), values=values, errors=whole,
-            algebraic=algebraic, discretisation=energy,
-            residuals=np.array([dual.residual for dual in duals]), iterations=sum(dual.iterations for dual in duals),
-            converged=all(dual.converged for dual in duals))
+            squares=sum(squares), norm=this.norm, terms={name: part.sum() for name, part in zip(names, squares,
+                                                                                             strict=True)},
+            indicator=f"dual-weighted residuals for {names[0]}" + (f" and {len(names) - 1} more" if len(names) > 1
+                                                                   else ""),
+            value=1.0 if len(wanted) > 1 else float(values[0]), signed=float(errors[worst] / sizes[worst]),
+            energy_error=_tolerance(view, duals, signed, parts.sum(axis=1), energy),
+            names=names, units=tuple(one.unit for one in wanted), values=values, errors=errors, algebraic=algebraic,
+            discretisation=energy, residuals=np.array([dual.residual for dual in duals]),
+            iterations=sum(dual.iterations for dual in duals), converged=all(dual.converged for dual in duals))
 
-    def _duals(self, hierarchy: Hierarchy, view: GoalView, functionals: list[np.ndarray]) -> list[AdjointSolution]:
-        system = adjoint_system(view.contact)
-        if len(hierarchy) == 1 or view.posed.discrete.n_dofs <= self.direct_below:
-            return system.direct(functionals)
-        return system.multigrid(hierarchy, functionals, self.rtol, self.max_iterations)
+
+def _sizes(wanted: list[Functional]) -> np.ndarray:
+    """What each quantity is related to: 1 of a single one, else the size of its value."""
+    if len(wanted) == 1:
+        return np.ones(1)
+    sizes = np.array([abs(functional.value) for functional in wanted])
+    if not sizes.min() > 0:
+        raise ValueError(f"quantity: {wanted[int(np.argmin(sizes))].name} is zero, and several quantities are taken "
+                         "relative to their values: estimate it alone")
+    return sizes
 
 
 def _bubbles(view: GoalView, wanted: list[Functional], duals: list[AdjointSolution]
              ) -> tuple[BubbleError, np.ndarray, np.ndarray]:
-    """The error in the bubbles, its residuals (n_edges, dim) and the dual ones (n_goals, n_edges, dim)."""
+    """The error in the bubbles, the parts that mark (n_goals, n_edges), and the signed errors (n_goals,)."""
     this, bubbles = view.posed, view.bubbles
-    spaces = bubble_spaces(this.problem, bubbles, view.contact)
-    fields = [this.result.displacement, *(this.discrete.physical(dual.field) for dual in duals)]
-    blocks, actions = bubbles.actions(this.problem, np.array(fields))
-    reactions = [view.contact.residual, *(this.discrete.matrix @ dual.field - functional.vector
-                                          for dual, functional in zip(duals, wanted, strict=True))]
-    loads = [bubbles.load(this.problem) + friction_work(view), *(functional.bubbles for functional in wanted)]
-    residuals = np.array([load - action + master_work(view, reaction)
-                          for load, action, reaction in zip(loads, actions, reactions, strict=True)])
-    return bubble_error(this.problem, bubbles, spaces, blocks, residuals[0]), residuals[0], residuals[1:]
+    blocks, actions = bubbles.actions(np.array([this.result.displacement,
+                                                *(this.discrete.physical(dual.field) for dual in duals)]))
+    reactions = [view.contact.residual, *(_reaction(view, *pair) for pair in zip(wanted, duals, strict=True))]
+    loads = [bubbles.load() + _friction_work(view), *(one.bubbles for one in wanted)]
+    residual, *weighted = [load - action + _master_work(view, reaction)
+                           for load, action, reaction in zip(loads, actions, reactions, strict=True)]
+    error = bubble_error(bubbles, bubble_spaces(bubbles, view.contact), blocks, residual)
+    parts = np.abs(np.einsum("gnd,nd->gn", weighted, error.alone))
+    held = [_held(view, *pair) for pair in zip(wanted, duals, strict=True)]
+    if any(held):
+        # of what the state does not let change the dual field contains nothing, but a finer mesh may have another
+        # state: the parts of the energy; in all a relative error of the displacement as large as that of the energy
+        squares = np.abs(np.einsum("nd,nd->n", residual, error.alone))
+        shares = squares / max(float(squares.sum()), np.finfo(float).tiny)
+        energy = error.energy / this.norm if this.norm > 0 else 0.0
+        moved = float(np.abs(view.contact.unknowns).max(initial=0.0))
+        for k in np.flatnonzero(held):
+            parts[k] = shares * energy * moved * float(np.abs(wanted[k].vector).sum())
+    geometry = np.array([np.zeros(parts.shape[1]) if one.geometry is None else one.geometry for one in wanted])
+    return error, parts + np.abs(geometry), np.einsum("gnd,nd->g", weighted, error.together) + geometry.sum(axis=1)
 
 
 def _held(view: GoalView, functional: Functional, dual: AdjointSolution) -> bool:
@@ -208,15 +159,63 @@ def _held(view: GoalView, functional: Functional, dual: AdjointSolution) -> bool
     return not dual.field.any() and bool(functional.vector[~view.posed.discrete.fixed].any())
 
 
-def _energy_parts(view: GoalView, wanted: list[Functional], squares: np.ndarray, energy: float) -> np.ndarray:
-    """Parts (n_goals, n_edges) as the energies of the bubbles (n_edges,) have them, for quantities that are held.
+def _reaction(view: GoalView, functional: Functional, dual: AdjointSolution) -> np.ndarray:
+    """The reaction A z - j (n_dofs,) of a dual field."""
+    return view.posed.discrete.matrix @ dual.field - functional.vector
 
-    Of what the state does not let change the dual field says nothing, but a finer mesh may have another state. In all
-    they are what a relative error of the displacement as large as that of the energy makes of the quantity.
+
+def _friction_work(view: GoalView) -> np.ndarray:
+    """Work (n_edges, dim) of the friction that does not depend on pressure on the bubbles of contact surfaces, N.
+
+    Contact conditions of slaves are part of the spaces, in which Coulomb's friction does no work; Tresca's does, the
+    part s / (s + mu p) of the friction.
     """
-    shares = np.abs(squares) / max(float(np.abs(squares).sum()), np.finfo(float).tiny)
-    moved = float(np.abs(view.contact.unknowns).max(initial=0.0))
-    return np.array([shares * energy * moved * float(np.abs(one.vector).sum()) for one in wanted])
+    contact, given, mesh = view.contact, view.posed.result.contact, view.posed.mesh
+    result = np.zeros((len(view.bubbles.edges), mesh.dim))
+    if not contact.fixed_limit.any():
+        return result
+    share = np.divide(contact.fixed_limit, contact.limit, out=np.zeros_like(contact.limit), where=contact.limit > 0)
+    traction = np.zeros((mesh.n_nodes, mesh.dim))
+    traction[given.node] = share[:, None] * from_frames(given.frames[:, 1:], given.traction)
+    for name in given.names:
+        facets = named_facets(mesh, name)
+        result += view.bubbles.boundary_work(facets, traction[facets])
+    return result
+
+
+def _master_work(view: GoalView, reaction: np.ndarray) -> np.ndarray:
+    """Work (n_edges, dim) of contact forces, over lumped masses, on the bubbles of masters."""
+    discrete, mesh = view.posed.discrete, view.posed.mesh
+    result = np.zeros((len(view.bubbles.edges), mesh.dim))
+    if discrete.coupling is None:
+        return result
+    # at fixed dofs they are reactions of supports
+    forces = np.where(discrete.fixed, 0.0, discrete.physical_forces(reaction)).reshape(-1, mesh.dim)
+    for name in dict.fromkeys(filter(None, view.posed.problem.masters)):
+        facets = named_facets(mesh, name)
+        mass = np.bincount(facets.ravel(), weights=view.shape_integrals(facets).ravel(), minlength=mesh.n_nodes)
+        traction = np.divide(forces, mass[:, None], out=np.zeros_like(forces), where=mass[:, None] > 0)
+        result += view.bubbles.boundary_work(facets, traction[facets])
+    return result
+
+
+def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) -> float:
+    r"""What the solver has left: J of the discrete solution minus J of the result, in the unit of the quantity.
+
+    With the residual r = A u - b, the slip force s f of Tresca's law, and what is left of prescribed values,
+    :math:`\delta` (a gap where bodies touch, a slip where they stick),
+
+    .. math:: -z \cdot r + \sum_{\mathrm{slip}} s\, f \cdot z_t - \lambda^* \cdot \delta, \qquad \lambda^* = A z - j .
+    """
+    contact, discrete = view.contact, view.posed.discrete
+    dim, nodes = discrete.dim, contact.nodes
+    z = contact.local(dual.field).reshape(-1, dim)[nodes]
+    reaction = contact.local(_reaction(view, functional, dual)).reshape(-1, dim)[nodes]
+    part = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))
+    part += float(np.sum(np.where(contact.slips, contact.fixed_limit, 0.0) * np.sum(contact.unit * z[:, 1:], axis=1)))
+    touches, sticks = contact.state != State.OPEN, contact.sticks[:, None] & ~contact.held
+    part -= float(np.sum(np.where(touches & np.isfinite(contact.gap), reaction[:, 0] * contact.gap, 0.0)))
+    return part + float(np.sum(np.where(sticks, reaction[:, 1:] * contact.slip, 0.0)))
 
 
 def _tolerance(view: GoalView, duals: list[AdjointSolution], signed: np.ndarray, absolute: np.ndarray,
@@ -233,52 +232,3 @@ def _tolerance(view: GoalView, duals: list[AdjointSolution], signed: np.ndarray,
     if counts.any():
         return float((errors[counts] / sizes[counts]).min())
     return energy if errors.any() else 0.0
-
-
-def _sizes(wanted: list[Functional]) -> np.ndarray:
-    """What each quantity is related to: 1 of a single one, else the size of its value."""
-    if len(wanted) == 1:
-        return np.ones(1)
-    sizes = np.array([abs(functional.value) for functional in wanted])
-    if not sizes.min() > 0:
-        raise ValueError(f"quantity: {wanted[int(np.argmin(sizes))].name} is zero, and several quantities are taken "
-                         "relative to their values: estimate it alone")
-    return sizes
-
-
-def transition_changes(view: GoalView, functional: Functional, dual: np.ndarray) -> np.ndarray:
-    """The change of a quantity, element by element."""
-    contact, discrete = view.contact, view.posed.discrete
-    dim, nodes, state = discrete.dim, contact.nodes, contact.state
-    opens, sticks = _beside(view, state == State.OPEN), _beside(view, state == State.STICK)
-    touches, slips = _beside(view, state != State.OPEN), _beside(view, state == State.SLIP)
-    reaction = contact.local(discrete.matrix @ dual - functional.vector).reshape(-1, dim)[nodes]
-    z = contact.local(dual).reshape(-1, dim)[nodes]
-    nodal, frames = local_contact(discrete)
-    diagonal = np.abs(np.einsum("nii->ni", contact_blocks(discrete, nodal, frames)))
-    along, across = diagonal[:, 0], diagonal[:, 1:].max(axis=1)
-    gap = np.where(np.isfinite(contact.gap), np.maximum(contact.gap, 0.0), 0.0)
-    slack = np.maximum(contact.limit - np.linalg.norm(contact.force[:, 1:], axis=1), 0.0)
-    slack = np.where(contact.held.any(axis=1), 0.0, slack)
-    parts = [np.where((state != State.OPEN) & opens, np.abs(contact.force[:, 0] * reaction[:, 0]) / along, 0.0),
-             np.where((state == State.OPEN) & touches, gap * np.abs(z[:, 0]) * along, 0.0),
-             np.where((state == State.STICK) & slips, slack * np.linalg.norm(reaction[:, 1:], axis=1) / across, 0.0),
-             np.where((state == State.SLIP) & sticks,
-                      np.linalg.norm(contact.slip, axis=1) * np.linalg.norm(z[:, 1:], axis=1) * across, 0.0)]
-    mesh, nodal = view.posed.mesh, np.zeros(discrete.n_nodes)
-    nodal[nodes] = np.sum(parts, axis=0)
-    return (nodal / np.bincount(mesh.elements.ravel(), minlength=len(nodal)))[mesh.elements].sum(axis=1)
-
-
-def _beside(view: GoalView, chosen: np.ndarray) -> np.ndarray:
-    """Contact nodes (n,) with an edge to one of those that are chosen (n,)."""
-    contact, mesh = view.contact, view.posed.mesh
-    marked = np.zeros(mesh.n_nodes, dtype=bool)
-    marked[contact.nodes[chosen]] = True
-    place = np.zeros(mesh.n_nodes, dtype=bool)
-    place[contact.nodes] = True
-    a, b = view.bubbles.edges[place[view.bubbles.edges].all(axis=1)].T
-    result = np.zeros(mesh.n_nodes, dtype=bool)
-    np.logical_or.at(result, b, marked[a])
-    np.logical_or.at(result, a, marked[b])
-    return result[contact.nodes]

@@ -1,18 +1,15 @@
-r"""AdaptiveWalk: from mesh to mesh: mark, refine, carry over, solve, estimate, keep.
+r"""AdaptiveLoop: from mesh to mesh: mark, refine, carry over, solve, estimate, store.
 
-How a step of the adaptive loop is solved: from the step before, no further than its mesh deserves.
-
-Which meshes stay as levels of a hierarchy that grows.
-
-The rate of multigrid depends on the local size ratio of neighbours, the element size :math:`H` of the coarser over the
-:math:`h` of the finer at the same place (measured on a flat punch: 3.3, 6.5, 12, 24 give rates of .35-.64, .66-.82,
-.83, .88), its cost on the number of nodes on all levels. So with the 99 % quantile :math:`q` of :math:`H/h`
+Each mesh is solved from the solution before, as exactly as it deserves. The rate of multigrid depends on the local size
+ratio of neighbouring levels, the element size :math:`H` of the coarser over the :math:`h` of the finer at the same
+place (measured on a flat punch: 3.3, 6.5, 12, 24 give rates of .35-.64, .66-.82, .83, .88), its cost on the number of
+nodes on all levels. So with the 99 % quantile :math:`q` of :math:`H/h`
 
 - a mesh is put in between where q > 4.5 and the engine can make one (at 4 it has hardly more nodes than the coarser),
 - a level is dropped where it has nearly as many nodes as the next finer one, and q <= 3.5 holds without it (at 4, two
   bisections of everything near a singularity, the flat punch's rate goes from .6 to .75 and the work of the loop up).
 
-Adapting with a load path: every mesh goes along the whole path, and is refined for its last load step or for all.
+With a load path every mesh goes along the whole path, and is refined for its last load step or for all.
 """
 
 from __future__ import annotations
@@ -22,23 +19,21 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
 from adaptmg._runtime import one_blas_thread
 from adaptmg.discrete.load_steps import load_steps
-from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.bisect import divisible
+from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of
 from adaptmg.estimate.loop_store import LoopStore, Meshes, StoredStep
 from adaptmg.estimate.step import (
+    Engine,
     Limits,
     Step,
     algebraic_tolerance,
-    estimate_of,
     expected_estimate,
     expected_seconds,
-    marks_of,
     settled,
     sound_mesh,
 )
@@ -54,20 +49,20 @@ from adaptmg.solver.single_grid import SingleGrid
 from adaptmg.solver.solve import solve
 from adaptmg.transfer.interpolation import size_ratio
 
-__all__ = ["AdaptiveWalk", "Parts", "appended", "carried", "estimated_step", "posed_at", "solved", "takes", "thinned"]
+__all__ = ["AdaptiveLoop", "Parts", "Progress", "appended", "carried", "posed_at", "solved", "thinned"]
 
 _LOG = logging.getLogger(__name__)
 
-Progress = Callable[[dict[str, Any]], None]
+Progress = Callable[[dict[str, float | str]], None]
 
 
 @dataclass(frozen=True)
 class Parts:
     """What the loop is made of; :func:`adaptmg.adapt` says what each is."""
 
-    indicator: Any
-    mark: Any
-    engine: Any
+    indicator: Indicator
+    mark: Mark
+    engine: Engine
     solver: Solver | None = None
     load_path: LoadPath | None = None
     adapt_on: str = "last"
@@ -92,21 +87,22 @@ class _Clock:
         return taken
 
 
-class AdaptiveWalk:
-    """One run of the adaptive loop."""
+#: nodes of the next mesh over those of the last, below which it is not worth making
+LEAST_GROWTH = 1.3
+#: relative estimates that are rounding, as of solutions which are linear; of quantities, whose errors are products
+#: of two energy errors (forces that equilibrium gives: 1e-17)
+EXACT, EXACT_GOAL = 1e-8, 1e-13
+#: times that an engine is asked for a mesh that is not too large
+ATTEMPTS = 3
+#: the estimate must fall by this factor over meshes of so much more nodes, or the loop ends (coarse meshes that do not
+#: resolve a problem hardly better it at first)
+PROGRESS, OVER = 0.95, 4.0
+#: nodes from which that is asked: with fewer, contact may have none where it will be, and estimates mean little
+RESOLVED = 500
 
-    #: nodes of the next mesh over those of the last, below which it is not worth making
-    LEAST_GROWTH = 1.3
-    #: relative estimates that are rounding, as of solutions which are linear; of quantities, whose errors are products
-    #: of two energy errors (forces that equilibrium gives: 1e-17)
-    EXACT, EXACT_GOAL = 1e-8, 1e-13
-    #: times that an engine is asked for a mesh that is not too large
-    ATTEMPTS = 3
-    #: the estimate must fall by this factor over meshes of so many times the nodes, or the loop has come to an end
-    #: (coarse meshes that do not resolve a problem hardly better it at first)
-    PROGRESS, OVER = 0.95, 4.0
-    #: nodes from which that is asked: with fewer, contact may have none where it will be, and estimates mean little
-    RESOLVED = 500
+
+class AdaptiveLoop:
+    """One run of the adaptive loop."""
 
     def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: LoopStore | None,
                  progress: Progress | None) -> None:
@@ -118,29 +114,29 @@ class AdaptiveWalk:
 
     def steps(self) -> Iterator[Step]:
         """The steps, those of the store first."""
-        for number, kept in enumerate(() if self.store is None else self.store.steps()):
+        for number, stored in enumerate(() if self.store is None else self.store.steps()):
             self.clock.take()
-            self._remember(self._again(number, kept))
+            self._remember(self._restored(number, stored))
             yield self.done[-1]
         if not self.done:
-            yield self._next(self.first, None)
+            yield self._solve(self.first, None)
         while True:
             last = self.done[-1]
             reason = self._reached(last)
             if not reason:
-                mesh, reason = self._finer(last)
+                mesh, reason = self._refine(last)
             if reason:
-                last.ending.words = reason
+                object.__setattr__(last, "outcome", reason)
                 _LOG.debug("the adaptive loop ends: %s", reason)
                 return
-            yield self._next(*self._grown(last, mesh))
+            yield self._solve(*self._carry(last, mesh))
 
     def _reached(self, last: Step) -> str:
-        """Which limit a step has reached, in words; empty if none."""
+        """Which limit a step has reached, as text; empty if none."""
         limits, relative = self.limits, last.estimate.relative
         if limits.tolerance is not None and relative <= limits.tolerance and last.settled is not False:
-            return f"tolerance met: the estimate is {relative:.3g}, {limits.tolerance:g} was asked for"
-        exact = self.EXACT if last.estimate.signed is None else self.EXACT_GOAL
+            return f"tolerance met: the estimate is {relative:.3g}, the tolerance {limits.tolerance:g}"
+        exact = EXACT if last.estimate.signed is None else EXACT_GOAL
         if last.estimate.relative_energy <= exact or not last.estimate.squares.any():
             return "no progress: the indicator finds no error beyond rounding"
         if self._full(last.nodes):
@@ -148,73 +144,82 @@ class AdaptiveWalk:
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
             return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
         for before in reversed(self.done[:-2]):
-            if before.nodes >= self.RESOLVED and last.nodes >= self.OVER * before.nodes:
+            if before.nodes >= RESOLVED and last.nodes >= OVER * before.nodes:
                 falls = np.sqrt(last.estimate.squares.sum() / before.estimate.squares.sum())
-                if falls > self.PROGRESS:
+                if falls > PROGRESS:
                     return (f"no progress: from {before.nodes} to {last.nodes} nodes the estimate falls by "
                             f"{1 - falls:.1%} only")
                 break
         return ""
 
     def _full(self, nodes: int) -> bool:
-        """Whether so many nodes leave no room for another mesh."""
-        return self.limits.max_nodes is not None and nodes * self.LEAST_GROWTH > self.limits.max_nodes
+        """Whether this number of nodes leaves no room for another mesh."""
+        return self.limits.max_nodes is not None and nodes * LEAST_GROWTH > self.limits.max_nodes
 
     @one_blas_thread()
-    def _finer(self, last: Step) -> tuple[MeshArrays | None, str]:
+    def _refine(self, last: Step) -> tuple[MeshArrays | None, str]:
         """The next mesh; or why there is none."""
-        self._tell("mesh", last.nodes)
-        most = self.limits.max_nodes
+        self._report("mesh", last.nodes)
+        most, engine, problem = self.limits.max_nodes, self.parts.engine, self.first.problem
         with self.clock.phase("mesh"):
             mesh, estimate = last.hierarchy.finest.mesh, self._steering(last)
             marked = marks_of(self.parts.mark, estimate)
             if not marked.any():
                 return None, "no progress: the marking chooses no element"
-            asked = most
-            for _ in range(self.ATTEMPTS):
-                finer = self.parts.engine.refine(self.first.problem, mesh, estimate, marked, max_nodes=asked)
+            bound = most
+            for _ in range(ATTEMPTS):
+                finer = engine.refine(problem, mesh, estimate, marked, max_nodes=bound)
                 if finer is not None:
-                    finer = sound_mesh(self.parts.engine, "refine", self.first.problem, finer, mesh)
+                    finer = sound_mesh(engine, "refine", problem, finer, mesh)
                 if finer is None or finer.n_nodes <= mesh.n_nodes:
-                    return None, f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes"
+                    floor = "" if divisible(mesh)[marked].any() else (
+                        "; the marked elements are so small that coordinates do not resolve smaller ones")
+                    return None, f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes{floor}"
                 if most is None or finer.n_nodes <= most:
                     return finer, ""
                 # sizes are met roughly only: ask for as much less
-                asked = int(0.98 * asked * most / finer.n_nodes)
+                bound = int(0.98 * bound * most / finer.n_nodes)
         return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {most} are allowed"
 
     @one_blas_thread()
-    def _grown(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, np.ndarray]:
+    def _carry(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, np.ndarray]:
         """The hierarchy with the next mesh, and the displacement of the last step on it."""
-        self._tell("assembly", mesh.n_nodes)
+        self._report("assembly", mesh.n_nodes)
+        before = last.hierarchy
         with self.clock.phase("levels"):
-            before = last.hierarchy
             grown = appended(before, mesh, self.parts.engine)
             start = carried(grown, len(before) - 1, last.result.displacement)
             grown = thinned(grown, last=self._full(mesh.n_nodes))
-        made = {name: grown.timings[name] - before.timings.get(name, 0.0) for name in grown.timings}
-        for name, seconds in made.items():
-            # adding up: what the hierarchy spent is no part of choosing levels
-            self.clock.seconds[name] = self.clock.seconds.get(name, 0.0) + seconds
-            self.clock.seconds["levels"] -= seconds
+        for name, seconds in grown.timings.items():
+            # what the hierarchy spent is not part of choosing levels
+            spent = seconds - before.timings.get(name, 0.0)
+            self.clock.seconds[name] = self.clock.seconds.get(name, 0.0) + spent
+            self.clock.seconds["levels"] -= spent
         return grown, start
 
     @one_blas_thread()
-    def _next(self, hierarchy: Hierarchy, start: np.ndarray | None) -> Step:
-        """Solve, estimate and keep a step."""
-        number, last = len(self.done), self.done[-1] if self.done else None
-        self._tell("solve", hierarchy.finest.n_nodes)
+    def _solve(self, hierarchy: Hierarchy, start: np.ndarray | None) -> Step:
+        """Solve, estimate and store a step."""
+        number, last, parts = len(self.done), self.done[-1] if self.done else None, self.parts
+        self._report("solve", hierarchy.finest.n_nodes)
         with self.clock.phase("solve"):
-            result, path = self._solved(hierarchy, last, start)
-        self._tell("estimate", hierarchy.finest.n_nodes)
+            if parts.load_path is None:
+                path, result = None, solved(hierarchy, parts.solver, last, start)
+            else:
+                path, result = _path_solved(hierarchy, parts), None
+        self._report("estimate", hierarchy.finest.n_nodes)
         with self.clock.phase("estimate"):
-            result, estimate = self._estimated(hierarchy, result, path)
+            if path is None:
+                estimate = estimate_of(parts.indicator, hierarchy, result)
+            else:
+                k, estimate, self.steering = _path_estimate(hierarchy, parts, path)
+                result = path[k]
         work = result.work_units if path is None else sum(one.work_units for one in path)
         nonzeros, timings = hierarchy.finest.matrix.nnz, self.clock.take()
         before = 0.0 if last is None else last.total_work_units * last.hierarchy.finest.matrix.nnz / nonzeros
         step = Step(number, hierarchy, result, estimate, timings,
                     sum(timings.values()) + (0.0 if last is None else last.total_seconds), work, work + before, path,
-                    self._settled(estimate))
+                    settled(estimate, None if last is None else last.estimate))
         with self.clock.phase("store"):
             keys, extra = self.meshes.note(number, hierarchy)
             if self.store is not None:
@@ -224,59 +229,35 @@ class AdaptiveWalk:
         self._remember(step)
         return step
 
-    def _solved(self, hierarchy: Hierarchy, last: Step | None, start: np.ndarray | None
-                ) -> tuple[Result | None, PathResult | None]:
-        if self.parts.load_path is None:
-            return solved(hierarchy, self.parts.solver, last, start), None
-        solver = self.parts.solver
-        if solver is None and len(hierarchy) > 1:
-            solver = FullMultigrid(rtol="discretisation")
-        elif solver is not None and not takes(solver, hierarchy):
-            solver = None
-        return None, solve_path(hierarchy, self.parts.load_path, solver)
-
-    def _estimated(self, hierarchy: Hierarchy, result: Result | None, path: PathResult | None
-                   ) -> tuple[Result, Estimate]:
-        indicate = partial(estimate_of, self.parts.indicator)
-        if path is None:
-            estimate = indicate(hierarchy, result)
-        else:
-            k, estimate, self.steering = estimated_step(hierarchy, self.parts.load_path, path, self.parts.adapt_on,
-                                                        indicate)
-            result = path[k]
-        return result, estimate
-
     def _steering(self, last: Step) -> Estimate:
-        """By which the next mesh is made: of a load path perhaps more than the estimate of the step."""
+        """The estimate by which the next mesh is made: of a load path perhaps more than that of the step."""
         if last.path is None or self.parts.adapt_on == "last":
             return last.estimate
         if self.steering is None:  # the step is from a store
-            self._estimated(last.hierarchy, None, last.path)
+            self.steering = _path_estimate(last.hierarchy, self.parts, last.path)[2]
         return self.steering
 
-    def _again(self, number: int, kept: StoredStep) -> Step:
+    def _restored(self, number: int, stored: StoredStep) -> Step:
         """A step from the store."""
-        hierarchy = self.meshes.take(number, kept.result.mesh, kept.extra, kept.levels)
+        hierarchy = self.meshes.take(number, stored.result.mesh, stored.extra, stored.levels)
         # one mesh for both, with its source
-        result = replace(kept.result, mesh=hierarchy.finest.mesh)
-        return Step(number, hierarchy, result, kept.estimate, kept.timings, path=kept.path,
-                    settled=self._settled(kept.estimate), **kept.numbers)
-
-    def _settled(self, estimate: Estimate) -> bool | None:
-        return settled(estimate, self.done[-1].estimate if self.done else None)
+        result = replace(stored.result, mesh=hierarchy.finest.mesh)
+        before = self.done[-1].estimate if self.done else None
+        return Step(number, hierarchy, result, stored.estimate, stored.timings, path=stored.path,
+                    settled=settled(stored.estimate, before), **stored.numbers)
 
     def _remember(self, step: Step) -> None:
         self.done.append(step)
-        self._tell("done", step.nodes)
+        self._report("done", step.nodes)
         _LOG.debug("%s", step)
 
-    def _tell(self, phase: str, nodes: int) -> None:
-        """Report what is being done."""
+    def _report(self, phase: str, nodes: int) -> None:
+        """Report a phase to the user's callback."""
         if self.progress is None:
             return
         last = self.done[-1] if self.done else None
-        done = sum(self.clock.seconds.values()) + (0.0 if last is None else last.total_seconds)
-        self.progress({"step": len(self.done) - (phase == "done"), "phase": phase, "nodes": nodes, "seconds": done,
+        seconds = sum(self.clock.seconds.values()) + (0.0 if last is None else last.total_seconds)
+        self.progress({"step": len(self.done) - (phase == "done"), "phase": phase, "nodes": nodes, "seconds": seconds,
                        "estimate": float("nan") if last is None else last.estimate.relative,
                        "expected_seconds": float("nan") if last is None else expected_seconds(self.done, self.limits)})
 
@@ -290,7 +271,7 @@ _RATE, _SLOWEST = 0.5, 0.9
 
 def solved(hierarchy: Hierarchy, solver: Solver | None, before: Step | None, start: np.ndarray | None) -> Result:
     """The solution on the finest level."""
-    if solver is not None and takes(solver, hierarchy):
+    if solver is not None and _applies(solver, hierarchy):
         return solve(hierarchy, solver, start=None if isinstance(solver, FullMultigrid) else start)
     if len(hierarchy) == 1:
         direct = hierarchy.finest.discrete.n_dofs <= _FACTORISED
@@ -301,7 +282,7 @@ def solved(hierarchy: Hierarchy, solver: Solver | None, before: Step | None, sta
     result = solve(hierarchy, WarmMultigrid(rtol=rtol, first_rate=_first_rate(before)), start=start, throw=False)
     if result.status.ok:
         return result
-    # where the status of a coarse mesh leads astray, a nested start is the safer way
+    # where the contact status of a coarse mesh misleads, a nested start is safer
     again = solve(hierarchy, FullMultigrid(rtol=rtol))
     return replace(again, work_units=again.work_units + result.work_units)
 
@@ -313,8 +294,8 @@ def _first_rate(before: Step) -> float:
     return min(max(measured, _RATE), _SLOWEST)
 
 
-def takes(solver: Solver, hierarchy: Hierarchy) -> bool:
-    """Whether a solver can be used: multigrid needs two levels, which a loop that begins with a mesh has only then."""
+def _applies(solver: Solver, hierarchy: Hierarchy) -> bool:
+    """Whether a solver can be used: multigrid needs two levels."""
     return len(hierarchy) > 1 or not isinstance(solver, Multigrid)
 
 
@@ -328,7 +309,7 @@ CLOSE = 1.7
 MOST_BETWEEN, GROWTH = 4, 1.2
 
 
-def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Any) -> Hierarchy:
+def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarchy:
     """With a finer mesh, and meshes between it and the present finest where the size ratio asks for them."""
     between = getattr(engine, "intermediate", None)
     for _ in range(MOST_BETWEEN if callable(between) else 0):
@@ -345,9 +326,9 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Any) -> Hierarchy:
 
 
 def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
-    """Without levels next to the finest ones that are too close to their neighbours and can be missed.
+    """Without the levels next to the finest that are too close to their neighbours and not needed.
 
-    A single one that is too close to the ``last`` mesh stays: to do without it would cost more than its cycles.
+    A single one that is too close to the ``last`` mesh stays: its cycles cost less than to do without it.
     """
     if last and (len(hierarchy) < 3 or hierarchy[-2].n_nodes >= CLOSE * hierarchy[-3].n_nodes):
         return hierarchy
@@ -368,6 +349,16 @@ def carried(hierarchy: Hierarchy, below: int, displacement: np.ndarray) -> np.nd
     return hierarchy.finest.discrete.physical(values)
 
 
+def _path_solved(hierarchy: Hierarchy, parts: Parts) -> PathResult:
+    """All load steps on the finest level."""
+    solver = parts.solver
+    if solver is None and len(hierarchy) > 1:
+        solver = FullMultigrid(rtol="discretisation")
+    elif solver is not None and not _applies(solver, hierarchy):
+        solver = None
+    return solve_path(hierarchy, parts.load_path, solver)
+
+
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
     """The hierarchy with the problem of load step ``k`` on the finest level, slips counted from the step before."""
     problem, finest = hierarchy.problem, hierarchy.finest
@@ -380,20 +371,19 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     return replace(hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors))
 
 
-def estimated_step(hierarchy: Hierarchy, path: LoadPath, results: PathResult, adapt_on: str,
-                   indicate: Callable[[Hierarchy, Any], Estimate]) -> tuple[int, Estimate, Estimate]:
+def _path_estimate(hierarchy: Hierarchy, parts: Parts, results: PathResult) -> tuple[int, Estimate, Estimate]:
     """The last load step, or the one with the largest relative estimate: number, estimate, and what to refine by.
 
     Of several load steps each element counts with its largest share in the relative estimate of any step: a mesh made
-    for one step alone is too coarse where others need it, and the loop would go to and fro between them.
+    for one step alone is too coarse where others need it, and the loop would alternate between them.
     """
-    steps = range(len(results)) if adapt_on == "worst" else (len(results) - 1,)
-    found = [(k, indicate(posed_at(hierarchy, path, results, k), results[k])) for k in steps
-             if adapt_on == "last" or results[k].displacement.any()]
-    if not found:
+    steps = range(len(results)) if parts.adapt_on == "worst" else (len(results) - 1,)
+    estimates = {k: estimate_of(parts.indicator, posed_at(hierarchy, parts.load_path, results, k), results[k])
+                 for k in steps if parts.adapt_on == "last" or results[k].displacement.any()}
+    if not estimates:
         raise ValueError("load_path: nothing moves in any of its steps, so there is nothing to refine for")
-    k, worst = max(found, key=lambda pair: pair[1].relative)
+    k = max(estimates, key=lambda k: estimates[k].relative)
     # a quantity that is zero has no relative error: above 1 all steps count alike
-    weights = [min(one.relative, 1.0) ** 2 / (one.squares.sum() or 1.0) for _, one in found]
-    shares = np.max([weight * one.squares for weight, (_, one) in zip(weights, found, strict=True)], axis=0)
-    return k, worst, replace(worst, squares=shares)
+    shares = np.max([min(one.relative, 1.0) ** 2 / (one.squares.sum() or 1.0) * one.squares
+                     for one in estimates.values()], axis=0)
+    return k, estimates[k], replace(estimates[k], squares=shares)

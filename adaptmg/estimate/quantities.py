@@ -1,26 +1,15 @@
-r"""Displacement and MeanDisplacement: a component at points, or its mean over a boundary.
+r"""Quantities of interest: displacements, contact forces and openings as functionals of a solution.
 
-.. math:: J(u) = u_k(x), \qquad J(u) = \frac1{|\Gamma|} \int_\Gamma u_k .
+.. math:: J(u) = u_k(x), \qquad J(u) = \frac1{|\Gamma|} \int_\Gamma u_k, \qquad J(u) = \sum_i d_i \cdot (A u - b)_i
 
-ContactForce and Opening: the force through a contact boundary or pair, and the gap that is left there.
-
-With nodal directions d_i at the contact nodes of a boundary (the normal against the body, the tangent, or an axis) and
-the residual of the equilibrium,
-
-.. math:: J(u) = \sum_i d_i \cdot (A u - b)_i, \qquad J(v) = (A d) \cdot v,
-
-so that the load drops out of the derivative. Tangents that a support holds are left out: there the force of contact
-cannot be told from that of the support. The gap is :math:`g_0 - u_n`, u_n between bodies relative.
+with nodal directions d_i at the contact nodes of a boundary (the normal against the body, the tangent, or an axis). The
+derivative of a force is :math:`J(v) = (A d) \cdot v`, without the load. Tangents that a support holds are left out:
+there the force of contact cannot be separated from that of the support. The gap is :math:`g_0 - u_n`, u_n between
+bodies relative.
 
 A mesh has chords in the place of curves, and the gap :math:`g_0` is linear between its nodes. What that changes in an
 opening is mostly far more than the error of the displacement; it follows from the gaps :math:`g_m` in the middle of the
 edges, on the curve: of a mean, with the edges halved there, :math:`\tfrac43 (J_{h/2} - J_h)`.
-
-Contact tractions that are known, as work on the bubbles of surface edges: nodal forces over lumped masses.
-
-Contact conditions of slaves are part of the spaces, in which Coulomb's friction does no work; Tresca's does, the part
-s / (s + mu p) of the friction. A master's bubble moves for itself, against all of the contact force. Linear in between
-nodes.
 """
 
 from __future__ import annotations
@@ -35,19 +24,18 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.estimate.goal_view import Functional, GoalView
-from adaptmg.geometry.location import Location
 from adaptmg.mesh.bisection.onto_domain import curved_boundaries, on_surface
 from adaptmg.problem import ContactPair
 from adaptmg.transfer import PointLocator
 
-__all__ = ["ContactForce", "Displacement", "MeanDisplacement", "Opening", "axis_number", "friction_work", "master_work"]
+__all__ = ["ContactForce", "Displacement", "MeanDisplacement", "Opening"]
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 #: how far outside its element a point may lie, over the size of the element
 _OUTSIDE = 1e-6
 
 
-def axis_number(name: str, value: int | str, dim: int | None = None) -> int:
+def _axis(name: str, value: int | str, dim: int | None = None) -> int:
     """The number of a component given as 0, 1, 2 or "x", "y", "z"."""
     if isinstance(value, str) and value not in _AXES:
         raise ValueError(f"{name} must be 'x', 'y', 'z' or 0, 1, 2, got {checks.shown(value)}")
@@ -59,7 +47,7 @@ def axis_number(name: str, value: int | str, dim: int | None = None) -> int:
 
 @dataclass(frozen=True)
 class Displacement:
-    """A component of the displacement at one point or several; each point is a quantity of its own.
+    """A component of the displacement at one point or several; each point is a separate quantity.
 
     Parameters
     ----------
@@ -86,40 +74,35 @@ class Displacement:
         if not len(points) or points.shape[1] not in (2, 3):
             raise ValueError(f"points must hold at least one point of 2 or 3 coordinates, got shape {shape}")
         object.__setattr__(self, "points", tuple(tuple(float(c) for c in point) for point in points))
-        axis_number("component", self.component)
+        _axis("component", self.component)
         if self.body is not None:
             checks.boundary_name("body", self.body)
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """One functional a point."""
-        mesh = view.posed.mesh
-        k, points = axis_number("component", self.component, mesh.dim), np.array(self.points)
+        mesh, points = view.posed.mesh, np.array(self.points)
+        k, u = _axis("component", self.component, mesh.dim), view.posed.result.displacement
         if points.shape[1] != mesh.dim:
             raise ValueError(f"points have {points.shape[1]} coordinates in a {mesh.dim}D problem")
-        found, u = self._located(view, points), view.posed.result.displacement
+        if self.body is not None and self.body not in mesh.bodies:
+            raise ValueError(f"body {self.body!r} does not exist{checks.suggestion(self.body, mesh.bodies)}; the "
+                             f"bodies are {', '.join(mesh.bodies)}")
+        at = PointLocator(mesh, None if self.body is None else mesh.bodies.index(self.body)).locate(points)
         result = []
-        for i, point in enumerate(self.points):
-            element, weights = found.element[i], found.weights[i]
+        for point, element, weights, distance in zip(self.points, at.element, at.weights, at.distance, strict=True):
+            if distance > _OUTSIDE * mesh.element_sizes[element]:
+                raise ValueError(f"points: {point} lies {distance:.3g} m outside the mesh")
             nodal = np.zeros(mesh.points.shape)
             nodal[mesh.elements[element], k] = weights
             bubbles = np.zeros((len(view.bubbles.edges), mesh.dim))
             bubbles[view.bubbles.element_edges[element], k] = view.bubbles.values_at(weights)
-            name = f"u_{'xyz'[k]} at ({', '.join(f'{c:g}' for c in point)})"
             value = float(weights @ u[mesh.elements[element], k])
-            result.append(Functional(name, value, "m", view.load_of(nodal), bubbles))
+            result.append(Functional(f"u_{'xyz'[k]} at {_place(point)}", value, "m", view.load_of(nodal), bubbles))
         return result
 
-    def _located(self, view: GoalView, points: np.ndarray) -> Location:
-        mesh = view.posed.mesh
-        if self.body is not None and self.body not in mesh.bodies:
-            raise ValueError(f"body {self.body!r} does not exist{checks.suggestion(self.body, mesh.bodies)}; the "
-                             f"bodies are {', '.join(mesh.bodies)}")
-        found = PointLocator(mesh, None if self.body is None else mesh.bodies.index(self.body)).locate(points)
-        outside = found.distance > _OUTSIDE * mesh.element_sizes[found.element]
-        if outside.any():
-            i = int(np.argmax(outside))
-            raise ValueError(f"points: {self.points[i]} lies {found.distance[i]:.3g} m outside the mesh")
-        return found
+
+def _place(point: Sequence[float]) -> str:
+    return f"({', '.join(f'{c:g}' for c in point)})"
 
 
 @dataclass(frozen=True)
@@ -138,15 +121,13 @@ class MeanDisplacement:
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
-        axis_number("component", self.component)
+        _axis("component", self.component)
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """One functional."""
-        mesh, axisymmetric = view.posed.mesh, view.bubbles.axisymmetric
-        k = axis_number("component", self.component, mesh.dim)
-        facets = named_facets(mesh, self.boundary)
-        areas = np.linalg.norm(area_vectors(mesh.points, facets), axis=1)
-        shares = areas[:, None] * shape_integrals(mesh.points, facets, axisymmetric)
+        mesh = view.posed.mesh
+        k, facets = _axis("component", self.component, mesh.dim), named_facets(mesh, self.boundary)
+        shares = view.shape_integrals(facets)
         size = shares.sum()
         nodal = np.zeros(mesh.points.shape)
         np.add.at(nodal[:, k], facets, shares / size)
@@ -156,32 +137,30 @@ class MeanDisplacement:
         return [Functional(f"mean u_{'xyz'[k]} on {self.boundary!r}", value, "m", view.load_of(nodal), bubbles)]
 
 
-def _contact_index(view: GoalView, name: str) -> tuple[np.ndarray, float]:
-    """Which contact nodes belong to a boundary, and the sign: -1 where it is the master of a pair."""
+def _contact_mask(view: GoalView, name: str) -> tuple[np.ndarray, float]:
+    """Mask of the contact nodes of a boundary, and the sign: -1 where it is the master of a pair."""
     contact = view.posed.result.contact
     masters = contact.masters or ("",) * len(contact.names)
     if name == "contact":
         return np.ones(len(contact.node), dtype=bool), 1.0
     if name in contact.names:
         return contact.boundary == contact.names.index(name), 1.0
-    pairs = [k for k, master in enumerate(masters) if master == name]
     labels = [f"{slave} on {master}" if master else slave for slave, master in zip(contact.names, masters, strict=True)]
     if name in labels:
         return contact.boundary == labels.index(name), 1.0
-    if not pairs:
-        known = ("contact", *contact.names, *filter(None, masters))
-        raise ValueError(f"there is no contact on boundary {name!r}{checks.suggestion(name, known)}; contact is on "
-                         f"{', '.join(map(repr, labels))}")
-    return np.isin(contact.boundary, pairs), -1.0
+    if name not in masters:
+        candidates = ("contact", *contact.names, *filter(None, masters))
+        raise ValueError(f"there is no contact on boundary {name!r}{checks.suggestion(name, candidates)}; contact is "
+                         f"on {', '.join(map(repr, labels))}")
+    return np.isin(contact.boundary, [k for k, master in enumerate(masters) if master == name]), -1.0
 
 
 @dataclass(frozen=True)
 class ContactForce:
-    """Force through a contact boundary.
+    """Force through a contact boundary, a sum over nodes.
 
-    It is a sum over nodes. Beside a support that holds a tangent of the boundary its tangential part misses what acts
-    on half an edge, an error of first order in the size of that edge where friction acts there (on a plane of symmetry
-    it does not), which no estimate sees and no mark refines.
+    Next to a support that holds a tangent of the boundary the tangential part misses what acts on half an edge: where
+    friction acts there, an error of first order in the size of that edge, which no estimate contains.
 
     Parameters
     ----------
@@ -199,47 +178,44 @@ class ContactForce:
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         if self.direction not in ("normal", "tangential"):
-            axis_number("direction", self.direction)
+            _axis("direction", self.direction)
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """One functional."""
-        posed, contact = view.posed, view.contact
-        mine, sign = _contact_index(view, self.boundary)
-        dim, discrete = posed.mesh.dim, posed.discrete
-        local = np.zeros((len(mine), dim))
+        contact, discrete, dim = view.contact, view.posed.discrete, view.posed.mesh.dim
+        mine, sign = _contact_mask(view, self.boundary)
+        local, named = np.zeros((len(mine), dim)), self.direction in ("normal", "tangential")
         if self.direction == "normal":
             local[mine, 0] = -1.0
-        elif self.direction == "tangential":
-            if dim == 3:
-                raise ValueError("direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2")
-            local[mine, 1] = 1.0
+        elif not named:
+            local[mine] = sign * contact.frames[mine, :, _axis("direction", self.direction, dim)]
+        elif dim == 3:
+            raise ValueError("direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2")
         else:
-            local[mine] = sign * contact.frames[mine, :, axis_number("direction", self.direction, dim)]
+            local[mine, 1] = 1.0
         if discrete.exchange is not None:
             # forces on the node that was posed are those of the equations over sigma
-            local = local / self._factors(discrete.exchange.sigma)[:, None]
+            sigma = discrete.exchange.sigma
+            local = local / (np.abs(sigma) if named else sigma)[:, None]
         vector = np.zeros((discrete.n_nodes, dim))
         vector[contact.nodes] = from_frames(contact.frames, local)
         flat = vector.reshape(-1)
-        # where a support holds, the force of contact cannot be told from its own
+        # where a support holds, the force of contact cannot be separated from its reaction
         flat[discrete.fixed] = 0.0
-        action = view.bubbles.actions(posed.problem, discrete.physical(flat)[None])[1][0]
+        action = view.bubbles.actions(discrete.physical(flat)[None])[1][0]
         name = f"{self.direction if isinstance(self.direction, str) else 'xyz'[self.direction]} force on "
         return [Functional(name + repr(self.boundary), float(flat @ contact.residual), "N", discrete.matrix @ flat,
                            action)]
-
-    def _factors(self, sigma: np.ndarray) -> np.ndarray:
-        return np.abs(sigma) if self.direction in ("normal", "tangential") else sigma
 
 
 @dataclass(frozen=True)
 class Opening:
     """The gap at a point of a contact boundary, or its mean over the boundary.
 
-    On boundaries that the domain knows as curved, and in front of a curved obstacle, the signed estimate contains what
-    the chords of the mesh change; on those of STEP files, combined solids and meshes without a domain it does not. Of a
-    pair only that part of the slave counts that faces the master: where the slave bends away, the end of this part
-    follows the mesh, and the mean with it, which the estimate does not see; name a boundary that ends before.
+    On curved boundaries of the domain, and in front of a curved obstacle, the signed estimate contains what the chords
+    of the mesh change; on those of STEP files, combined solids and meshes without a domain it does not. Of a pair only
+    that part of the slave counts that faces the master: where the slave bends away, the end of this part follows the
+    mesh, which the estimate does not contain; name a boundary that ends before.
 
     Parameters
     ----------
@@ -263,23 +239,24 @@ class Opening:
     def functionals(self, view: GoalView) -> list[Functional]:
         """One functional."""
         contact, result, mesh = view.contact, view.posed.result.contact, view.posed.mesh
-        mine, sign = _contact_index(view, self.boundary)
+        mine, sign = _contact_mask(view, self.boundary)
         if sign < 0:
             raise ValueError(f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps")
         of_boundary = {k: named_facets(mesh, result.names[k]) for k in np.unique(result.boundary[mine])}
         facets = np.concatenate(list(of_boundary.values()))
+        masters = 0.0
         if self.point is None:
             weights = np.where(mine, result.weights, 0.0)
             weights = weights / weights.sum()
-            areas = np.linalg.norm(area_vectors(mesh.points, facets), axis=1)
-            size = (areas[:, None] * shape_integrals(mesh.points, facets, view.bubbles.axisymmetric)).sum()
+            mean, size = float(weights @ result.gap), view.shape_integrals(facets).sum()
             bubbles = view.bubbles.boundary_work(facets, np.ones((*facets.shape, 1)))[:, 0] / size
             name = f"mean opening of {self.boundary!r}"
-            geometry = sum(_chords(view, k, own, float(weights @ result.gap)) for k, own in of_boundary.items()) / size
+            geometry = sum(_chords(view, k, own, mean) for k, own in of_boundary.items()) / size
+            masters = sum(_of_master(view, k) for k in of_boundary) / size
         else:
             weights, bubbles = self._at_point(view, facets)
             geometry = bubbles * sum(_bumps(view, k, own) for k, own in of_boundary.items())
-            name = f"opening of {self.boundary!r} at ({', '.join(f'{c:g}' for c in self.point)})"
+            name = f"opening of {self.boundary!r} at {_place(self.point)}"
         sigma = 1.0 if view.posed.discrete.exchange is None else np.abs(view.posed.discrete.exchange.sigma)
         vector = np.zeros((view.posed.discrete.n_nodes, mesh.dim))
         vector[contact.nodes] = -(weights * sigma)[:, None] * contact.frames[:, 0]
@@ -287,22 +264,8 @@ class Opening:
         normals[result.node] = result.frames[:, 0]
         along = normals[view.bubbles.edges].sum(axis=1)
         length = np.linalg.norm(along, axis=1, keepdims=True)
-        along = -bubbles[:, None] * np.divide(along, length, out=np.zeros_like(along), where=length > 0)
-        if self.point is None:
-            along += self._of_masters(view, mine, size)
+        along = -bubbles[:, None] * np.divide(along, length, out=np.zeros_like(along), where=length > 0) - masters
         return [Functional(name, float(weights @ result.gap), "m", vector.reshape(-1), along, geometry)]
-
-    def _of_masters(self, view: GoalView, mine: np.ndarray, size: float) -> np.ndarray:
-        """What the bubbles (n_edges, dim) of the masters do to the mean: as those of the slave, they move outwards."""
-        result, mesh = view.posed.result.contact, view.posed.mesh
-        found = np.zeros((len(view.bubbles.edges), mesh.dim))
-        for k in np.unique(result.boundary[mine]):
-            if result.masters and result.masters[k]:
-                facets = _faced(view, k)
-                vectors = area_vectors(mesh.points, facets)
-                normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-                found -= view.bubbles.boundary_work(facets, np.repeat(normals[:, None], mesh.dim, axis=1)) / size
-        return found
 
     def _at_point(self, view: GoalView, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weights of the contact nodes (n_contact,) and of the edges (n_edges,) at the point."""
@@ -311,7 +274,7 @@ class Opening:
             raise ValueError(f"point has {len(point)} coordinates in a {mesh.dim}D problem")
         k, shape = _nearest_facet(mesh.points, facets, point)
         distance = np.linalg.norm(shape @ mesh.points[facets[k]] - point)
-        if distance > 1e-6 * np.ptp(mesh.points[facets[k]], axis=0).max():
+        if distance > _OUTSIDE * np.ptp(mesh.points[facets[k]], axis=0).max():
             raise ValueError(f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}")
         weights, bubbles = np.zeros(len(view.contact.nodes)), np.zeros(len(view.bubbles.edges))
         place = {node: i for i, node in enumerate(view.posed.result.contact.node)}
@@ -319,103 +282,9 @@ class Opening:
             if corner in place:
                 weights[place[corner]] += share
             elif share > 1e-9:
-                raise ValueError(f"point {self.point}: node {corner} beside it carries no contact condition")
-        pairs = [(0, 1)] if mesh.dim == 2 else [(0, 1), (1, 2), (2, 0)]
-        for edge, (a, b) in zip(view.bubbles.of_facets(facets[k:k + 1])[0], pairs, strict=True):
-            bubbles[edge] += 4 * shape[a] * shape[b]
+                raise ValueError(f"point {self.point}: its neighbour, node {corner}, carries no contact condition")
+        bubbles[view.bubbles.of_facets(facets[k:k + 1])[0]] = 4 * np.prod(_ends(shape[None]), axis=0)[0]
         return weights, bubbles
-
-
-def _faced(view: GoalView, k: int) -> np.ndarray:
-    """Facets (n, dim) of the master of pair k whose nodes are all faced by contact nodes."""
-    result = view.posed.result.contact
-    facets = named_facets(view.posed.mesh, result.masters[k])
-    return facets[np.isin(facets, result.master_node[result.master_boundary == k]).all(axis=1)]
-
-
-def _ends(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ends (n, n_pairs) of the edges of facets."""
-    return (facets[:, :1], facets[:, 1:]) if facets.shape[1] == 2 else (facets, np.roll(facets, -1, axis=1))
-
-
-def _middles(view: GoalView, name: str, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (n, n_pairs, dim) of the edges of facets, on the curve, and how far (n, n_pairs) out of the chord, m."""
-    points, (a, b) = view.posed.mesh.points, _ends(facets)
-    middle, vectors = 0.5 * (points[a] + points[b]), area_vectors(points, facets)
-    normals = np.repeat((vectors / np.linalg.norm(vectors, axis=1, keepdims=True))[:, None], a.shape[1], axis=1)
-    places, known = middle, curved_boundaries(view.posed.problem.domain)
-    if name in known:
-        flat = (-1, points.shape[1])
-        places = on_surface(*known[name], points[a].reshape(flat), points[b].reshape(flat), normals.reshape(flat)
-                            ).reshape(middle.shape)
-    return places, np.einsum("npd,npd->np", places - middle, normals)
-
-
-def _middle_gaps(view: GoalView, k: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gaps (n_nodes,), middles of the edges of facets of contact boundary k, and gaps (n, n_pairs) there.
-
-    A node without a condition makes them NaN.
-    """
-    contact, result, mesh = view.posed.problem.contact[k], view.posed.result.contact, view.posed.mesh
-    gap, normal = np.full(mesh.n_nodes, np.nan), np.full(mesh.n_nodes, np.nan)
-    gap[result.node], normal[result.node] = result.gap, result.u_n
-    middles, out = _middles(view, contact.boundary, facets)
-    a, b = _ends(facets)
-    if isinstance(contact, ContactPair):
-        # gaps that are given know nothing of the curve
-        found = 0.5 * (gap[a] + gap[b]) - (out if contact.gap is None else 0.0)
-    else:
-        vectors, flat = area_vectors(mesh.points, facets), (-1, mesh.dim)
-        normals = np.repeat((vectors / np.linalg.norm(vectors, axis=1, keepdims=True))[:, None], a.shape[1], axis=1)
-        _, first = contact.obstacle.contact(middles.reshape(flat), normals.reshape(flat))
-        found = np.reshape(first, a.shape) - 0.5 * (normal[a] + normal[b])
-    # where bodies touch at both ends they do so between
-    return gap, middles, np.maximum(found, 0.0)
-
-
-def _bumps(view: GoalView, k: int, facets: np.ndarray) -> np.ndarray:
-    """By how much (n_edges,) the gap in the middle of an edge of contact boundary k exceeds that of its nodes, m."""
-    gap, _, found = _middle_gaps(view, k, facets)
-    a, b = _ends(facets)
-    result = np.zeros(len(view.bubbles.edges))
-    result[view.bubbles.of_facets(facets)] = np.nan_to_num(found - 0.5 * (gap[a] + gap[b]))
-    return result
-
-
-def _chords(view: GoalView, k: int, facets: np.ndarray, mean: float) -> np.ndarray:
-    """What the curves of contact boundary k change in a mean, times the size of the boundary, by edges (n_edges,)."""
-    gap, middles, found = _middle_gaps(view, k, facets)
-    result = _halved(view, facets, middles, gap[facets] - mean, found - mean)
-    master = view.posed.result.contact.masters[k] if view.posed.result.contact.masters else ""
-    if master and view.posed.problem.contact[k].gap is None:
-        faced = _faced(view, k)
-        middles, out = _middles(view, master, faced)
-        result += _halved(view, faced, middles, np.zeros(faced.shape), -out)
-    return result
-
-
-def _halved(view: GoalView, facets: np.ndarray, middles: np.ndarray, corners: np.ndarray, between: np.ndarray
-            ) -> np.ndarray:
-    """4/3 of what an integral over facets changes with their edges halved at ``middles``, by edges (n_edges,)."""
-    mesh, dim = view.posed.mesh, facets.shape[1]
-    m = mesh.n_nodes + np.arange(between.size).reshape(between.shape)
-    points = np.concatenate([mesh.points, middles.reshape(-1, dim)])
-    table = np.concatenate([facets, m], axis=1)
-    values = np.concatenate([corners, between], axis=1)
-    parts = [[0, 2], [2, 1]] if dim == 2 else [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
-    change = -_integrals(view, points, facets, corners)
-    for part in parts:
-        change += _integrals(view, points, table[:, part], values[:, part])
-    result = np.zeros(len(view.bubbles.edges))
-    share = np.nan_to_num(4 / 3 * change / between.shape[1])
-    np.add.at(result, view.bubbles.of_facets(facets), np.repeat(share[:, None], between.shape[1], axis=1))
-    return result
-
-
-def _integrals(view: GoalView, points: np.ndarray, facets: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Integrals (n,) over facets of linear functions with values (n, dim) at their corners."""
-    areas = np.linalg.norm(area_vectors(points, facets), axis=1)
-    return areas * np.sum(shape_integrals(points, facets, view.bubbles.axisymmetric) * values, axis=1)
 
 
 def _nearest_facet(points: np.ndarray, facets: np.ndarray, x: np.ndarray) -> tuple[int, np.ndarray]:
@@ -430,35 +299,104 @@ def _nearest_facet(points: np.ndarray, facets: np.ndarray, x: np.ndarray) -> tup
     return k, shape[k]
 
 
-def friction_work(view: GoalView) -> np.ndarray:
-    """Work (n_edges, dim) of the friction that does not depend on pressure on the bubbles of contact surfaces, N."""
-    contact, given, mesh = view.contact, view.posed.result.contact, view.posed.mesh
-    result = np.zeros((len(view.bubbles.edges), mesh.dim))
-    if not contact.fixed_limit.any():
-        return result
-    share = np.divide(contact.fixed_limit, contact.limit, out=np.zeros_like(contact.limit), where=contact.limit > 0)
-    traction = np.zeros((mesh.n_nodes, mesh.dim))
-    traction[given.node] = share[:, None] * from_frames(given.frames[:, 1:], given.traction)
-    for name in given.names:
-        facets = named_facets(mesh, name)
-        result += view.bubbles.boundary_work(facets, traction[facets])
+def _ends(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ends (n, n_edges) of the edges of facets."""
+    return (facets[:, :1], facets[:, 1:]) if facets.shape[1] == 2 else (facets, np.roll(facets, -1, axis=1))
+
+
+def _normals(view: GoalView, facets: np.ndarray) -> np.ndarray:
+    """Unit normals (n, dim) of facets."""
+    vectors = area_vectors(view.posed.mesh.points, facets)
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _faced(view: GoalView, k: int) -> np.ndarray:
+    """Facets (n, dim) of the master of pair k whose nodes are all faced by contact nodes."""
+    result = view.posed.result.contact
+    facets = named_facets(view.posed.mesh, result.masters[k])
+    return facets[np.isin(facets, result.master_node[result.master_boundary == k]).all(axis=1)]
+
+
+def _of_master(view: GoalView, k: int) -> np.ndarray | float:
+    """By how much the bubbles (n_edges, dim) of the master of contact boundary k, moving outwards, close the gap."""
+    masters = view.posed.result.contact.masters
+    if not masters or not masters[k]:
+        return 0.0
+    facets = _faced(view, k)
+    return view.bubbles.boundary_work(facets, np.repeat(_normals(view, facets)[:, None], facets.shape[1], axis=1))
+
+
+def _middles(view: GoalView, name: str, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middles (n, n_edges, dim) of the edges of facets, on the curve, and how far (n, n_edges) out of the chord, m."""
+    points, (a, b) = view.posed.mesh.points, _ends(facets)
+    middle = places = 0.5 * (points[a] + points[b])
+    normals = np.repeat(_normals(view, facets)[:, None], a.shape[1], axis=1)
+    curved = curved_boundaries(view.posed.problem.domain)
+    if name in curved:
+        flat = (-1, points.shape[1])
+        places = on_surface(*curved[name], points[a].reshape(flat), points[b].reshape(flat), normals.reshape(flat)
+                            ).reshape(middle.shape)
+    return places, np.einsum("npd,npd->np", places - middle, normals)
+
+
+def _middle_gaps(view: GoalView, k: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gaps (n_nodes,), middles of the edges of facets of contact boundary k, and gaps (n, n_edges) there.
+
+    A node without a condition makes them NaN.
+    """
+    contact, result, mesh = view.posed.problem.contact[k], view.posed.result.contact, view.posed.mesh
+    gap, normal = np.full(mesh.n_nodes, np.nan), np.full(mesh.n_nodes, np.nan)
+    gap[result.node], normal[result.node] = result.gap, result.u_n
+    middles, out = _middles(view, contact.boundary, facets)
+    a, b = _ends(facets)
+    if isinstance(contact, ContactPair):
+        # gaps that the user gives do not depend on the curve
+        between = 0.5 * (gap[a] + gap[b]) - (out if contact.gap is None else 0.0)
+    else:
+        flat, normals = (-1, mesh.dim), np.repeat(_normals(view, facets)[:, None], a.shape[1], axis=1)
+        _, first = contact.obstacle.contact(middles.reshape(flat), normals.reshape(flat))
+        between = np.reshape(first, a.shape) - 0.5 * (normal[a] + normal[b])
+    # where bodies touch at both ends they do so between
+    return gap, middles, np.maximum(between, 0.0)
+
+
+def _bumps(view: GoalView, k: int, facets: np.ndarray) -> np.ndarray:
+    """By how much (n_edges,) the gap in the middle of an edge of contact boundary k exceeds that of its nodes, m."""
+    gap, _, between = _middle_gaps(view, k, facets)
+    a, b = _ends(facets)
+    result = np.zeros(len(view.bubbles.edges))
+    result[view.bubbles.of_facets(facets)] = np.nan_to_num(between - 0.5 * (gap[a] + gap[b]))
     return result
 
 
-def master_work(view: GoalView, reaction: np.ndarray) -> np.ndarray:
-    """Work of contact forces on the bubbles of master surfaces."""
-    discrete, mesh = view.posed.discrete, view.posed.mesh
-    result = np.zeros((len(view.bubbles.edges), mesh.dim))
-    if discrete.coupling is None:
-        return result
-    # what is not of contact: reactions of supports
-    forces = np.where(discrete.fixed, 0.0, discrete.physical_forces(reaction)).reshape(-1, mesh.dim)
-    masters = view.posed.problem.masters
-    for name in dict.fromkeys(filter(None, masters)):
-        facets = named_facets(mesh, name)
-        areas = np.linalg.norm(area_vectors(mesh.points, facets), axis=1)
-        shares = areas[:, None] * shape_integrals(mesh.points, facets, view.bubbles.axisymmetric)
-        mass = np.bincount(facets.ravel(), weights=shares.ravel(), minlength=mesh.n_nodes)
-        traction = np.divide(forces, mass[:, None], out=np.zeros_like(forces), where=mass[:, None] > 0)
-        result += view.bubbles.boundary_work(facets, traction[facets])
+def _chords(view: GoalView, k: int, facets: np.ndarray, mean: float) -> np.ndarray:
+    """What the curves of contact boundary k change in a mean, times the size of the boundary, by edges (n_edges,)."""
+    gap, middles, between = _middle_gaps(view, k, facets)
+    result = _halved(view, facets, middles, gap[facets] - mean, between - mean)
+    master = view.posed.result.contact.masters[k] if view.posed.result.contact.masters else ""
+    if master and view.posed.problem.contact[k].gap is None:
+        faced = _faced(view, k)
+        middles, out = _middles(view, master, faced)
+        result += _halved(view, faced, middles, np.zeros(faced.shape), -out)
+    return result
+
+
+def _halved(view: GoalView, facets: np.ndarray, middles: np.ndarray, corners: np.ndarray, between: np.ndarray
+            ) -> np.ndarray:
+    """4/3 of what an integral over facets changes with their edges halved at ``middles``, by edges (n_edges,)."""
+    mesh, dim = view.posed.mesh, facets.shape[1]
+    points = np.concatenate([mesh.points, middles.reshape(-1, dim)])
+    table = np.concatenate([facets, mesh.n_nodes + np.arange(between.size).reshape(between.shape)], axis=1)
+    values = np.concatenate([corners, between], axis=1)
+
+    def integrals(part: list[int]) -> np.ndarray:
+        cells = table[:, part]
+        areas = np.linalg.norm(area_vectors(points, cells), axis=1)
+        return areas * np.sum(shape_integrals(points, cells, view.bubbles.axisymmetric) * values[:, part], axis=1)
+
+    parts = [[0, 2], [2, 1]] if dim == 2 else [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+    change = sum(map(integrals, parts)) - integrals(list(range(dim)))
+    share = np.nan_to_num(4 / 3 * change / between.shape[1])
+    result = np.zeros(len(view.bubbles.edges))
+    np.add.at(result, view.bubbles.of_facets(facets), np.repeat(share[:, None], between.shape[1], axis=1))
     return result

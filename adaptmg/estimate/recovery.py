@@ -2,18 +2,15 @@ r"""Recovery: an estimate of the energy error by a smoother stress (Zienkiewicz 
 
 .. math:: \eta_E^2 = \int_E (\sigma^* - \sigma_h) : C^{-1} (\sigma^* - \sigma_h)
 
-with a continuous, piecewise linear stress :math:`\sigma^*` fitted to that of the elements around each node, body by
-body: it may jump where materials meet and between bodies in contact. Where the solution is smooth the estimate tends to
-the error itself; it knows nothing of loads and contact conditions.
-
-Kernels of the recovered stress: at each node a linear fit to the stresses around it; the energy of what it adds.
-
-Least squares over the patch of elements e at a node, sampled at their centroids :math:`x_e` (O. C. Zienkiewicz and
-J. Z. Zhu, Int. J. Numer. Meth. Engng 33, 1992, doi:10.1002/nme.1620330702):
+with a stress :math:`\sigma^*` that is continuous and piecewise linear in each body: it may jump where materials meet
+and between bodies in contact. At each node it is fitted to the stresses of the elements e around it, sampled at their
+centroids :math:`x_e` (O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Engng 33, 1992,
+doi:10.1002/nme.1620330702):
 
 .. math:: \sum_e \big|\sigma_e - a - B (x_e - x_i)\big|^2 \to \min, \qquad \sigma^*_i = a .
 
-Patches of boundary nodes, which lie on one side, take in the patches of all nodes of their elements.
+Patches of boundary nodes, which lie on one side, take in the patches of all nodes of their elements. Where the solution
+is smooth the estimate tends to the error itself; it does not depend on loads and contact conditions.
 """
 
 from __future__ import annotations
@@ -24,22 +21,13 @@ import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel, read_only
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.stress_fields import ElementStress, posed
+from adaptmg.estimate.stress_fields import ElementStress, elements_of_nodes, posed
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.result import Result
 
-__all__ = ["RecoveredStress", "Recovery", "axisymmetric_energy", "axisymmetric_stresses", "difference_energy",
-           "elements_of_nodes", "mark_boundary", "recover", "recovered_energy", "recovered_stress"]
-
-@dataclass(frozen=True, eq=False)
-class RecoveredStress:
-    """A stress that is continuous in each body."""
-
-    cells: np.ndarray  # (n_elements, dim + 1) int32
-    nodal: np.ndarray  # (n, n_values)
-    sampled: np.ndarray  # (n_elements, n_values): what it was made from: the stress at the centroids, Pa
+__all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"]
 
 
 @dataclass(frozen=True)
@@ -47,31 +35,26 @@ class Recovery:
     """The recovery indicator; it has no parameters."""
 
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
-        """Estimate the error on the finest mesh.
+        """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 
-        Parameters
-        ----------
-        hierarchy : Hierarchy
-            Of a ContactProblem, whose loads are those of the result.
-        result : Result
-            Of :func:`adaptmg.solve` on it.
-
-        Returns
-        -------
-        Estimate
-            Terms: the bodies by name.
-
-        Raises
-        ------
-        TypeError, ValueError
-            As of :meth:`adaptmg.Residual.indicate`.
+        The terms of the estimate are the bodies by name; TypeError and ValueError as of
+        :meth:`adaptmg.Residual.indicate`.
         """
         this = posed(hierarchy, result)
-        found = recovered_stress(this.stress, this.neighbours.across)
-        squares = recovered_energy(this.stress, found)
+        recovered = recovered_stress(this.stress, this.neighbours.across)
+        squares = recovered_energy(this.stress, recovered)
         by_body = np.bincount(this.mesh.element_body, weights=squares, minlength=len(this.mesh.bodies))
         return Estimate(squares=squares, norm=this.norm, indicator="recovered stress",
                         terms=dict(zip(this.mesh.bodies, by_body, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class RecoveredStress:
+    """A stress that is continuous in each body."""
+
+    cells: np.ndarray  # (n_elements, dim + 1) int32: elements on nodes that no two bodies share
+    nodal: np.ndarray  # (n, n_values), Pa
+    sampled: np.ndarray  # (n_elements, n_values): the stress at the centroids, Pa
 
 
 def recovered_stress(stress: ElementStress, across: np.ndarray) -> RecoveredStress:
@@ -80,8 +63,7 @@ def recovered_stress(stress: ElementStress, across: np.ndarray) -> RecoveredStre
     cells, points = _apart(mesh)
     centroids = mesh.points[mesh.elements].mean(axis=1)
     sampled = _sampled(stress)
-    start, listed = np.zeros(len(points) + 1, dtype=np.int64), np.empty(cells.size, dtype=np.int32)
-    elements_of_nodes(cells, start, listed)
+    start, listed = elements_of_nodes(cells, len(points))
     boundary = np.zeros(len(points), dtype=bool)
     mark_boundary(cells, across, mesh.element_body, boundary)
     nodal = np.zeros((len(points), sampled.shape[1]))
@@ -136,24 +118,8 @@ def recovered_energy(stress: ElementStress, found: RecoveredStress) -> np.ndarra
     return squares
 
 
-_SINGULAR = 1e-5  # pivots below so much of the number of samples: they lie on a line, or in a plane
-
-
-@kernel
-def elements_of_nodes(elements, start, listed):
-    """Elements of each node, ascending: ``listed[start[i]:start[i + 1]]``; ``start`` (n_nodes + 1,) comes as 0."""
-    for e in range(len(elements)):
-        for v in elements[e]:
-            start[v + 1] += 1
-    for i in range(len(start) - 1):
-        start[i + 1] += start[i]
-    for e in range(len(elements)):
-        for v in elements[e]:
-            listed[start[v]] = e
-            start[v] += 1
-    for i in range(len(start) - 1, 0, -1):
-        start[i] = start[i - 1]
-    start[0] = 0
+#: pivots below this part of the number of samples: these lie on a line, or in a plane
+_SINGULAR = 1e-5
 
 
 @kernel
@@ -230,8 +196,8 @@ def _sums(points, i, centroids, patch, count, values, terms, matrix, sides):
 def recover(points, centroids, elements, start, listed, boundary, values, marker, patch, nodal):
     """Write the recovered values ``nodal`` (n_nodes, n_values) from those of the elements (n_elements, n_values).
 
-    ``marker`` (n_elements,) comes as -1, ``patch`` (n_elements,) as it is. Where a patch is too small for a fit it is
-    widened, and if that does not help its mean is taken. Nodes without elements keep what ``nodal`` holds.
+    ``marker`` (n_elements,) comes as -1, ``patch`` (n_elements,) uninitialised. Where a patch is too small for a fit
+    it is widened, and if that does not help its mean is taken. Nodes without elements keep what ``nodal`` holds.
     """
     dim, n_values = points.shape[1], values.shape[1]
     matrix, sides, terms = np.empty((dim + 1, dim + 1)), np.empty((dim + 1, n_values)), np.ones(dim + 1)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -34,72 +33,38 @@ from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
 
 __all__ = ["EnergyError", "Reference", "energy_error"]
 
-# of the largest force: what the solver leaves at free nodes is none
+#: of the largest force: less is what the solver leaves at free nodes
 _IDLE = 1e-12
-# of the energy: its differences are not known better, with solutions to a relative 1e-8
+#: of the energy: the accuracy of its differences, with solutions to a relative 1e-8
 _RESOLVED = 1e-8
 
 
 @dataclass(frozen=True)
 class EnergyError:
-    """An error in the energy norm.
+    """An error in the energy norm; where ``allowance`` is not well below, the figures are no better than it."""
 
-    Attributes
-    ----------
-    absolute : float
-        ||u - u_h||, sqrt(N m).
-    relative : float
-        The same over ||u||.
-    norm : float
-        ||u||, sqrt(N m).
-    allowance : float
-        The reference's own error, which is contained in ``absolute``, sqrt(N m): where it is not well below, the
-        figures are no better than it.
-    """
-
-    absolute: float
-    relative: float
-    norm: float
-    allowance: float
+    absolute: float  # ||u - u_h||, sqrt(N m)
+    relative: float  # the same over ||u||
+    norm: float  # ||u||, sqrt(N m)
+    allowance: float  # the reference's own error, which is contained in absolute, sqrt(N m)
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What errors are measured against; made once, by :meth:`of`.
-
-    Attributes
-    ----------
-    problem : ContactProblem
-    energy : float
-        ||u_H||^2, N m.
-    own_error : float
-        ||u - u_H||, sqrt(N m).
-    points : mapping of str to (n, dim) array
-        For each body the nodes at which contact or supports exert forces, m.
-    forces : mapping of str to (n, dim) array
-        These forces, on the body, N.
-    prescribed : mapping of str to (n, dim) array
-        Constants that supports prescribe there, m; NaN elsewhere.
-    """
+    """What errors are measured against; made once, by :meth:`of`. Mappings are by the name of the body."""
 
     problem: ContactProblem
-    energy: float
-    own_error: float
-    points: Mapping[str, np.ndarray] = field(repr=False)
-    forces: Mapping[str, np.ndarray] = field(repr=False)
-    prescribed: Mapping[str, np.ndarray] = field(repr=False)
+    energy: float  # ||u_H||^2, N m
+    own_error: float  # ||u - u_H||, sqrt(N m)
+    points: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): where contact or supports exert forces, m
+    forces: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): these forces, on the body, N
+    prescribed: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): constants of supports there, m; NaN elsewhere
 
     @classmethod
     def of(cls, hierarchy: Hierarchy, result: Result, *, own_error: float | None = None) -> Reference:
-        """From a solution on the finest mesh of a hierarchy.
+        """From a result on the finest mesh of a hierarchy, solved far below the errors to be measured.
 
-        Parameters
-        ----------
-        hierarchy : Hierarchy
-        result : Result
-            Solved to an algebraic error far below the errors to be measured.
-        own_error : float, optional
-            ||u - u_H||, sqrt(N m); by default the estimate of :class:`adaptmg.Recovery`.
+        ``own_error`` is ||u - u_H||, sqrt(N m); by default the estimate of :class:`adaptmg.Recovery`.
         """
         this = posed(hierarchy, result)
         if own_error is None:
@@ -107,13 +72,13 @@ class Reference:
         mesh = this.mesh
         forces = _exerted(this.discrete.fixed.reshape(-1, mesh.dim), result)
         prescribed = _constants(this.problem, mesh)
-        points, of_body, given = {}, {}, {}
+        points, on_body, constants = {}, {}, {}
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
         for k, body in enumerate(mesh.bodies):
             here = acting & (owner == k)
-            points[body], of_body[body], given[body] = mesh.points[here], forces[here], prescribed[here]
-        return cls(this.problem, this.norm**2, checks.nonnegative("own_error", own_error), points, of_body, given)
+            points[body], on_body[body], constants[body] = mesh.points[here], forces[here], prescribed[here]
+        return cls(this.problem, this.norm**2, checks.nonnegative("own_error", own_error), points, on_body, constants)
 
     def against(self, result: Result) -> float:
         """a(u, u_h) of a result, N m."""
@@ -141,13 +106,12 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     Returns
     -------
     EnergyError
-        As a difference of energies it is blind below 1e-4 of the norm or so, where it may be 0.
+        As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0.
 
     Raises
     ------
     ValueError
-        Without a mesh, for other bodies, or where the squared error comes out negative: the reference is no better
-        than the result.
+        Without a mesh, for other bodies, or where the squared error comes out negative.
     """
     reference = _made(reference)
     checks.instance("result", result, Result, "a Result")
@@ -173,7 +137,7 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
                        reference.own_error)
 
 
-def _made(reference: Any) -> Reference:
+def _made(reference: Reference | tuple[Hierarchy, Result]) -> Reference:
     """A reference that was made before, or one of a hierarchy and a result."""
     if isinstance(reference, Reference):
         return reference
@@ -207,6 +171,6 @@ def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
 
 
 def _displacement_in(mesh: MeshArrays, body: str, u: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Displacement (n, dim) of a body at points of it or beside it (curved surfaces)."""
-    found = PointLocator(mesh, mesh.bodies.index(body)).locate(points)
-    return np.einsum("nk,nkd->nd", found.weights, u[mesh.elements[found.element]])
+    """Displacement (n, dim) of a body at points of it or next to it (curved surfaces)."""
+    place = PointLocator(mesh, mesh.bodies.index(body)).locate(points)
+    return np.einsum("nk,nkd->nd", place.weights, u[mesh.elements[place.element]])

@@ -4,58 +4,17 @@ r"""Residual: an estimate of the energy error from what the discrete solution le
    \|[\sigma_h n]\|^2 + \sum_{\mathrm{boundary}} h_F \|g + t_h - \sigma_h n\|^2 \Big\}
    + \int p_h (g_0 - u_n) + \int (\mu p_h |d_t| + t_h \cdot d_t)
 
-:math:`L^2` norms over element or facet, E Young's modulus of the element, so that all terms are energies;
-:math:`h_F = |F|`, in space :math:`\sqrt{2|F|}`; :math:`t_h` the contact traction on slave and master, nodal forces over
-lumped masses. The last two terms are on slaves alone. Measured, the estimate is 2 to 5 times the error, by problem and
-pattern of the mesh (the GRECO bar: 2.7 with alternating diagonals and on bisected meshes, 3.0 to 3.2 on Netgen
-meshes, 3.3 to 3.7 with all diagonals alike), and nearly constant on the meshes of one family; it is not proven to bound
-the error. Where body forces, or the hoop stress of smooth axisymmetric fields, rule the error it is 5.7 to 8.8 times
-the error (Lame's tube, a column under its own weight; Poisson's ratio .1 to .4): the first term is two thirds of its
-square there. Where a contact zone between curved bodies has one or two nodes it is up to 30 times the error, nearly all
-of it complementarity, until meshes resolve the zone.
+:math:`L^2` norms over element or facet, E Young's modulus of the element, so that all terms are energies; :math:`h_T`
+the longest edge, :math:`h_F = |F|`, in space :math:`\sqrt{2|F|}`; :math:`t_h` the contact traction on slave and master,
+nodal forces over lumped masses. In axisymmetry integrals are weighted with :math:`2 \pi r`. The last two terms, on
+slaves alone, have linear interpolants of nodal pressures, gaps, limits and slips: they vanish where the conditions hold
+all along an edge.
 
-Traction defects on the boundary: what loads and contact exert, and the stress inside does not bear.
-
-.. math:: \frac{h_F}{E} \int_F |g + t_h - \sigma_h n|^2, \qquad h_F = |F|,\ \text{in space } \sqrt{2 |F|}
-
-with the load g, a function of position, and the contact traction :math:`t_h`
-(:mod:`adaptmg.estimate.tractions`). Components that a support prescribes on the boundary of F are left
-out: there the support bears whatever comes. Products of linear functions are integrated exactly, in axisymmetry with
-the weight :math:`2 \pi r`.
-
-What the discrete contact conditions leave between the nodes of slaves and of boundaries in front of obstacles.
-
-.. math:: \int p_h (g_0 - u_n), \qquad \int (s_h |d_t| + t_h \cdot d_t)
-
-with the linear interpolants of nodal pressures :math:`p_h`, gaps, limits :math:`s_h` of the tangential traction
-(:math:`\mu p_h` of Coulomb), slips :math:`d_t` and their sizes. Both vanish where the conditions hold all along an
-edge, both are >= 0, and only facets at a transition (and with slip that turns) have a part.
-
-At the nodes themselves the conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere, friction
-at its limit against the slip where there is one. What a solver leaves of them is algebraic error; multiplied by a gap,
-or by a slip, that is far larger than the deformation it would exceed all that the mesh has left.
-
-Jumps: parts of the residual from tractions that differ on the two sides of facets inside the mesh.
-
-With the area vector :math:`a_F = |F| n` the part of facet F in each element E beside it is
-
-.. math:: \frac{1}{2E} h_F \int_F |[\sigma n]|^2 = \frac{h_F}{2 E |F|}\,|[\sigma]\,a_F|^2 ,
-
-:math:`h_F = |F|` in the plane and :math:`\sqrt{2 |F|}` in space. In axisymmetry the weight is :math:`2 \pi r`, and the
-jump varies along F where materials meet: two Gauss points.
-
-Element residuals: body forces that the stress inside an element does not balance.
-
-.. math:: \frac{h_E^2}{E} \int_E |f + \mathrm{div}\,\sigma_h|^2, \qquad h_E \text{ the longest edge of E}.
-
-The stress of linear displacements is constant, its divergence 0; but in axisymmetry
-
-.. math:: (\mathrm{div}\,\sigma)_r = \partial_r \sigma_{rr} + \frac{\sigma_{rr} - \sigma_{\theta\theta}}{r},\qquad
-   (\mathrm{div}\,\sigma)_z = \partial_z \sigma_{zz} + \frac{\sigma_{rz}}{r},
-
-where :math:`\sigma_{rr}` and :math:`\sigma_{zz}` vary by :math:`\lambda\,\varepsilon_\theta`, of which
-:math:`\partial_r \varepsilon_\theta = (\varepsilon_{rr} - \varepsilon_\theta)/r` and
-:math:`\partial_z \varepsilon_\theta = \partial_z u_r / r`. Integrals are weighted with :math:`2 \pi r`.
+Measured, the estimate is 2 to 5 times the error, by problem and pattern of the mesh (the GRECO bar: 2.7 with
+alternating diagonals and on bisected meshes, 3.0 to 3.2 on Netgen meshes, 3.3 to 3.7 with all diagonals alike), and
+nearly constant on the meshes of one family; it is not proven to bound the error. Where body forces, or the hoop stress
+of smooth axisymmetric fields, rule the error it is 5.7 to 8.8 times the error; where a contact zone between curved
+bodies has one or two nodes up to 30 times, nearly all of it complementarity, until meshes resolve the zone.
 """
 
 from __future__ import annotations
@@ -79,48 +38,37 @@ from adaptmg.problem.loads import BodyForce, Load, Pressure, Traction
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
 
-__all__ = ["Residual", "boundary_squares", "condition_squares", "facet_weights", "jump_squares", "volume_squares"]
+__all__ = ["Residual", "boundary_squares", "condition_squares", "jump_squares", "volume_squares"]
+
 
 @dataclass(frozen=True)
 class Residual:
     """The residual indicator; it has no parameters."""
 
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
-        """Estimate the error on the finest mesh.
+        """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 
-        Parameters
-        ----------
-        hierarchy : Hierarchy
-            Of a ContactProblem, whose loads are those of the result.
-        result : Result
-            Of :func:`adaptmg.solve` on it.
-
-        Returns
-        -------
-        Estimate
-            Terms: "element residual", "jumps inside", "traction on boundaries", "traction in contact",
-            "complementarity", "friction"; squares of energies, N m (plane: per metre of thickness).
+        The terms of the estimate are "element residual", "jumps inside", "traction on boundaries", "traction in
+        contact", "complementarity" and "friction"; squares of energies, N m (plane: per metre of thickness).
 
         Raises
         ------
         TypeError, ValueError
-            As of :func:`adaptmg.estimate.stress_fields.posed`: without problem, mesh or materials, of a result of
-            another mesh, or one that is not finite.
+            Without problem, mesh or materials, for a result of another mesh, under other loads, or not finite.
         """
         this = posed(hierarchy, result)
         volume = volume_squares(this.stress, this.problem.loads, this.young)
         free, touching = boundary_squares(this)
         complementarity, friction = condition_squares(this)
-        parts = {"element residual": volume, "jumps inside": jump_squares(this.stress, this.neighbours.across,
-                                                                          this.young),
-                 "traction on boundaries": free, "traction in contact": touching, "complementarity": complementarity,
-                 "friction": friction}
+        jumps = jump_squares(this.stress, this.neighbours.across, this.young)
+        parts = {"element residual": volume, "jumps inside": jumps, "traction on boundaries": free,
+                 "traction in contact": touching, "complementarity": complementarity, "friction": friction}
         parts = {name: part for name, part in parts.items() if part is not None}
         return Estimate(squares=sum(parts.values()), norm=this.norm, indicator="residuals",
                         terms={name: part.sum() for name, part in parts.items()})
 
 
-def facet_weights(points: np.ndarray, facets: np.ndarray, axisymmetric: bool) -> tuple[np.ndarray, np.ndarray]:
+def _facet_weights(points: np.ndarray, facets: np.ndarray, axisymmetric: bool) -> tuple[np.ndarray, np.ndarray]:
     """Barycentric points (n_points, dim) and weights (n, n_points), m or m^2, exact for products of linear functions.
 
     In axisymmetry these products times 2 pi r.
@@ -135,29 +83,30 @@ def facet_weights(points: np.ndarray, facets: np.ndarray, axisymmetric: bool) ->
 
 def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     """Squares (n_elements,) on boundaries without and on those with contact, N m."""
-    mesh, stress, beside = this.mesh, this.stress, this.neighbours
+    mesh, stress, near = this.mesh, this.stress, this.neighbours
     touching = contact_tractions(mesh, this.result.contact, stress.axisymmetric)
     plain, contact = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
-    outer = beside.across[beside.owner, beside.corner] < 0
+    outer = near.across[near.owner, near.corner] < 0
     for k, name in enumerate(mesh.boundaries):
         here = mesh.facet_labels == k
         outside = outer[here]
         if not outside.any():
             continue
-        facets, elements = mesh.facets[here], beside.owner[here]
+        facets, elements = mesh.facets[here], near.owner[here]
         vectors = area_vectors(mesh.points, facets)
         measure = np.linalg.norm(vectors, axis=1)
         normals = vectors / measure[:, None]
-        rule, weights = facet_weights(mesh.points, facets, stress.axisymmetric)
-        defect = -stress.tractions(elements, normals, facets, rule)
+        rule, weights = _facet_weights(mesh.points, facets, stress.axisymmetric)
+        residual = -stress.tractions(elements, normals, facets, rule)
         for load in this.problem.loads:
             if isinstance(load, Pressure | Traction) and load.boundary == name:
-                defect += load_density(load, quadrature_points(mesh.points, facets, rule), normals)
+                residual += load_density(load, quadrature_points(mesh.points, facets, rule), normals)
         if name in touching:
-            defect += np.einsum("qk,fkd->fqd", rule, touching[name].corners)
-        defect[:, :, _held(this, name)] = 0.0
+            residual += np.einsum("qk,fkd->fqd", rule, touching[name].corners)
+        # there a support bears any traction
+        residual[:, :, _held(this, name)] = 0.0
         sizes = measure if mesh.dim == 2 else np.sqrt(2 * measure)
-        squares = sizes / this.young[elements] * np.einsum("fqd,fqd,fq->f", defect, defect, weights)
+        squares = sizes / this.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
         into = contact if name in touching else plain
         into += np.bincount(elements, weights=np.where(outside, squares, 0.0), minlength=len(into))
     return plain, contact
@@ -177,8 +126,13 @@ _STILL = 1e-12
 
 
 def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
-    """Squares (n_elements,) from complementarity and from friction, N m."""
-    mesh, contact, beside = this.mesh, this.result.contact, this.neighbours
+    """Squares (n_elements,) from complementarity and from friction, N m.
+
+    At the nodes the conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere, friction at its
+    limit against the slip where there is one. What a solver leaves of them is algebraic error; multiplied by a gap, or
+    by a slip, far larger than the deformation it would exceed all that the mesh has left.
+    """
+    mesh, contact, near = this.mesh, this.result.contact, this.neighbours
     complementarity, friction = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
     opens = contact.state == State.OPEN
     pressures, gaps = np.where(opens, 0.0, contact.pressure), np.where(opens, np.maximum(contact.gap, 0.0), 0.0)
@@ -187,17 +141,17 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     for k, name in enumerate(contact.names):
         facets = named_facets(mesh, name)
         mine = np.flatnonzero(contact.boundary == k)
-        # a node that carries no condition of this boundary adds nothing: the last entries
+        # a node without a condition of this boundary adds nothing: the last entries
         index = np.full(mesh.n_nodes, len(mine))
         index[contact.node[mine]] = np.arange(len(mine))
         pressure, gap, limit, traction, slip = (
             _padded(values[mine])[index[facets]] for values in (pressures, gaps, limits, tractions, slips))
-        rule, weights = facet_weights(mesh.points, facets, this.stress.axisymmetric)
+        rule, weights = _facet_weights(mesh.points, facets, this.stress.axisymmetric)
         mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
         slip_part = (np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))
                      + np.einsum("fij,fid,fjd->f", mass, traction, slip))
-        elements = beside.owner[mesh.facet_labels == mesh.boundaries.index(name)]
+        elements = near.owner[mesh.facet_labels == mesh.boundaries.index(name)]
         complementarity += np.bincount(elements, weights=open_part, minlength=len(complementarity))
         # below zero by rounding
         friction += np.bincount(elements, weights=np.maximum(slip_part, 0.0), minlength=len(friction))
@@ -220,7 +174,7 @@ def _friction(this: Posed, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """With one more entry, zero."""
+    """The values with a zero at the end."""
     return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
 
 
@@ -229,7 +183,7 @@ _GAUSS = 0.5 - 0.5 / math.sqrt(3.0)
 
 @kernel
 def _plane(points, elements, across, stress, weight, squares):
-    """Add to ``squares``; ``weight`` (n_elements,) is 1 / (2 E)."""
+    """Add the jumps of the traction over facets in the plane to ``squares``; ``weight`` (n_elements,) is 1 / (2 E)."""
     for e in range(len(elements)):
         for k in range(3):
             f = across[e, k]
@@ -245,7 +199,7 @@ def _plane(points, elements, across, stress, weight, squares):
 
 @kernel
 def _jumps_axisymmetric(points, elements, across, radial, lame, stress, weight, squares):
-    """As :func:`plane_jumps`; ``radial`` (n_nodes,) is u_r, ``lame`` (n_elements,)."""
+    """As :func:`_plane`, with two Gauss points; ``radial`` (n_nodes,) is u_r, ``lame`` (n_elements,)."""
     for e in range(len(elements)):
         for k in range(3):
             f = across[e, k]
@@ -265,7 +219,7 @@ def _jumps_axisymmetric(points, elements, across, radial, lame, stress, weight, 
 
 @kernel
 def _solid(points, elements, across, stress, weight, squares):
-    """As :func:`plane_jumps`, in space."""
+    """As :func:`_plane`, in space."""
     local = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
     for e in range(len(elements)):
         for k in range(4):
@@ -290,7 +244,7 @@ def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -
     if stress.axisymmetric:
         radial = np.ascontiguousarray(stress.displacement[:, 0])
         _jumps_axisymmetric(mesh.points, mesh.elements, across, radial, stress.data.lame[mesh.element_body],
-                            stress.values,                       weight, squares)
+                            stress.values, weight, squares)
     else:
         jumps = _plane if mesh.dim == 2 else _solid
         jumps(mesh.points, mesh.elements, across, stress.values, weight, squares)
@@ -301,8 +255,9 @@ def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -
 def _volume_axisymmetric(points, elements, u, body, lame, shear, initial, stress, force, rule, weights, squares):
     """Write the integrals (n_elements,) of |f + div sigma|^2 over the full circumference.
 
-    ``initial`` (n_elements or 0, 3): initial strains; ``stress`` (n_elements, 3): its last column is rz; ``force``
-    (n_elements or 0, n_points, 2): f at the points of ``rule`` (n_points, 3), which lie inside.
+    The divergence is (d_r sigma_rr + (sigma_rr - sigma_tt) / r, d_z sigma_zz + sigma_rz / r), where sigma_rr and
+    sigma_zz vary by lame times the hoop strain u_r / r. ``initial`` (n_elements or 0, 3): initial strains; ``stress``
+    (n_elements, 3): its last column is rz; ``force`` (n_elements or 0, n_points, 2): f at the points of ``rule``.
     """
     for e in range(len(elements)):
         a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
@@ -342,7 +297,7 @@ def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarr
     if stress.axisymmetric:
         squares = np.empty(len(mesh.elements))
         _volume_axisymmetric(mesh.points, mesh.elements, stress.displacement, mesh.element_body, data.lame, data.shear,
-                      data.initial_strain, stress.values, density, rule, weights, squares)
+                             data.initial_strain, stress.values, density, rule, weights, squares)
     else:
         squares = mesh.volumes * np.einsum("eqd,eqd,q->e", density, density, weights)
     return mesh.element_sizes**2 / young * squares

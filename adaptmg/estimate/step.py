@@ -1,18 +1,14 @@
-r"""What the loop expects of its next meshes: estimates, tolerances, and when it will end.
+r"""Step: what each round of the adaptive loop yields, with its limits and what it expects of the next meshes.
 
 With N nodes in d dimensions good meshes have :math:`\eta \sim N^{-1/d}`; the cost of the meshes so far is about
 proportional to the nodes of the last, as they grow geometrically.
-
-Step: what each round of the adaptive loop yields. Printing it shows a line of a table.
-
-What the parts of a loop give: one's own too are held to their word, and named where they do not keep it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -26,13 +22,8 @@ from adaptmg.problem import ContactProblem
 from adaptmg.solver.load_path import PathResult
 from adaptmg.solver.result import Result
 
-__all__ = ["Ending", "Limits", "Step", "algebraic_tolerance", "estimate_of", "expected_estimate", "expected_seconds",
-           "marks_of", "settled", "sound_mesh"]
-
-#: share of the expected estimate that the algebraic error may have
-SHARE = 0.1
-#: bounds of the tolerances that come from it: coarse meshes are cheap, and what is exact needs no more than this
-LOOSEST, TIGHTEST = 3e-2, 1e-10
+__all__ = ["Engine", "Limits", "Step", "algebraic_tolerance", "expected_estimate", "expected_seconds", "settled",
+           "sound_mesh"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +45,78 @@ class Limits:
             object.__setattr__(self, "max_seconds", checks.positive("max_seconds", self.max_seconds))
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Step:
+    """A mesh of the adaptive loop, solved and estimated; printing it shows a line of a table.
+
+    Attributes
+    ----------
+    number : int
+        0 for the start.
+    hierarchy : Hierarchy
+        All levels that were used; its finest is the mesh of the step.
+    result : Result
+        On it; of a load path that of the load step by which the mesh is refined.
+    estimate : Estimate
+    timings : dict of str to float
+        Seconds of this step by phase: "mesh" (marking and refining the mesh before), "assembly", "transfer", "levels"
+        (which meshes stay), "solve", "estimate", "store".
+    total_seconds : float
+        Of all steps so far.
+    work_units, total_work_units : float
+        Of the solve, and of all solves so far, in passes over the finest matrix of this step.
+    path : PathResult or None
+        All load steps, where there is a load path.
+    settled : bool or None
+        Of a goal: whether its signed estimates have the sign of those of the mesh before, and are no smaller than the
+        change of the corrected values since then; False on the first mesh. Unless they are settled a question mark is
+        printed before the estimate, and the loop does not end by ``tolerance``. None for energy norms.
+    outcome : str
+        Why the loop stopped after this step; empty as long as it has not.
+    """
+
+    #: heading of the lines that steps print
+    HEADER: ClassVar[str] = (f"{'step':>4} {'nodes':>8} {'levels':>6} {'contact':>7} {'estimate':>9} {'cycles':>6} "
+                             f"{'work':>6} {'in all':>6} {'seconds':>8} {'in all':>8}")
+
+    number: int
+    hierarchy: Hierarchy
+    result: Result
+    estimate: Estimate
+    timings: Mapping[str, float]
+    total_seconds: float
+    work_units: float
+    total_work_units: float
+    path: PathResult | None = None
+    settled: bool | None = None
+    outcome: str = ""
+
+    @property
+    def nodes(self) -> int:
+        """Nodes of the mesh."""
+        return self.hierarchy.finest.n_nodes
+
+    @property
+    def seconds(self) -> float:
+        """Of this step, the mesh included."""
+        return float(sum(self.timings.values()))
+
+    def __repr__(self) -> str:
+        estimate = f"{'?' if self.settled is False else ''}{self.estimate.relative:.3%}"
+        line = (f"{self.number:>4} {self.nodes:>8} {len(self.hierarchy):>6} {len(self.result.contact):>7} "
+                f"{estimate:>9} {self.result.cycles:>6} {self.work_units:>6.1f} "
+                f"{self.total_work_units:>6.1f} {self.seconds:>8.3f} {self.total_seconds:>8.3f}")
+        return f"{line}  {self.outcome}" if self.outcome else line
+
+
+#: share of the expected estimate that the algebraic error may have
+SHARE = 0.1
+#: bounds of the tolerances that come from it: coarse meshes are cheap, and what is exact needs no more than this
+LOOSEST, TIGHTEST = 3e-2, 1e-10
+
+
 def expected_estimate(before: Step, nodes: int, dim: int) -> float:
-    """The relative energy error that a mesh of so many nodes should have after a step."""
+    """The relative energy error that a mesh of this number of nodes should have after a step."""
     return before.estimate.relative_energy * (before.nodes / nodes) ** (1 / dim)
 
 
@@ -65,7 +126,7 @@ def algebraic_tolerance(expected: float) -> float:
 
 
 def expected_seconds(steps: Sequence[Step], limits: Limits) -> float:
-    """Seconds that the whole loop will have taken when the first limit stops it; NaN if nothing can be told."""
+    """Seconds that the whole loop will have taken when the first limit stops it; NaN if nothing is expected."""
     last, ends = steps[-1], []
     if limits.max_nodes is not None:
         ends.append(last.total_seconds * max(limits.max_nodes / last.nodes, 1.0))
@@ -83,118 +144,26 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
         return None
     if before is None or before.signed is None:
         return False
-    (values, errors), (old_values, old_errors) = map(_values_and_errors, (estimate, before))
+    (values, errors), (old_values, old_errors) = (
+        (one.values, one.errors) if isinstance(one, GoalEstimate) else (np.array([one.value]), np.array([one.signed]))
+        for one in (estimate, before))
     change = np.abs(values + errors - old_values - old_errors) if values.shape == old_values.shape else np.inf
     return bool(((errors * old_errors > 0) & (change <= np.abs(errors))).all())
 
 
-def _values_and_errors(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
-    if isinstance(estimate, GoalEstimate):
-        return estimate.values, estimate.errors
-    return np.array([estimate.value]), np.array([estimate.signed])
+class Engine(Protocol):
+    """What makes the next mesh: Remesh, Bisect or a user-defined object.
 
-
-@dataclass
-class Ending:
-    """Why a loop stopped after a step; empty as long as it has not."""
-
-    words: str = ""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Step:
-    """A mesh of the adaptive loop, solved and estimated.
-
-    Attributes
-    ----------
-    number : int
-        0 for the start.
-    hierarchy : Hierarchy
-        All levels that were used; its finest is the mesh of the step.
-    result : Result
-        On it; of a load path that of the load step by which the mesh is refined.
-    estimate : Estimate
-    timings : dict of str to float
-        Seconds of this step by phase: "mesh" (marking and refining the mesh before), "assembly", "transfer", "levels"
-        (which meshes stay), "solve", "estimate", "store".
-    total_seconds : float
-        Of all steps so far.
-    work_units : float
-        Of the solve, in passes over the finest matrix of this step.
-    total_work_units : float
-        Of all solves so far, in passes over the finest matrix of this step.
-    path : PathResult or None
-        All load steps, where there is a load path.
-    settled : bool or None
-        Of a goal: whether its signed estimates can be trusted, which the first mesh never says: they have the sign of
-        those of the mesh before, and are no smaller than the change of the corrected values since then. Otherwise a
-        question mark is printed before the estimate, and the loop does not end by ``tolerance``. None for energy norms.
+    It may also have ``intermediate(problem, coarse, fine) -> MeshArrays or None``, a mesh between two whose sizes
+    differ too much for neighbouring levels, and ``first(problem, size) -> MeshArrays or None``, the mesh to begin with.
     """
 
-    #: heading of the lines that steps print
-    HEADER: ClassVar[str] = (f"{'step':>4} {'nodes':>8} {'levels':>6} {'contact':>7} {'estimate':>9} {'cycles':>6} "
-                             f"{'work':>6} {'in all':>6} {'seconds':>8} {'in all':>8}")
-
-    number: int
-    hierarchy: Hierarchy
-    result: Result
-    estimate: Estimate
-    timings: Mapping[str, float]
-    total_seconds: float
-    work_units: float
-    total_work_units: float
-    path: PathResult | None = None
-    settled: bool | None = None
-    ending: Ending = field(default_factory=Ending)
-
-    @property
-    def nodes(self) -> int:
-        """Nodes of the mesh."""
-        return self.hierarchy.finest.n_nodes
-
-    @property
-    def seconds(self) -> float:
-        """Of this step, the mesh included."""
-        return float(sum(self.timings.values()))
-
-    @property
-    def outcome(self) -> str:
-        """Why the loop stopped after this step, in words; empty as long as it has not."""
-        return self.ending.words
-
-    def __repr__(self) -> str:
-        estimate = f"{'?' if self.settled is False else ''}{self.estimate.relative:.3%}"
-        line = (f"{self.number:>4} {self.nodes:>8} {len(self.hierarchy):>6} {len(self.result.contact):>7} "
-                f"{estimate:>9} {self.result.cycles:>6} {self.work_units:>6.1f} "
-                f"{self.total_work_units:>6.1f} {self.seconds:>8.3f} {self.total_seconds:>8.3f}")
-        return f"{line}  {self.outcome}" if self.outcome else line
+    def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: np.ndarray,
+               max_nodes: int | None = None) -> MeshArrays | None:
+        """The next mesh; the same one or None where there is no finer one."""
 
 
-def estimate_of(indicator: Any, hierarchy: Hierarchy, result: Result) -> Estimate:
-    """The estimate of an indicator, of the elements of the finest mesh."""
-    estimate, name = indicator.indicate(hierarchy, result), f"the indicator {checks.shown(indicator)} returns"
-    checks.instance(f"what {name}", estimate, Estimate)
-    if len(estimate.squares) != len(hierarchy.finest.mesh.elements):
-        raise ValueError(f"{name} an estimate of {len(estimate.squares)} elements for a mesh of "
-                         f"{len(hierarchy.finest.mesh.elements)}")
-    return estimate
-
-
-def marks_of(mark: Any, estimate: Estimate) -> np.ndarray:
-    """The mask (n_elements,) that a marking chooses."""
-    given, name = mark.mark(estimate), f"mark: {checks.shown(mark)} must return a boolean mask over the elements"
-    try:
-        marked = np.asarray(given)
-    except (TypeError, ValueError):
-        marked = np.asarray(None)
-    if marked.dtype != bool:
-        raise TypeError(f"{name}, got {checks.described(given)}")
-    if marked.shape != estimate.squares.shape:
-        raise ValueError(f"{name} (shape {estimate.squares.shape}), got shape {marked.shape}")
-    return marked
-
-
-def sound_mesh(engine: Any, method: str, problem: ContactProblem, made: Any, like: MeshArrays | None = None
+def sound_mesh(engine: Engine, method: str, problem: ContactProblem, made: object, like: MeshArrays | None = None
                ) -> MeshArrays:
     """A mesh that an engine has made: sound, with the problem's boundaries and the bodies of another mesh."""
     name = f"engine {checks.shown(engine)}: what {method} returns"
@@ -207,5 +176,5 @@ def sound_mesh(engine: Any, method: str, problem: ContactProblem, made: Any, lik
         if like is not None and set(made.bodies) != set(like.bodies):
             raise ValueError(f"its bodies are {', '.join(made.bodies)}, not {', '.join(like.bodies)}")
     except (TypeError, ValueError) as error:
-        raise type(error)(f"{name} is no mesh of the problem: {error}") from error
+        raise type(error)(f"{name} is not a mesh of the problem: {error}") from error
     return made

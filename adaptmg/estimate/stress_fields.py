@@ -1,19 +1,11 @@
-r"""ElementStress: the stress of a discrete solution, as its elements have it.
+r"""A discrete solution as estimates see it: its stress on each element, and who its neighbours are.
 
-Constant on each element, but for what the hoop strain :math:`\varepsilon_\theta = u_r / r` of axisymmetric bodies adds
-to the normal components, :math:`\lambda\,\varepsilon_\theta`, and is itself, :math:`(\lambda + 2\mu)\,
-\varepsilon_\theta + \lambda (\varepsilon_r + \varepsilon_z)`: that is evaluated where it is asked for.
-
-With the gradient of the displacement from the edges of the element and the initial strain :math:`\varepsilon_0`,
+The stress is constant on each element but for what the hoop strain :math:`\varepsilon_\theta = u_r / r` of
+axisymmetric bodies adds to the normal components, :math:`\lambda\,\varepsilon_\theta`, and is itself,
+:math:`(\lambda + 2\mu)\,\varepsilon_\theta + \lambda (\varepsilon_r + \varepsilon_z)`: that is evaluated where it
+is needed. With the initial strain :math:`\varepsilon_0`,
 
 .. math:: \sigma = \lambda\,\mathrm{tr}(\varepsilon - \varepsilon_0) I + 2\mu (\varepsilon - \varepsilon_0).
-
-Neighbours: which element lies across each facet of an element, and which element a boundary facet belongs to.
-
-Facets are kept in buckets by their lowest node; two are the same if their lowest and highest nodes and the sums of
-their nodes agree. A bucket holds about a dozen of them (3D: some dozens), so that no table has to be sorted.
-
-Posed: a result with the problem, mesh and matrix it belongs to, checked before anything is estimated from it.
 """
 
 from __future__ import annotations
@@ -35,7 +27,7 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.examine import energy_norm, euclidean_norm
 from adaptmg.solver.result import Result
 
-__all__ = ["ElementStress", "Neighbours", "Posed", "element_stress", "neighbours", "posed"]
+__all__ = ["ElementStress", "Neighbours", "Posed", "element_stress", "elements_of_nodes", "neighbours", "posed"]
 
 _THIN = 1
 
@@ -122,18 +114,13 @@ class ElementStress:
 
     def tractions(self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
                   ) -> np.ndarray:
-        """Sigma n at points of facets."""
-        s, n = self.values[elements], normals
-        if self.mesh.dim == 2:
-            plain = np.column_stack([s[:, 0] * n[:, 0] + s[:, 2] * n[:, 1], s[:, 2] * n[:, 0] + s[:, 1] * n[:, 1]])
-        else:
-            plain = np.column_stack([s[:, 0] * n[:, 0] + s[:, 3] * n[:, 1] + s[:, 5] * n[:, 2],
-                                     s[:, 3] * n[:, 0] + s[:, 1] * n[:, 1] + s[:, 4] * n[:, 2],
-                                     s[:, 5] * n[:, 0] + s[:, 4] * n[:, 1] + s[:, 2] * n[:, 2]])
+        """Sigma n (n, n_points, dim) at points of facets."""
+        order = [[0, 2], [2, 1]] if self.mesh.dim == 2 else [[0, 3, 5], [3, 1, 4], [5, 4, 2]]
+        plain = np.einsum("nij,nj->ni", self.values[elements][:, order], normals)
         result = np.repeat(plain[:, None, :], len(rule), axis=1)
         if self.axisymmetric:
             lame = self.data.lame[self.mesh.element_body[elements]]
-            result += (lame[:, None] * self.hoop(facets, rule))[:, :, None] * n[:, None, :]
+            result += (lame[:, None] * self.hoop(facets, rule))[:, :, None] * normals[:, None, :]
         return result
 
 
@@ -156,15 +143,19 @@ def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData)
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Who lies beside whom."""
+    """Which element lies across each facet of an element, and which one a boundary facet belongs to."""
 
-    across: np.ndarray  # (n_elements, dim + 1) int32
+    across: np.ndarray  # (n_elements, dim + 1) int32: the element opposite each corner, -1 on the boundary
     owner: np.ndarray  # (n_facets,) int32
-    corner: np.ndarray  # (n_facets,) int32: the corner of that element which lies opposite
+    corner: np.ndarray  # (n_facets,) int32: the corner of the owner which lies opposite
 
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
-    """Neighbours in a mesh."""
+    """Neighbours in a mesh.
+
+    Facets are kept in buckets by their lowest node; two are the same if their lowest and highest nodes and the sums of
+    their nodes agree. A bucket holds about a dozen of them (3D: some dozens), so that no table has to be sorted.
+    """
     n, k = mesh.elements.shape
     across = np.full((n, k), -1, dtype=np.int32)
     owner, corner = (np.full(len(mesh.facets), -1, dtype=np.int32) for _ in range(2))
@@ -211,7 +202,7 @@ def _fill_buckets(elements, start, codes, highs, sums):
 
 @kernel
 def find_neighbours(elements, facets, start, codes, highs, sums, across, owner, corner):
-    """Fill ``across``, ``owner`` and ``corner``, which come as -1; ``start`` comes as 0, the others as they are."""
+    """Fill ``across``, ``owner`` and ``corner``, which come as -1; ``start`` comes as 0, the others uninitialised."""
     k = elements.shape[1]
     _fill_buckets(elements, start, codes, highs, sums)
     for i in range(len(start) - 1):
@@ -228,13 +219,39 @@ def find_neighbours(elements, facets, start, codes, highs, sums, across, owner, 
                 corner[f] = codes[a] % k
 
 
-_LOADS_AGREE = 1e-6  # relative; the result's are known to rounding
-_ROUNDING = 1e-13  # of A u, over the diagonal times u: bodies that their supports move strain no element
+def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Elements of each node, ascending, in compressed rows: of node i ``listed[start[i]:start[i + 1]]``."""
+    start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
+    _list_elements(elements, start, listed)
+    return start, listed
+
+
+@kernel
+def _list_elements(elements, start, listed):
+    """Fill ``start`` (n_nodes + 1,), which comes as 0, and ``listed``."""
+    for e in range(len(elements)):
+        for v in elements[e]:
+            start[v + 1] += 1
+    for i in range(len(start) - 1):
+        start[i + 1] += start[i]
+    for e in range(len(elements)):
+        for v in elements[e]:
+            listed[start[v]] = e
+            start[v] += 1
+    for i in range(len(start) - 1, 0, -1):
+        start[i] = start[i - 1]
+    start[0] = 0
+
+
+#: relative difference of loads that agree; those of the result are exact to rounding
+_LOADS_AGREE = 1e-6
+#: of A u, over the diagonal times u: bodies that their supports move strain no element
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """What a result solves."""
+    """A result with the problem, mesh and matrix it belongs to."""
 
     problem: ContactProblem
     mesh: MeshArrays
@@ -251,7 +268,7 @@ class Posed:
 
     @cached_property
     def neighbours(self) -> Neighbours:
-        """Who lies beside whom."""
+        """Neighbours in the mesh."""
         return neighbours(self.mesh)
 
     @cached_property
@@ -272,10 +289,7 @@ class Posed:
         return unknowns, self.discrete.matrix @ unknowns
 
     def check_loads(self) -> None:
-        """ValueError unless the loads of the problem are those under which the result was found.
-
-        The result says under which: b = A u - (reactions and contact forces).
-        """
+        """ValueError unless the loads of the problem are those of the result, b = A u - reactions - contact forces."""
         unknowns, forces = self._moved
         exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
         if exerted.shape != forces.shape:
@@ -287,20 +301,18 @@ class Posed:
             return
         posed = self.discrete.relative_forces(load_vector(self.mesh, self.problem.loads, self.problem.material))
         if not euclidean_norm(load - posed) <= allowed:
-            raise ValueError("result was found under other loads than those of hierarchy.problem: for step k of a load "
-                             "path give dataclasses.replace(hierarchy, problem=step_problem(problem, factors)) with "
-                             "the factors of the step (adaptmg.problem.step_problem)")
+            raise ValueError("result has other loads than those of hierarchy.problem: for step k of a load path give "
+                             "dataclasses.replace(hierarchy, problem=adaptmg.problem.step_problem(problem, factors))")
 
 
 def posed(hierarchy: Hierarchy, result: Result) -> Posed:
-    """Checked to belong together."""
+    """A result on the finest mesh of a hierarchy, checked to belong to it."""
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
     checks.instance("result", result, Result, "a Result")
     mesh, discrete = hierarchy.finest.mesh, hierarchy.finest.discrete
     if hierarchy.problem is None or mesh is None:
-        raise ValueError("hierarchy has no ContactProblem or no mesh (it comes from matrices): loads, materials and "
-                         "elements are needed to estimate an error; make it by Hierarchy.uniform, graded or "
-                         "from_meshes")
+        raise ValueError("hierarchy has no ContactProblem or no mesh (it comes from matrices): make it by "
+                         "Hierarchy.uniform, graded or from_meshes")
     if result.mesh is None:
         raise ValueError("result has no mesh (it comes from a bare DiscreteProblem): solve on a Hierarchy of a "
                          "ContactProblem")

@@ -1,19 +1,16 @@
 r"""Tractions on a boundary: of the stress inside, and of contact.
 
-Two answers to the same question, which differ by what the mesh does not resolve: :math:`\sigma_h n`, constant on each
-facet, from the element behind it; and :math:`t_h`, the nodal contact forces over the lumped mass of the surface. The
-second is one order more accurate as a mean, and obeys the contact conditions at the nodes. Both are tractions that act
-on the body whose boundary it is, n points out of it: pressure is :math:`-t \cdot n`, positive in compression.
+They differ by what the mesh does not resolve: :math:`\sigma_h n`, constant on each facet, from the element behind it;
+and :math:`t_h`, linear in between the nodes,
 
-Contact tractions: what contact exerts on each of the surfaces that touch, node by node.
+.. math:: t_{h,i} = F_i \Big/ \sum_F \int_F \varphi_i ,
 
-.. math:: t_{h,i} = F_i \Big/ \sum_F \int_F \varphi_i
-
-with the nodal contact force F, on slaves (and in front of obstacles) that of the contact nodes, on masters what the
-multipliers make of it, and the lumped mass of the surface; linear in between. Pressure is :math:`-t_h \cdot n`.
+the nodal contact force over the lumped mass of the surface. The second is one order more accurate as a mean, and obeys
+the contact conditions at the nodes. Both act on the body whose boundary it is, n points out of it: pressure is
+:math:`-t \cdot n`, positive in compression.
 
 At a node on two contact boundaries the first one named has the force. Where the second goes on in the same direction
-it has the same traction there; around a corner it has that of its own neighbours.
+it has the same traction there; around a corner it has that of its neighbours.
 """
 
 from __future__ import annotations
@@ -33,42 +30,24 @@ from adaptmg.solver.result import Result
 
 __all__ = ["BoundaryTractions", "SurfaceTraction", "boundary_tractions", "contact_tractions"]
 
+
 @dataclass(frozen=True, eq=False)
 class BoundaryTractions:
-    """Tractions on one boundary; SI units, Cartesian components.
+    """Tractions on one boundary: of the stress at the facets, of contact at the nodes; SI units, Cartesian components.
 
-    Attributes
-    ----------
-    facets : (n, dim) int array
-        Nodes of the facets.
-    elements : (n,) int array
-        The element behind each.
-    centres : (n, dim) array
-        Their midpoints, m.
-    facet_normals : (n, dim) array
-        Unit, out of the body.
-    stress : (n, dim) array
-        Sigma n at the midpoints, on the body, Pa.
-    nodes : (m,) int array
-        Nodes of the boundary, ascending.
-    points : (m, dim) array
-        m.
-    normals : (m, dim) array
-        Unit normals averaged at the nodes, out of the body.
-    contact : (m, dim) array
-        Contact traction on the body, Pa; zero where nothing touches, and on boundaries without contact. Friction where
-        a support holds the node tangentially is what the law says for its slip.
+    ``contact`` is zero where nothing touches, and on boundaries without contact. Friction where a support holds the
+    node tangentially is what the law says for its slip.
     """
 
-    facets: np.ndarray
-    elements: np.ndarray
-    centres: np.ndarray
-    facet_normals: np.ndarray
-    stress: np.ndarray
-    nodes: np.ndarray
-    points: np.ndarray
-    normals: np.ndarray
-    contact: np.ndarray
+    facets: np.ndarray  # (n, dim) int: nodes of the facets
+    elements: np.ndarray  # (n,) int: the element behind each
+    centres: np.ndarray  # (n, dim): their midpoints, m
+    facet_normals: np.ndarray  # (n, dim): unit, out of the body
+    stress: np.ndarray  # (n, dim): sigma n at the midpoints, on the body, Pa
+    nodes: np.ndarray  # (m,) int: nodes of the boundary, ascending
+    points: np.ndarray  # (m, dim), m
+    normals: np.ndarray  # (m, dim): unit normals averaged at the nodes, out of the body
+    contact: np.ndarray  # (m, dim): contact traction on the body, Pa
 
     @property
     def stress_pressure(self) -> np.ndarray:
@@ -87,17 +66,7 @@ class BoundaryTractions:
 
 
 def boundary_tractions(result: Result, boundary: str) -> BoundaryTractions:
-    """Tractions on a boundary of a result; on both sides of a pair, each by its name.
-
-    Parameters
-    ----------
-    result : Result
-        With mesh and materials.
-    boundary : str
-
-    Returns
-    -------
-    BoundaryTractions
+    """Tractions on a boundary of a result with mesh and materials; on both sides of a pair, each by its name.
 
     Raises
     ------
@@ -107,7 +76,7 @@ def boundary_tractions(result: Result, boundary: str) -> BoundaryTractions:
     checks.instance("result", result, Result, "a Result")
     mesh, data = result.mesh, result.stress_data
     if mesh is None or data is None:
-        raise ValueError("result knows no mesh or no materials (it comes from a bare DiscreteProblem): solve on a "
+        raise ValueError("result has no mesh or no materials (it comes from a bare DiscreteProblem): solve on a "
                          "Hierarchy of a ContactProblem")
     facets = mesh.boundary_facets(boundary)
     here = mesh.facet_labels == mesh.boundaries.index(boundary)
@@ -125,7 +94,7 @@ def boundary_tractions(result: Result, boundary: str) -> BoundaryTractions:
 
 
 #: cosine of the angle up to which one surface is the continuation of another
-_SAME_WAY = 0.8
+_STRAIGHT = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,41 +127,41 @@ def _on_surface(mesh: MeshArrays, contact: ContactResult, masters: tuple[str, ..
     vectors = area_vectors(mesh.points, facets)
     share = np.linalg.norm(vectors, axis=1)[:, None] * shape_integrals(mesh.points, facets, axisymmetric)
     mass = np.bincount(place.ravel(), weights=share.ravel(), minlength=len(nodes))
-    force, known = np.zeros((len(nodes), mesh.dim)), np.zeros(len(nodes), dtype=bool)
+    force, filled = np.zeros((len(nodes), mesh.dim)), np.zeros(len(nodes), dtype=bool)
     for k, (slave, master) in enumerate(zip(contact.names, masters, strict=True)):
         if slave == name:
             mine = contact.boundary == k
             at = np.searchsorted(nodes, contact.node[mine])
             force[at] += contact.force[mine]
-            known[at] = True
+            filled[at] = True
             if not master:  # an obstacle: the mass of a neighbouring contact boundary that goes on counts too
                 mass[at] = np.maximum(mass[at], contact.weights[mine])
         if name in (slave, master):
             mine = (contact.master_boundary == k) & (on_slave if slave == name else ~on_slave)
             at = np.searchsorted(nodes, contact.master_node[mine])
             force[at] += contact.master_force[mine]
-            known[at] = True
+            filled[at] = True
     values = np.divide(force, mass[:, None], out=np.zeros_like(force), where=mass[:, None] > 0)
-    if name in contact.names and not known.all():
-        _continue(contact, nodes, place, vectors, known, values)
+    if name in contact.names and not filled.all():
+        _continue(contact, nodes, place, vectors, filled, values)
     return SurfaceTraction(facets, nodes, values)
 
 
-def _continue(contact: ContactResult, nodes: np.ndarray, place: np.ndarray, vectors: np.ndarray, known: np.ndarray,
+def _continue(contact: ContactResult, nodes: np.ndarray, place: np.ndarray, vectors: np.ndarray, filled: np.ndarray,
               values: np.ndarray) -> None:
     """Fill ``values`` in at nodes that belong to another contact boundary; elsewhere nothing touches."""
-    others = np.flatnonzero(~known & np.isin(nodes, contact.node))
+    others = np.flatnonzero(~filled & np.isin(nodes, contact.node))
     for i in others:
         here = (place == i).any(axis=1)
         normal = vectors[here].sum(axis=0)
         j = int(np.argmax(contact.node == nodes[i]))
-        if normal @ contact.normal[j] > _SAME_WAY * np.linalg.norm(normal):
+        if normal @ contact.normal[j] > _STRAIGHT * np.linalg.norm(normal):
             values[i] = contact.force[j] / contact.weights[j]
         else:
-            beside = np.unique(place[here])
-            beside = beside[known[beside]]
-            if len(beside):
-                values[i] = values[beside].mean(axis=0)
+            near = np.unique(place[here])
+            near = near[filled[near]]
+            if len(near):
+                values[i] = values[near].mean(axis=0)
 
 
 def _on_slaves(mesh: MeshArrays, contact: ContactResult) -> np.ndarray:

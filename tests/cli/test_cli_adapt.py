@@ -52,11 +52,11 @@ def test_files_are_written_and_a_store_is_gone_on_from(command, tmp_path):
 
 
 def test_a_mesh_that_is_not_solved_ends_with_code_1(command, monkeypatch):
-    from adaptmg.estimate import loop as walk
+    from adaptmg.estimate import loop
 
     result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8)),
                       am.FullMultigrid(max_cycles=1), throw=False)
-    monkeypatch.setattr(walk.AdaptiveWalk, "steps", lambda self: (_ for _ in ()).throw(am.NotConverged(result)))
+    monkeypatch.setattr(loop.AdaptiveLoop, "steps", lambda self: (_ for _ in ()).throw(am.NotConverged(result)))
     code, out, err = command(*SMALL, "--json")
     assert code == 1 and "not converged" in json.loads(out)["error"] and "not converged: " in err.splitlines()[-1]
 

@@ -7,6 +7,7 @@ import pytest
 from bisected_meshes import SQUARE, as_sets, cube, random_mask, verified
 
 import adaptmg as am
+from adaptmg.estimate.bisect import divisible
 from adaptmg.mesh import bisect, graded, structured
 from adaptmg.problem import Outline
 
@@ -34,6 +35,11 @@ def test_it_bisects_what_is_marked():
         fine = verified(am.Bisect(passes=passes).refine(PROBLEM, MESH, estimate, marked))
         assert as_sets(fine) == as_sets(bisect(MESH, marked, passes)[0])
     assert am.Bisect().refine(PROBLEM, MESH, estimate, ~np.ones_like(marked)) is MESH
+    for limit in (1, MESH.n_nodes - 1, MESH.n_nodes):
+        for engine in (am.Bisect(), am.Bisect(coarsen=0.05)):
+            assert engine.refine(PROBLEM, MESH, estimate, marked, max_nodes=limit) is MESH
+    with pytest.raises(ValueError, match="estimate is of 128 elements, but mesh has 18"):
+        am.Bisect().refine(PROBLEM, SQUARE, estimate, np.ones(18, dtype=bool))
 
 
 @pytest.mark.parametrize("mesh", [MESH, cube(4)], ids=["2D", "3D"])
@@ -63,14 +69,6 @@ def test_a_limit_is_used_where_marks_are_scattered(part):
     limit = int(mesh.n_nodes + part * (most - mesh.n_nodes))
     fine = am.Bisect().refine(PROBLEM, mesh, estimate, marked, max_nodes=limit)
     assert 0.7 * (limit - mesh.n_nodes) < fine.n_nodes - mesh.n_nodes <= limit - mesh.n_nodes
-
-
-def test_no_room_is_the_same_mesh():
-    estimate = estimate_of(MESH)
-    marked = largest(estimate, 0.5)
-    for limit in (1, MESH.n_nodes - 1, MESH.n_nodes):
-        for engine in (am.Bisect(), am.Bisect(coarsen=0.05)):
-            assert engine.refine(PROBLEM, MESH, estimate, marked, max_nodes=limit) is MESH
 
 
 def test_nodes_go_onto_the_arcs_of_the_domain():
@@ -115,45 +113,6 @@ def test_coarsening_takes_less_than_the_marks_gain():
         assert verified(am.Bisect(coarsen=part).refine(PROBLEM, fine, estimate, marked)).n_nodes > fine.n_nodes
 
 
-def test_an_element_that_is_always_marked_becomes_no_smaller_than_coordinates_tell():
-    mesh = structured(PROBLEM.domain, 2)
-    for _ in range(60):
-        before, marked = mesh, np.zeros(len(mesh.elements), dtype=bool)
-        marked[0] = True
-        mesh = am.Bisect().refine(PROBLEM, before, am.Estimate(squares=marked * 1.0, norm=1.0), marked)
-        if mesh is before:
-            break
-    assert mesh is before
-    edge = np.sqrt(verified(mesh).volumes.min()) / np.abs(mesh.points).max()
-    assert 1e-10 < edge < 1e-8
-
-
-@pytest.mark.parametrize(("arguments", "error", "message"), [
-    ({"coarsen": True}, TypeError, "coarsen must be a part of the sum of squares"),
-    ({"coarsen": 1.0}, ValueError, "coarsen must be below 1"),
-    ({"coarsen": -0.1}, ValueError, "coarsen must be > 0"),
-    ({"coarsen": float("nan")}, ValueError, "coarsen"),
-    ({"passes": 0}, ValueError, "passes must be >= 1"),
-    ({"passes": 1.5}, TypeError, "passes"),
-])
-def test_bad_options(arguments, error, message):
-    with pytest.raises(error, match=message):
-        am.Bisect(**arguments)
-
-
-def test_bad_arguments():
-    estimate, engine = estimate_of(SQUARE), am.Bisect()
-    marked = np.ones(len(SQUARE.elements), dtype=bool)
-    with pytest.raises(ValueError, match="estimate is of 18 elements, but mesh has 128"):
-        engine.refine(PROBLEM, MESH, estimate, np.ones(128, dtype=bool))
-    with pytest.raises(TypeError, match="estimate must be an Estimate"):
-        engine.refine(PROBLEM, SQUARE, marked, marked)
-    with pytest.raises(TypeError, match="boolean mask"):
-        engine.refine(PROBLEM, SQUARE, estimate, np.arange(18))
-    with pytest.raises(ValueError, match="max_nodes must be >= 1"):
-        engine.refine(PROBLEM, SQUARE, estimate, marked, max_nodes=0)
-
-
 def test_rectangles_and_boxes_begin_with_a_regular_mesh():
     mesh = am.Bisect().first(am.cases.upset_block(), 12e-3)
     # 40 mm in cells of 12 mm at most
@@ -164,12 +123,28 @@ def test_rectangles_and_boxes_begin_with_a_regular_mesh():
     pair = am.cases.two_block_patch(size=0.1)
     assert am.Bisect().first(pair, 0.05).bodies == ("upper", "lower")
     assert am.Bisect().first(am.cases.dovetail(), 5e-3) is None
-
-
-def test_the_loop_begins_with_the_mesh_of_its_engine():
     problem = am.cases.upset_block()
-    step = next(am.adapt(problem, 10e-3, engine=am.Bisect(), max_nodes=30))
-    assert step.hierarchy.finest.mesh.volumes == pytest.approx(0.5e-4)
-    other = next(am.adapt(problem, 10e-3, engine=am.Remesh(), max_nodes=30))
-    assert np.ptp(other.hierarchy.finest.mesh.volumes) > 1e-6
-    assert next(am.adapt(am.cases.dovetail(), 6e-3, engine=am.Bisect(), max_nodes=100)).nodes > 50
+    first, other = (next(am.adapt(problem, 10e-3, engine=engine, max_nodes=30)).hierarchy.finest.mesh
+                    for engine in (am.Bisect(), am.Remesh()))
+    assert first.volumes == pytest.approx(0.5e-4) and np.ptp(other.volumes) > 1e-6
+
+
+def test_an_element_that_is_always_marked_becomes_no_smaller_than_coordinates_resolve():
+    mesh = structured(PROBLEM.domain, 2)
+    for _ in range(60):
+        before, marked = mesh, np.arange(len(mesh.elements)) == 0
+        mesh = am.Bisect().refine(PROBLEM, before, am.Estimate(squares=marked * 1.0, norm=1.0), marked)
+        if mesh is before:
+            break
+    assert mesh is before and not divisible(mesh)[0] and divisible(mesh).any()
+    edge = np.sqrt(verified(mesh).volumes.min()) / np.abs(mesh.points).max()
+    assert 1e-10 < edge < 1e-8
+    # a loop that comes there says so
+    found = list(am.adapt(PROBLEM, mesh, mark=First(), engine=am.Bisect(), max_nodes=10_000))
+    assert len(found) == 1 and "no finer mesh" in found[0].outcome
+    assert "coordinates do not resolve smaller" in found[0].outcome
+
+
+class First:
+    def mark(self, estimate):
+        return np.arange(len(estimate.squares)) == 0

@@ -6,14 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made import cube, square
+from made import square
 from simplex_meshes import random_box
 from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.discrete.stress import StressData
-from adaptmg.estimate import stress_fields as neighbours_module
-from adaptmg.estimate import stress_fields as stress_module
+from adaptmg.estimate import stress_fields as module
 from adaptmg.estimate.stress_fields import element_stress, neighbours
 from adaptmg.mesh.arrays import element_facets, facet_keys, facet_table
 
@@ -23,7 +22,7 @@ MATERIALS = {2: (am.PlaneStrain, am.PlaneStress, am.Axisymmetric), 3: (am.Solid,
 @pytest.fixture(params=[False, True], ids=["compiled", "plain"])
 def jit(request, monkeypatch):
     if request.param:
-        uncompile(monkeypatch, neighbours_module, stress_module)
+        uncompile(monkeypatch, module)
     return request.param
 
 
@@ -69,9 +68,3 @@ def test_stresses_are_those_of_the_result(dim, kind, jit):
         got = found.tractions(np.arange(len(mesh.elements)), normals, facets, np.full((1, dim), 1 / dim))[:, 0]
         np.testing.assert_allclose(got, np.einsum("eij,ej->ei", wanted[:, :dim, :dim], normals), rtol=1e-9,
                                    atol=1e-12 * np.abs(wanted).max())
-
-
-def test_stress_data_of_another_mesh_are_refused():
-    data = StressData.of(cube(1), am.Solid(young=1.0, poisson=0.2), [am.InitialStrain("body", (1, 1, 1))])
-    with pytest.raises(ValueError, match="do not belong to a mesh"):
-        element_stress(cube(2), np.zeros((27, 3)), data)

@@ -37,43 +37,33 @@ def nodes(hierarchy: am.Hierarchy) -> list[int]:
     return [round(level.n_nodes**0.5) - 1 for level in hierarchy.levels]
 
 
-def test_a_mesh_is_put_between_where_sizes_fall_too_much():
-    start, engine = grids(3), Between([9])
-    found = appended(start, structured(start.problem.domain, 24), engine)
-    assert nodes(found) == [3, 9, 24] and engine.asked == 1
-    assert all(size_ratio(a.mesh, b.mesh) <= RATIO for a, b in pairwise(found.levels))
+@pytest.mark.parametrize(("offered", "fine", "kept", "asked"), [
+    ([9], 24, [3, 9, 24], 1), ([9], 9, [3, 9], 0), (None, 24, [3, 24], 0), ([], 24, [3, 24], 1), ([3], 24, [3, 24], 1),
+    ([24], 24, [3, 24], 1)], ids=["put between", "sizes fit", "not offered", "none made", "no finer", "no coarser"])
+def test_a_mesh_is_put_between_where_sizes_fall_too_much_and_the_engine_makes_one(offered, fine, kept, asked):
+    start, engine = grids(3), object() if offered is None else Between(offered)
+    found = appended(start, structured(start.problem.domain, fine), engine)
+    assert nodes(found) == kept and getattr(engine, "asked", 0) == asked
+    assert len(kept) == 2 or all(size_ratio(a.mesh, b.mesh) <= RATIO for a, b in pairwise(found.levels))
 
 
-def test_no_mesh_is_put_between_where_sizes_fit_or_none_is_offered():
-    start, engine = grids(3), Between([9])
-    assert nodes(appended(start, structured(start.problem.domain, 9), engine)) == [3, 9] and engine.asked == 0
-    assert nodes(appended(start, structured(start.problem.domain, 24), object())) == [3, 24]
+@pytest.mark.parametrize(("sizes", "last", "kept"), [
+    ((2, 6, 18, 20), False, (2, 6, 20)), ((2, 6, 18, 20), True, (2, 6, 18, 20)),  # a single close level stays
+    ((2, 6, 7, 8), True, (2, 6, 8)), ((6, 7), False, (6, 7)), ((6, 7, 8), False, (6, 8)),
+    ((6, 17, 20), False, (6, 20)), ((6, 20, 24), False, (6, 20, 24))])  # without it sizes are too far apart
+def test_close_levels_that_are_not_needed_are_dropped(sizes, last, kept):
+    assert tuple(nodes(thinned(grids(*sizes), last=last))) == kept
 
 
-def test_one_close_level_below_the_last_mesh_stays():
-    assert nodes(thinned(grids(2, 6, 18, 20))) == [2, 6, 20]
-    assert nodes(thinned(grids(2, 6, 18, 20), last=True)) == [2, 6, 18, 20]
-    # of several none but those that sizes need
-    assert nodes(thinned(grids(2, 6, 7, 8), last=True)) == [2, 6, 8]
-
-
-def test_what_is_nested_is_remembered():
-    found, asked = grids(3, 6, 12), []
-    product, level = split_matrix.is_galerkin, found.levels[1:]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(split_matrix, "is_galerkin", lambda *given: asked.append(given) or product(*given))
-        results = [am.solve(found, am.Multigrid(rtol=1e-6)) for _ in range(2)]
-        assert len(asked) == len(level)
-        # another coarse level below the same fine one is another question
-        am.solve(found.without(1), am.Multigrid(rtol=1e-6))
-        assert len(asked) == len(level) + 1
+def test_whether_levels_are_nested_is_asked_once(monkeypatch):
+    hierarchy, asked, is_galerkin = grids(3, 6, 12), [], split_matrix.is_galerkin
+    monkeypatch.setattr(split_matrix, "is_galerkin", lambda *given: asked.append(given) or is_galerkin(*given))
+    results = [am.solve(hierarchy, am.Multigrid(rtol=1e-6)) for _ in range(2)]
+    assert len(asked) == 2
+    # another coarse level below the same fine one is another question
+    am.solve(hierarchy.without(1), am.Multigrid(rtol=1e-6))
+    assert len(asked) == 3
     np.testing.assert_array_equal(*(result.displacement for result in results))
-
-
-@pytest.mark.parametrize("useless", [[], [3], [24]])
-def test_a_useless_mesh_is_not_put_between(useless):
-    start = grids(3)
-    assert nodes(appended(start, structured(start.problem.domain, 24), Between(useless))) == [3, 24]
 
 
 @settings(max_examples=25, deadline=None)
@@ -91,16 +81,6 @@ def test_thinning_as_levels_come_keeps_ratios_and_leaves_no_two_needlessly_close
             assert not close or left[k + 1] >= THINNED * left[k - 1]
     for a, b in pairwise(left):
         assert b <= max(RATIO * a, a + max(steps)) + 1e-9
-
-
-def test_the_coarsest_and_the_finest_level_stay():
-    assert nodes(thinned(grids(6, 7))) == [6, 7]
-    assert nodes(thinned(grids(6, 7, 8))) == [6, 8]
-
-
-def test_a_level_stays_without_which_the_sizes_of_its_neighbours_are_far_apart():
-    assert nodes(thinned(grids(6, 17, 20))) == [6, 20]
-    assert nodes(thinned(grids(6, 20, 24))) == [6, 20, 24]
 
 
 def test_the_ratio_of_a_sample_is_that_of_all():
@@ -126,28 +106,14 @@ def test_a_carried_solution_keeps_its_contact_state(case):
     assert again.status.ok
 
 
-def test_carrying_over_no_level_changes_nothing():
-    start = grids(3, 6)
-    values = np.arange(start.finest.n_nodes * 2, dtype=float).reshape(-1, 2)
-    np.testing.assert_array_equal(carried(start, 1, values), values)
-
-
-def test_tolerances_are_a_tenth_of_what_is_expected_within_bounds(steps):
+def test_tolerances_and_the_end_are_expected():
+    steps = list(am.adapt(upset(), 8e-3, engine=am.Bisect(), max_nodes=150))
     last = steps[-1]
     assert expected_estimate(last, 4 * last.nodes, 2) == pytest.approx(last.estimate.relative / 2)
     assert algebraic_tolerance(0.03) == pytest.approx(0.003)
     assert algebraic_tolerance(0.5) == 3e-2 and algebraic_tolerance(0.0) == 1e-10
-
-
-def test_the_end_is_expected_by_the_first_limit(steps):
-    last = steps[-1]
     by_nodes = expected_seconds(steps, Limits(max_nodes=10 * last.nodes))
     assert by_nodes == pytest.approx(10 * last.total_seconds)
     assert expected_seconds(steps, Limits(max_nodes=10 * last.nodes, max_seconds=1.5 * last.total_seconds)) < by_nodes
     by_tolerance = expected_seconds(steps, Limits(tolerance=last.estimate.relative / 3))
     assert by_tolerance == pytest.approx(9 * last.total_seconds)
-
-
-@pytest.fixture(scope="module")
-def steps():
-    return list(am.adapt(upset(), 8e-3, engine=am.Bisect(), max_nodes=150))

@@ -12,8 +12,7 @@ from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.discrete.stress import StressData
-from adaptmg.estimate import recovery as recovery_kernels
-from adaptmg.estimate import recovery as recovery_module
+from adaptmg.estimate import recovery as module
 from adaptmg.estimate.recovery import recovered_energy, recovered_stress
 from adaptmg.estimate.stress_fields import ElementStress, element_stress, neighbours
 
@@ -23,7 +22,7 @@ KINDS = {2: am.PlaneStrain, 3: am.Solid}
 @pytest.fixture(params=[False, True], ids=["compiled", "plain"])
 def jit(request, monkeypatch):
     if request.param:
-        uncompile(monkeypatch, recovery_kernels, recovery_module)
+        uncompile(monkeypatch, module)
     return request.param
 
 
@@ -80,7 +79,7 @@ def test_the_stress_may_jump_where_materials_meet():
     assert len(found.nodal) == mesh.n_nodes + 5  # the nodes of the interface twice
     assert recovered_energy(stress, found).max() < 1e-20 * (1e-3)**2 * 9e9
     boundary = np.zeros(mesh.n_nodes, dtype=bool)
-    recovery_kernels.mark_boundary(mesh.elements, across, mesh.element_body, boundary)
+    module.mark_boundary(mesh.elements, across, mesh.element_body, boundary)
     np.testing.assert_array_equal(boundary, (whole.points[:, 1] == 0.02) | np.isin(np.arange(25), mesh.facets))
     glued = dataclasses.replace(mesh, bodies=("all",), element_body=None)
     one = dataclasses.replace(stress, mesh=glued, data=StressData.of(glued, materials["soft"]))

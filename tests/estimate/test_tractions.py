@@ -6,10 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made import result_on, square
 
 import adaptmg as am
-from adaptmg.discrete.stress import StressData
 from adaptmg.estimate import boundary_tractions
 
 
@@ -70,15 +68,3 @@ def test_a_contact_boundary_cut_in_two_bears_what_it_bears_whole():
         estimates.append(am.Residual().indicate(grids, am.solve(grids, am.ActiveSet(rtol=1e-11))))
     np.testing.assert_allclose(estimates[0].squares, estimates[1].squares, rtol=1e-6,
                                atol=1e-9 * estimates[1].squares.max())
-
-
-def test_unknown_boundaries_and_bare_results_are_refused():
-    mesh = square(2)
-    result = result_on(mesh, stress_data=StressData.of(mesh, am.PlaneStrain(young=1e9, poisson=0.3)))
-    assert boundary_tractions(result, "bottom").pressure.max() > 0
-    with pytest.raises(ValueError, match="boundary 'roof' does not exist"):
-        boundary_tractions(result, "roof")
-    with pytest.raises(ValueError, match="knows no mesh or no materials"):
-        boundary_tractions(result_on(mesh), "bottom")
-    with pytest.raises(TypeError, match="result must be"):
-        boundary_tractions(None, "bottom")
