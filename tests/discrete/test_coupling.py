@@ -175,7 +175,7 @@ class TestDiscreteProblem:
         np.testing.assert_allclose(problem.physical_forces(problem.relative_forces(f)), f, atol=1e-14)
         assert problem.relative_forces(f) @ w == pytest.approx(f @ problem.physical(w).ravel())
         change = problem.from_prescribed(w)
-        assert not change[:2].any()
+        assert not change[:2].any() and not problem.from_prescribed(w + 1)[:2].any()
         np.testing.assert_allclose(problem.with_prescribed(change), w)
         residual = problem.load - problem.matrix @ w
         np.testing.assert_allclose((problem.load_from_prescribed() - problem.matrix @ change)[2:], residual[2:])
