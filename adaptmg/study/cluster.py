@@ -14,9 +14,11 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
+import functools
 import itertools
 import logging
 import math
+import pickle
 import queue
 import re
 import time
@@ -149,13 +151,18 @@ def _wait_for_one(client: Client, address: str) -> None:
                          len(client.cluster.worker_spec))
 
 
-def _on_worker(order: Order, point: Point, tries: int, name: str, topic: str) -> Finished:
+@functools.lru_cache(maxsize=8)
+def _unpacked(order: bytes) -> Order:
+    return pickle.loads(order)
+
+
+def _on_worker(order: bytes, point: Point, tries: int, name: str, topic: str) -> Finished:
     """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts.
 
     A function that holds Python's lock would keep a report that is only on its way.
     """
     worker = get_worker()
-    return perform(order, point, tries, lambda: topic and sync(
+    return perform(_unpacked(order), point, tries, lambda: topic and sync(
         worker.loop, worker.scheduler.log_event, topic=topic, msg={"run": name, "worker": worker.address}))
 
 
@@ -206,7 +213,8 @@ class _Runs:
 
     def __init__(self, client: Client, order: Order, points: Sequence[Point], limit_s: float | None,
                  memory_limit: int | None) -> None:
-        self._client, self._order, self._limit_s, self._memory_limit = client, order, limit_s, memory_limit
+        self._client, self._order = client, pickle.dumps(order)
+        self._limit_s, self._memory_limit = limit_s, memory_limit
         self._name = f"adaptmg-{uuid.uuid4().hex[:12]}"
         self._limited = limit_s is not None or memory_limit is not None
         self._numbers = itertools.count()
