@@ -65,7 +65,7 @@ def solved(grids: am.Hierarchy, method: Solver, callback: Callable[[dict[str, fl
 def summary(result: am.Result, files: list[Path]) -> dict[str, Any]:
     """What the command prints as JSON; numbers that are not finite become null."""
     states = np.bincount(np.asarray(result.contact.state, dtype=int), minlength=3).tolist()
-    row = {"problem": result.problem_name, "solver": result.solver_name, "status": result.status.name,
+    row = {"problem": result.problem_name, "solver": result.method, "status": result.status.name,
            "advice": result.status.value, "cycles": result.cycles, "work_units": result.work_units,
            "start_work_units": result.start_work_units, "residual": result.residual,
            "error_estimate": result.error_estimate, "rate": result.rate, "rtol": result.rtol,

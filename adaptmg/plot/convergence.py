@@ -96,7 +96,7 @@ def _chosen(runs: Mapping[str, Result], quantity: str | None, several: bool) -> 
         wanted.sort(key=("true_error", "residual", *_QUANTITIES).index)
     found = [name for name in wanted if all(recorded(result, name) for result in runs.values())]
     if not found:
-        known = {label or result.solver_name: [n for n in _QUANTITIES if recorded(result, n)]
+        known = {label or result.method: [n for n in _QUANTITIES if recorded(result, n)]
                  for label, result in runs.items()}
         raise ValueError(f"not every result recorded {quantity or 'a common quantity'}; recorded are {known}")
     return found[:1] if several else found

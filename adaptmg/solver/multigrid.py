@@ -61,7 +61,7 @@ class Multigrid:
         Tolerance of that test. "discretisation" (FullMultigrid with Truncated): a tenth of the discretisation error, as
         the nested start shows it.
     max_cycles : int
-        With Truncated also for what takes over where it does not converge; ``Result.solver_name`` says what did, see
+        With Truncated also for what takes over where it does not converge; ``Result.fallback`` says what did, see
         :class:`~adaptmg.solver.truncated.Fallback`.
     """
 

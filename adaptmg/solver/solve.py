@@ -23,7 +23,7 @@ from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.record import Outcome, Run, Solver
-from adaptmg.solver.result import NotConverged, Result, problem_name, solver_name, versions
+from adaptmg.solver.result import NotConverged, Result, label, problem_name, versions
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
 from adaptmg.solver.status import Status
 
@@ -169,7 +169,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   error_estimate=float(np.fmax(outcome.error_estimate, found.checked.energy_error)),
                   rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
-                  problem_name=problem_name(grids), solver_name=solver_name(solver, run), mesh=grids.finest.mesh,
+                  problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
+                  mesh=grids.finest.mesh,
                   start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data,
                   supports={} if grids.problem is None or grids.finest.mesh is None else grids.problem.held_components)
 

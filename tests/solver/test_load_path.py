@@ -518,4 +518,4 @@ class TestResult:
         assert distance(results[-1], cycle[-1]) <= 1e-8
         # what a cycle that ran away leaves behind is not used again
         assert len(made) == len(CYCLE) and all(machine.spent for machine in made)
-        assert all("then ActiveSet" in result.solver_name for result in results)
+        assert all("ActiveSet" in result.fallback for result in results)
