@@ -155,7 +155,7 @@ _WEIGHT = 0.05
 class Exchange:
     """How contact was posed, before nodes were exchanged."""
 
-    contact: ContactNodes  # with the slave nodes
+    contact: ContactNodes  # with the slave nodes 
     weights: sparse.csr_array  # (n_contact, n_nodes) csr_array: what they face
     sigma: np.ndarray  # (n_contact,)
 
