@@ -21,8 +21,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.residuals import natural_residual
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
-from adaptmg.solver.record import Run
-from adaptmg.solver.status import Status
+from adaptmg.solver.record import Run, Status
 
 __all__ = ["ChangeTest", "IterateTest", "Iteration", "StopTest", "iterate", "true_error"]
 

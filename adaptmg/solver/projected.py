@@ -1,18 +1,17 @@
-"""ProjectedMultigrid: cycles of contact problems on all levels, with nested start, for corrections that transport.
+"""ProjectedMultigrid: cycles of contact problems on all levels, for corrections that transport contact data.
 
-Method: what runs the cycles of a multigrid method. A correction may bring its own.
+The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.corrections`.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.corrections import InitialContact, correction_levels
+from adaptmg.multigrid.corrections import Correction, InitialContact, Monotone, correction_levels
 from adaptmg.multigrid.cycle import (
     CoarseSolve,
     Cycle,
@@ -22,25 +21,38 @@ from adaptmg.multigrid.cycle import (
     project,
     prolonged_start,
 )
-from adaptmg.smoother.gauss_seidel import Smoother
+from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
 from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
-from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.status import Status
+from adaptmg.solver.record import Outcome, Run, Status
 
-__all__ = ["Method", "MultigridOptions", "ProjectedMultigrid", "need_levels", "own"]
+__all__ = ["ProjectedMultigrid", "ProjectedRun", "need_levels"]
 
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProjectedMultigrid:
-    """One run of a multigrid method whose correction transports gap, slip and limit.
+    """Multigrid with a correction that transports gap, slip and limit; what each option means says ``Multigrid``."""
 
-    See :class:`~adaptmg.solver.projected.Method`.
-    """
+    cycle: Cycle = field(default_factory=Cycle)
+    smoother: Smoother = field(default_factory=ProjectedGaussSeidel)
+    correction: Correction = field(default_factory=Monotone)
+    coarse: CoarseSolve = field(default_factory=CoarseSolve)
+    coarse_matrices: str = "galerkin"
+    stop: str = "error"
+    rtol: float
+    max_cycles: int
+
+
+class ProjectedRun:
+    """One run of it."""
 
     #: of the diagonal, added to a coarsest matrix that is singular
     SHIFT = 1e-9
 
-    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
+    def __init__(self, options: ProjectedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
+        need_levels(hierarchy)
         hierarchy.need_discretised(f"the correction {type(options.correction).__name__}")
         self.options, self.hierarchy, self.run = options, hierarchy, run
         with run.phase("setup"):
@@ -48,7 +60,7 @@ class ProjectedMultigrid:
         self.initial: list[InitialContact] = []
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
-        """See :class:`~adaptmg.solver.projected.Method`."""
+        """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero."""
         if self.options.correction.needs_initial:
             self.nested_start(NestedStart())
         local = self.problems[-1]
@@ -57,7 +69,7 @@ class ProjectedMultigrid:
         return self.finish(unknowns)
 
     def from_nested(self, start: NestedStart) -> Outcome:
-        """See :class:`~adaptmg.solver.projected.Method`."""
+        """Solve level by level from the coarsest."""
         return self.finish(self.nested_start(start))
 
     def runner(self, finest: int) -> MultigridCycle:
@@ -126,6 +138,12 @@ class ProjectedMultigrid:
                 whole = _WholeCycles(cycles)
                 status = whole.end(iterate(whole, stop, self.run), stop, self.run)
         return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, o.rtol, stop.error_estimate, stop.rate)
+
+
+def need_levels(hierarchy: Hierarchy) -> None:
+    """Refuse a single level."""
+    if len(hierarchy) < 2:
+        raise ValueError("grids must have at least two levels for multigrid, got one: use SingleGrid or ActiveSet")
 
 
 class _Cycles:
@@ -204,60 +222,3 @@ class _WholeCycles:
         self.parts.measure(stop)
         run.record(cycle=self.cycles, **self.row(stop))
         return stop.confirmed(status)
-
-
-class MultigridOptions(Protocol):
-    """What a method is asked for; :class:`adaptmg.Multigrid` says what each means."""
-
-    @property
-    def cycle(self) -> Cycle: ...
-
-    @property
-    def smoother(self) -> Smoother: ...
-
-    @property
-    def correction(self) -> Any: ...
-
-    @property
-    def coarse(self) -> CoarseSolve: ...
-
-    @property
-    def coarse_matrices(self) -> str: ...
-
-    @property
-    def stop(self) -> str: ...
-
-    @property
-    def rtol(self) -> float | str: ...
-
-    @property
-    def max_cycles(self) -> int: ...
-
-    @property
-    def start(self) -> NestedStart | None: ...
-
-
-class Method(Protocol):
-    """One run of a multigrid method."""
-
-    def from_given(self, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level from a displacement (n_nodes, dim), between bodies relative, or from zero."""
-
-    def from_nested(self, start: NestedStart) -> Outcome:
-        """Solve level by level from the coarsest."""
-
-
-def own(correction: Any, hook: str) -> Any:
-    """A hook of a correction that brings its own method, None where it has none.
-
-    ``method(options, hierarchy, run) -> Method`` makes what runs it, ``check_options(options)`` refuses options that it
-    does not take, ``load_steps(options)`` makes what goes from load step to load step.
-    """
-    found = getattr(correction, hook, None)
-    return found if callable(found) else None
-
-
-def need_levels(hierarchy: Hierarchy) -> None:
-    """Refuse a single level."""
-    if len(hierarchy) < 2:
-        raise ValueError("grids: multigrid needs at least two levels, got one; use SingleGrid or ActiveSet on one grid")

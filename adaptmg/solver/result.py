@@ -24,8 +24,8 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.record import Status
 from adaptmg.solver.result_file import read_result, write_result
-from adaptmg.solver.status import Status
 
 __all__ = ["ContactResult", "NotConverged", "Result", "label", "problem_name", "versions"]
 

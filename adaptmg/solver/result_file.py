@@ -35,7 +35,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.contact_result import ContactResult
-from adaptmg.solver.status import Status
+from adaptmg.solver.record import Status
 
 __all__ = ["DAMAGES", "read_arrays", "read_result", "write_result"]
 

@@ -19,8 +19,7 @@ from adaptmg.smoother.system import LocalProblem, NodalContact, local_system
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
-from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.status import Status
+from adaptmg.solver.record import Outcome, Run, Status
 
 __all__ = ["SingleGrid"]
 

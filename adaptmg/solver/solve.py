@@ -22,10 +22,9 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
-from adaptmg.solver.record import Outcome, Run, Solver
+from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result, label, problem_name, versions
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
-from adaptmg.solver.status import Status
 
 __all__ = ["checked_outcome", "default_solver", "displacement_argument", "grids_argument", "result_of", "solve",
            "solver_argument"]

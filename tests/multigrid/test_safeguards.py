@@ -12,7 +12,7 @@ from adaptmg.multigrid.split_matrix import split
 from adaptmg.solver import truncated as fallback
 from adaptmg.solver.record import Outcome
 from adaptmg.solver.truncated import Fallback
-from adaptmg.solver.truncated_iteration import EnergyTest
+from adaptmg.solver.truncated_iteration import TruncatedIteration
 
 
 def floating():
@@ -98,7 +98,7 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, monkeypatch
     assert result.residual < 1e-2 and result.status.ok == (result.residual <= 1e-7)
     if reason == "gives up":
         # an error of one method is no error of the run
-        monkeypatch.setattr(fallback.ProjectedMultigrid, "finish",
+        monkeypatch.setattr(fallback.ProjectedRun, "finish",
                             lambda self, unknowns: singular(self, None, None, None))
         nothing = am.solve(GRIDS_THAT_FAIL["nested"](), am.Multigrid(), throw=False)
         assert not nothing.status.ok and not nothing.fallback
@@ -162,7 +162,7 @@ def test_singular_coarsest_matrices_are_mended(limit, monkeypatch):
 
 def test_a_start_that_ran_away_sets_no_tolerance():
     problem = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4,)).finest.discrete
-    watch = EnergyTest(problem, "discretisation")
+    watch = TruncatedIteration(None, problem, "discretisation", 100)
     watch.size = 1.0
     for change in (1e-2, 1e3):
         watch.take_discretisation_error(change)

@@ -167,8 +167,7 @@ def test_bad_prolongations():
 
 
 def test_options_check_themselves():
-    for options in ({"recombine": 3}, {"recombine": -1}, {"coarse_sweeps": 3}, {"coarse_sweeps": 0},
-                    {"safe_cycles": -1}):
+    for options in ({"recombine": 3}, {"recombine": -1}, {"coarse_sweeps": 3}, {"coarse_sweeps": 0}):
         with pytest.raises(ValueError, match=next(iter(options))):
             am.Truncated(**options)
     with pytest.raises(ValueError, match="cycle"):

@@ -13,8 +13,8 @@ from made import cube, result_on, same, square
 
 import adaptmg as am
 from adaptmg.solver.load_path import StepNotConverged
+from adaptmg.solver.record import Status
 from adaptmg.solver.result import NotConverged
-from adaptmg.solver.status import Status
 
 cloudpickle = pytest.importorskip("cloudpickle")
 

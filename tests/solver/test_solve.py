@@ -329,7 +329,7 @@ def test_no_error_estimate_is_better_than_the_certificate_and_nothing_solved_is_
 
 def test_a_smoother_is_refused_where_the_correction_has_its_own():
     for method in (am.Multigrid, am.FullMultigrid):
-        with pytest.raises(ValueError, match=r"smoother must be left at its default.*say correction=Monotone"):
+        with pytest.raises(ValueError, match=r"smoother must be left at its default.*give correction=am.Monotone"):
             method(smoother=Jacobi())
         assert method(smoother=Jacobi(), correction=am.Monotone()).correction == am.Monotone()
 
