@@ -72,8 +72,8 @@ class ProjectedRun:
         """Solve level by level from the coarsest."""
         return self.finish(self.nested_start(start))
 
-    def runner(self, finest: int) -> MultigridCycle:
-        """What runs cycles on level ``finest`` and those below."""
+    def multigrid(self, finest: int) -> MultigridCycle:
+        """Cycles on level ``finest`` and those below."""
         o = self.options
         with self.run.phase("setup"):
             levels = correction_levels(self.hierarchy, self.problems, finest, o.coarse_matrices)
@@ -98,37 +98,37 @@ class ProjectedRun:
         """Solve level by level from the coarsest (steps a and b of the paper)."""
         unknowns = np.empty(0)
         for level in range(len(self.hierarchy) - 1):
-            runner, local = self.runner(level), self.problems[level]
+            multigrid, local = self.multigrid(level), self.problems[level]
             with self.run.phase("start"):
                 if level == 0:
-                    unknowns = self._solve_coarsest(runner, start)
+                    unknowns = self._solve_coarsest(multigrid, start)
                 elif start.cycles == "complete":
-                    iterate(_Cycles(runner, self.options.cycle, local, unknowns),
+                    iterate(_Cycles(multigrid, self.options.cycle, local, unknowns),
                             IterateTest(local, start.rtol, self.options.max_cycles))
                 else:
                     for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
-                        runner.cycle(level, local.contact, local.load, unknowns, self.options.cycle.shape)
+                        multigrid.cycle(level, local.contact, local.load, unknowns, self.options.cycle.shape)
                 if self.options.correction.needs_initial:
-                    defect = runner.residual(level, local.load, unknowns)
-                    self.initial.append(initial_contact(local, unknowns, defect))
+                    r = multigrid.residual(level, local.load, unknowns)
+                    self.initial.append(initial_contact(local, unknowns, r))
                 nodal = self.hierarchy[level + 1].contact_prolongation
                 unknowns = prolonged_start(nodal, local, unknowns, self.problems[level + 1])
                 self.run.visit(level + 1, "start")
         self.run.start_work_units = self.run.work_units
         return unknowns
 
-    def _solve_coarsest(self, runner: MultigridCycle, start: NestedStart) -> np.ndarray:
+    def _solve_coarsest(self, multigrid: MultigridCycle, start: NestedStart) -> np.ndarray:
         local = self.problems[0]
         unknowns = np.zeros(local.system.n_dofs)
         project(local, unknowns)
-        runner.coarse = replace(self.options.coarse, rtol=start.rtol, atol=0.0, test="error")
-        runner.solve_coarsest(local.contact, local.load, unknowns)
+        multigrid.coarse = replace(self.options.coarse, rtol=start.rtol, atol=0.0, test="error")
+        multigrid.solve_coarsest(local.contact, local.load, unknowns)
         return unknowns
 
     def finish(self, unknowns: np.ndarray) -> Outcome:
         """Cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
         o, local = self.options, self.problems[-1]
-        cycles = _Cycles(self.runner(len(self.hierarchy) - 1), o.cycle, local, unknowns)
+        cycles = _Cycles(self.multigrid(len(self.hierarchy) - 1), o.cycle, local, unknowns)
         with self.run.phase("cycles"):
             if o.stop == "error":
                 stop = IterateTest(local, o.rtol, o.max_cycles, self.run, displacement=local.to_cartesian)
@@ -149,11 +149,11 @@ def need_levels(hierarchy: Hierarchy) -> None:
 class _Cycles:
     """Cycles from ``unknowns``, in place, measured after the first smoothing, where the cycle has its residual."""
 
-    def __init__(self, runner: MultigridCycle, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray) -> None:
-        self.runner, self.local, self.unknowns = runner, local, unknowns
-        self.level, self.pre, self.post = len(runner.levels) - 1, cycle.pre, cycle.post
+    def __init__(self, multigrid: MultigridCycle, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray) -> None:
+        self.multigrid, self.local, self.unknowns = multigrid, local, unknowns
+        self.level, self.pre, self.post = len(multigrid.levels) - 1, cycle.pre, cycle.post
         self.cycles = 0
-        self._defect = np.empty(0)
+        self._residual = np.empty(0)
 
     def start(self) -> None:
         """Smooth before the coarse correction."""
@@ -161,30 +161,30 @@ class _Cycles:
 
     def measure(self, stop: IterateTest) -> None:
         """Hand over iterate and residual."""
-        self._defect = self.defect()
-        stop.take(self.unknowns, self._defect)
+        self._residual = self.residual()
+        stop.take(self.unknowns, self._residual)
 
     def row(self, stop: IterateTest) -> dict[str, float]:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
         return stop.measures()
 
     def step(self, stop: IterateTest) -> None:
-        """From one first smoothing to the next."""
+        """Go from one first smoothing to the next."""
         self.correct()
         self._smooth(self.pre)
 
     def correct(self) -> None:
-        """The rest of the cycle."""
-        self.runner.correct(self.level, self.local.contact, self.unknowns, self._defect)
+        """Do the rest of the cycle."""
+        self.multigrid.correct(self.level, self.local.contact, self.unknowns, self._residual)
         self._smooth(self.post)
         self.cycles += 1
 
-    def defect(self) -> np.ndarray:
+    def residual(self) -> np.ndarray:
         """b - A w (n_dofs,)."""
-        return self.runner.residual(self.level, self.local.load, self.unknowns)
+        return self.multigrid.residual(self.level, self.local.load, self.unknowns)
 
     def _smooth(self, sweeps: int) -> None:
-        self.runner.smooth(self.level, self.local.contact, self.local.load, self.unknowns, sweeps)
+        self.multigrid.smooth(self.level, self.local.contact, self.local.load, self.unknowns, sweeps)
 
 
 class _WholeCycles:
@@ -198,7 +198,7 @@ class _WholeCycles:
         return self.parts.cycles
 
     def start(self) -> None:
-        """Measuring runs the cycle."""
+        """Nothing: measuring runs the cycle."""
 
     def measure(self, stop: ChangeTest) -> None:
         """A cycle and its change."""
@@ -213,7 +213,7 @@ class _WholeCycles:
         return {"relative_change": stop.relative_change, **stop.measures()} if stop.finite else None
 
     def step(self, stop: ChangeTest) -> None:
-        """Measuring runs the cycle."""
+        """Nothing: measuring runs the cycle."""
 
     def end(self, status: Status, stop: ChangeTest, run: Run) -> Status:
         """Measure the last iterate, which confirms the status or not."""

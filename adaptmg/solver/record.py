@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.solver.certificate import Certificate
+from adaptmg.solver.examine import Examined
 
 __all__ = ["Outcome", "Run", "Solver", "Status"]
 
@@ -36,13 +36,6 @@ class Status(Enum):
     def ok(self) -> bool:
         """True if the tolerance was reached."""
         return self is Status.CONVERGED
-
-
-class Examined(Protocol):
-    """A displacement as :class:`adaptmg.solver.examine.Examiner` finds it."""
-
-    residual: float  # natural, relative
-    checked: Certificate
 
 
 @dataclass
@@ -113,8 +106,8 @@ class Run:
     def shortfall(self, solved: np.ndarray, rtol: float) -> float:
         """By how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not.
 
-        Between bodies in relative coordinates. What rounding explains is no shortfall. The energy error holds the
-        contact status: where that is still far from the solution's, which a large residual shows, no factor is granted.
+        Between bodies in relative coordinates. Rounding is not a shortfall. The energy error assumes the contact
+        status: no factor is granted where that is far from the solution's, which a large residual shows.
         """
         if self.examiner is None or not rtol > 0:
             return 0.0

@@ -63,14 +63,14 @@ class Swept:
         rng = np.random.default_rng(seed)
         self.u = np.where(discrete.fixed, 0.0, amplitude * rng.normal(size=discrete.n_dofs))
         self.contact.start(self.u)
-        self.defect = self.load - self.matrix @ self.u
+        self.residual = self.load - self.matrix @ self.u
         self.dim = dim
 
     def sweep(self, order=None, kernel=None):
         order = self.interface.forward if order is None else order
         (projected_sweeps.local if kernel is None else kernel)(
             ZERO[self.dim], order, *self.interface.arrays, self.inverse, self.contact.contact_of,
-            *self.contact.node_data, self.u, self.defect)
+            *self.contact.node_data, self.u, self.residual)
 
     def energy(self):
         slip = (self.contact.values.reshape(-1, self.dim)[:, 1:]
@@ -88,13 +88,13 @@ class Swept:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_sweeps(dim, law, amplitude):
     at = Swept(dim, LAWS[law], amplitude=amplitude)
-    size = np.abs(at.defect).max()
+    size = np.abs(at.residual).max()
     energy, moved = [at.energy()], at.u.copy()
     for k in range(6):
         at.sweep(at.interface.backward if k % 2 else at.interface.forward)
         energy.append(at.energy())
-        size = max(size, np.abs(at.defect).max())
-        np.testing.assert_allclose(at.defect, at.load - at.matrix @ at.u, atol=1e-12 * size * len(energy))
+        size = max(size, np.abs(at.residual).max())
+        np.testing.assert_allclose(at.residual, at.load - at.matrix @ at.u, atol=1e-12 * size * len(energy))
         np.testing.assert_allclose(at.contact.values.reshape(-1, dim), at.local(),
                                    atol=1e-14 * max(GAP, np.abs(at.u).max()) * len(energy))
         assert (at.contact.values[::dim] <= at.contact.gap).all()
@@ -115,7 +115,7 @@ def test_the_solution_stays(dim, law):
     assert law == "frictionless" or len(np.unique(states)) > 1
     at.u[:] = (at.discrete.relative(exact.displacement).ravel() - at.discrete.fixed_values)
     at.contact.start(at.u)
-    at.defect[:] = at.load - at.matrix @ at.u
+    at.residual[:] = at.load - at.matrix @ at.u
     before = at.u.copy()
     at.sweep()
     at.sweep(at.interface.backward)
@@ -128,7 +128,7 @@ def test_many_sweeps_solve_the_problem_of_the_listed_nodes(dim):
     # pressed down on one side, pulled up on the other
     sides = np.where(at.mesh.points[at.contact.nodes, 0] < 0.5, 1e6, -1e6)
     at.load.reshape(-1, dim)[at.contact.nodes, -1] = -sides
-    at.defect[:] = at.load - at.matrix @ at.u
+    at.residual[:] = at.load - at.matrix @ at.u
     for _ in range(4000):
         at.sweep()
     local = local_system(at.discrete)
@@ -137,8 +137,8 @@ def test_many_sweeps_solve_the_problem_of_the_listed_nodes(dim):
     touching = at.contact.values[::dim] == at.contact.gap
     assert touching.any() and not touching.all()
     # no forces but at closed nodes, there along the normal
-    left = at.defect.reshape(-1, dim)[inside & (at.contact.contact_of < 0)]
-    force = np.einsum("nij,nj->ni", local.frames, at.defect.reshape(-1, dim)[at.contact.nodes])
+    left = at.residual.reshape(-1, dim)[inside & (at.contact.contact_of < 0)]
+    force = np.einsum("nij,nj->ni", local.frames, at.residual.reshape(-1, dim)[at.contact.nodes])
     size = np.abs(at.load).max()
     assert np.abs(left).max() <= 1e-8 * size and np.abs(force[:, 1:]).max() <= 1e-8 * size
     assert np.abs(force[~touching]).max() <= 1e-8 * size and force[touching, 0].min() >= -1e-8 * size
@@ -161,7 +161,7 @@ def test_a_master_before_open_slaves_is_moved_alone(dim):
         direction = np.zeros((at.discrete.n_dofs, dim))
         direction[dim * node + np.arange(dim), np.arange(dim)] = 1.0
         free = ~at.discrete.fixed.reshape(-1, dim)[node]
-        slope = coupling.relative(direction)[:, free].T @ np.where(at.discrete.fixed, 0.0, at.defect)
+        slope = coupling.relative(direction)[:, free].T @ np.where(at.discrete.fixed, 0.0, at.residual)
         assert np.abs(slope).max(initial=0.0) <= 1e-9 * np.abs(at.load).max()
         assert at.energy() <= energy + 1e-13 * abs(energy)
 
@@ -173,7 +173,7 @@ def test_a_master_before_open_slaves_is_moved_alone(dim):
 def test_a_master_before_closed_slaves_takes_them_along(dim, coupling, law, gap):
     at = Swept(dim, law, amplitude=0.0, posed=problem(dim, law, gap, coupling))
     at.load[:] = np.where(at.discrete.fixed, 0.0, np.random.default_rng(4).normal(size=len(at.load)))
-    at.defect[:] = at.load
+    at.residual[:] = at.load
     weights = at.discrete.coupling.weights
     for node in np.unique(weights.indices):
         before = at.u.copy()
@@ -202,7 +202,7 @@ def test_bodies_in_a_row(law, amplitude):
     for k in range(6):
         at.sweep(at.interface.backward if k % 2 else at.interface.forward)
         energy.append(at.energy())
-        np.testing.assert_allclose(at.defect, at.load - at.matrix @ at.u, atol=1e-11 * np.abs(at.defect).max())
+        np.testing.assert_allclose(at.residual, at.load - at.matrix @ at.u, atol=1e-11 * np.abs(at.residual).max())
         np.testing.assert_allclose(at.contact.values.reshape(-1, 2), at.local(), atol=1e-12 * np.abs(at.u).max())
         assert (at.contact.values[::2] <= at.contact.gap).all()
     np.testing.assert_array_equal(at.u[at.discrete.fixed], fixed)
@@ -259,4 +259,4 @@ def test_jit_changes_nothing(dim, amplitude, monkeypatch):
     plain.sweep(kernel=projected_sweeps.local)
     plain.sweep(plain.interface.backward, kernel=projected_sweeps.local)
     np.testing.assert_allclose(compiled.u, plain.u, atol=1e-13 * np.abs(plain.u).max())
-    np.testing.assert_allclose(compiled.defect, plain.defect, atol=1e-12 * np.abs(plain.load).max())
+    np.testing.assert_allclose(compiled.residual, plain.residual, atol=1e-12 * np.abs(plain.load).max())

@@ -99,12 +99,12 @@ def parts(dim: int, law: str):
 
 
 def smooth(level, contact, load, u):
-    zero, defect = ZERO[level.dim], np.zeros_like(u)
+    zero, residual = ZERO[level.dim], np.zeros_like(u)
     projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, load, contact.contact_of,
-                              *contact.node_data, u, defect)
+                              *contact.node_data, u, residual)
     projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, contact.diagonal, contact.contact_of,
-                             *contact.node_data, u, defect)
-    return defect
+                             *contact.node_data, u, residual)
+    return residual
 
 
 @pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
@@ -115,12 +115,12 @@ def test_projected_half_passes_are_the_smoother(dim, law):
     contact.start(u)
     w = problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim))
     for _ in range(3):
-        defect = smooth(level, contact, load, u)
+        residual = smooth(level, contact, load, u)
         ProjectedGaussSeidel(order="backward").smooth(problem.system, problem.contact, problem.load, w)
         ProjectedGaussSeidel(order="forward").smooth(problem.system, problem.contact, problem.load, w)
         np.testing.assert_allclose(problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim)), w,
                                    atol=1e-11)
-        np.testing.assert_allclose(defect, load - level.matrix() @ u, atol=1e-11)
+        np.testing.assert_allclose(residual, load - level.matrix() @ u, atol=1e-11)
     other = np.random.default_rng(0).normal(size=u.shape) * ~problem.discrete.fixed
     product = projected_sweeps.energy_product(ZERO[dim], *level.lower_arrays, level.inverse, other, u)
     assert product == pytest.approx((other - u) @ (level.matrix() @ (other - u)), rel=1e-10)
@@ -163,8 +163,8 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     u = np.zeros(n * dim)
     contact.start(u)
     for _ in range(3):
-        defect = smooth(level, contact, load, u)
-    contact.update_status(defect)
+        residual = smooth(level, contact, load, u)
+    contact.update_status(residual)
     assert len(np.unique(contact.codes)) > 1
     P1 = sparse.csr_array(rng.random((n, 8)) * (rng.random((n, 8)) < 0.5) + np.eye(n, 8))
     P2 = sparse.csr_array(rng.random((8, 3)) + 0.1)
@@ -198,8 +198,8 @@ def test_the_truncated_residual_has_the_newton_matrix_as_derivative(dim, law):
     u = np.zeros(problem.system.n_dofs)
     contact.start(u)
     for _ in range(30):
-        defect = smooth(level, contact, load, u)
-    contact.update_status(defect)
+        residual = smooth(level, contact, load, u)
+    contact.update_status(residual)
     contact.linearise_friction()
     J = newton_matrix(problem, contact, True)
     rng = np.random.default_rng(2)
