@@ -60,12 +60,9 @@ def test_a_start_that_is_wrong_is_solved_all_the_same(near):
     assert error(grids, result.displacement, exact) <= 2.5e-6
 
 
-def test_it_wants_a_start_and_a_rate():
-    grids = am.Hierarchy.uniform(am.cases.greco_bar(), (3, 6))
+def test_it_needs_a_start_and_a_rate():
     with pytest.raises(ValueError, match="start"):
-        am.solve(grids, WarmMultigrid())
+        am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), (3, 6)), WarmMultigrid())
     for rate in (0.0, 1.0, float("nan")):
         with pytest.raises(ValueError, match="first_rate"):
             WarmMultigrid(first_rate=rate)
-    with pytest.raises(TypeError, match="correction"):
-        am.solve(grids, WarmMultigrid(correction=am.Monotone()), start=np.zeros((grids.finest.n_nodes, 2)))
