@@ -8,7 +8,6 @@ import pytest
 import adaptmg as am
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.split_matrix import split
 from adaptmg.solver import truncated as fallback
 from adaptmg.solver.truncated import Fallback
 from adaptmg.solver.truncated_iteration import TruncatedIteration
@@ -118,22 +117,6 @@ def test_a_large_coarsest_grid_is_factorised_sparse():
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     result = am.solve(grids, am.FullMultigrid(), reference=exact)
     assert result.history["true_error"][-1] < 1e-8
-
-
-@pytest.mark.parametrize("limit", [0, 10_000])
-def test_singular_coarsest_matrices_are_mended(limit, monkeypatch):
-    monkeypatch.setattr(CoarseFactors, "DENSE", limit)
-    discrete = am.Hierarchy.uniform(floating(), divisions=(4,)).finest.discrete
-    level = split(discrete.matrix, discrete.fixed)
-    factors = CoarseFactors(level)
-    factors.renew()
-    load = np.zeros(discrete.n_dofs)
-    # a load in balance: opposite forces along the line between two nodes
-    load[0], load[8] = 1e6, -1e6
-    result = np.empty_like(load)
-    factors.solve(load, result)
-    assert np.isfinite(result).all()
-    assert np.linalg.norm(discrete.matrix @ result - load) < 1e-4 * np.linalg.norm(load)
 
 
 def test_a_start_that_ran_away_sets_no_tolerance():

@@ -11,7 +11,6 @@ from smoother_problems import expand
 
 import adaptmg as am
 
-LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(3e7), "coulomb": am.Coulomb(0.7)}
 COLD = am.Multigrid(correction=am.Truncated())
 NESTED = am.FullMultigrid(correction=am.Truncated())
 
@@ -34,18 +33,11 @@ def exact(hierarchy: am.Hierarchy) -> am.Result:
     return am.solve(hierarchy, am.ActiveSet(rtol=1e-12))
 
 
-def test_graded_independent_meshes():
-    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(16e-3, 8e-3, 4e-3), contact_ratio=4)
+@pytest.mark.parametrize("transfer", [am.Interpolation(), am.L2(), am.PseudoL2(), am.QuasiInterpolation()], ids=str)
+def test_independent_meshes(transfer):
+    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(12e-3, 6e-3, 3e-3), contact_ratio=2, transfer=transfer)
     result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
     assert result.history["true_error"][-1] <= 3e-8 and result.cycles <= 15
-
-
-@pytest.mark.parametrize("transfer", [am.L2(), am.PseudoL2(), am.QuasiInterpolation()], ids=str)
-def test_other_transfers_converge_to_the_same(transfer):
-    sizes = (12e-3, 6e-3, 3e-3)
-    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), sizes=sizes, contact_ratio=2, transfer=transfer)
-    result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
-    assert result.history["true_error"][-1] <= 3e-8
 
 
 def test_cycles_and_work_do_not_grow_with_the_mesh():
@@ -53,13 +45,9 @@ def test_cycles_and_work_do_not_grow_with_the_mesh():
                for divisions in ((4, 8, 16, 32), (4, 8, 16, 32, 64, 128))]
     assert all(r.cycles <= 12 for r in results)
     assert results[-1].work_units <= 32 and results[-1].start_work_units <= 1.0
-
-
-@pytest.mark.parametrize("friction", [0.1, 2.0])
-def test_small_and_large_friction(friction):
-    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, 32, 64))
-    assert am.solve(hierarchy, NESTED).cycles <= 16
-    assert am.solve(hierarchy, COLD).residual <= 1e-7
+    for friction in (0.1, 2.0):
+        grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, 32, 64))
+        assert am.solve(grids, NESTED).cycles <= 16 and am.solve(grids, COLD).residual <= 1e-7
 
 
 def test_the_estimate_does_not_flatter():
@@ -83,8 +71,8 @@ def test_work_units_by_hand():
     hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
     coarse, fine = (level.matrix.nnz for level in hierarchy.levels)
     result = am.solve(hierarchy, NESTED)
-    # cycles of one pass, and half a pass for each line search
-    steps = result.start_work_units * fine / coarse / 0.5
+    # a pass for each Newton step on the coarsest level
+    steps = result.start_work_units * fine / coarse
     assert steps == pytest.approx(round(steps))
     # two levels: the coarse one is solved directly
     assert result.work_units - result.start_work_units == pytest.approx(result.cycles + 1)
@@ -121,14 +109,9 @@ def test_bare_matrices():
                am.solve(am.Hierarchy.algebraic(discrete), solver)]
     for result in results:
         assert np.abs(result.displacement - reference.displacement).max() <= 1e-9 * np.abs(reference.displacement).max()
-    assert results[0].cycles == results[1].cycles or abs(results[0].cycles - results[1].cycles) <= 3
-
-
-def test_algebraic_in_3d_and_its_default_solver():
-    discrete = block(am.Coulomb(0.5)).finest.discrete
-    hierarchy = am.Hierarchy.algebraic(discrete)
-    assert not hierarchy.discretised and "aggregation" in repr(hierarchy)
-    assert am.solve(hierarchy).residual <= 1e-7
+    assert abs(results[0].cycles - results[1].cycles) <= 3
+    solid = am.Hierarchy.algebraic(block(am.Coulomb(0.5)).finest.discrete)
+    assert not solid.discretised and "aggregation" in repr(solid) and am.solve(solid).residual <= 1e-7
 
 
 @pytest.mark.parametrize("solver", [am.FullMultigrid(correction=am.Truncated()), am.Multigrid(correction=am.Monotone()),
@@ -151,18 +134,6 @@ def test_bad_prolongations():
         am.Hierarchy.from_prolongations(discrete, [np.eye(n, 10)])
     with pytest.raises(ValueError, match="nothing to coarsen"):
         am.Hierarchy.algebraic(discrete, max_coarse=10_000)
-
-
-def test_options_check_themselves():
-    for options in ({"recombine": 3}, {"recombine": -1}, {"coarse_sweeps": 3}, {"coarse_sweeps": 0}):
-        with pytest.raises(ValueError, match=next(iter(options))):
-            am.Truncated(**options)
-    with pytest.raises(ValueError, match="cycle"):
-        am.Multigrid(correction=am.Truncated(), cycle=am.Cycle(shape="W"))
-    with pytest.raises(ValueError, match="discretisation"):
-        am.Multigrid(correction=am.Truncated(), rtol="discretisation")
-    with pytest.raises(ValueError, match="rtol"):
-        am.FullMultigrid(correction=am.Truncated(), rtol="loose")
 
 
 @pytest.mark.parametrize("recombine", [0, 1, 2])

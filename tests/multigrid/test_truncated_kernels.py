@@ -259,7 +259,9 @@ def test_galerkin_products():
     assert (galerkin_product(matrix, P).diagonal() > 0).all()
 
 
-def test_a_singular_coarsest_matrix_is_shifted():
+@pytest.mark.parametrize("limit", [0, 10_000], ids=["sparse", "dense"])
+def test_singular_coarsest_matrices_are_shifted(limit, monkeypatch):
+    monkeypatch.setattr(CoarseFactors, "DENSE", limit)
     matrix = sparse.bsr_array(np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]]),
                               blocksize=(2, 2))
     factors = CoarseFactors(split(matrix, np.zeros(4, dtype=bool)))
