@@ -126,6 +126,17 @@ def test_projected_half_passes_are_the_smoother(dim, law):
     assert product == pytest.approx((other - u) @ (level.matrix() @ (other - u)), rel=1e-10)
 
 
+def swept(dim: int, law: str, sweeps: int):
+    """The same after some sweeps from zero, with its contact status, and the iterate."""
+    problem, level, contact, load = parts(dim, law)
+    u = np.zeros(problem.system.n_dofs)
+    contact.start(u)
+    for _ in range(sweeps):
+        residual = smooth(level, contact, load, u)
+    contact.update_status(residual)
+    return problem, level, contact, load, u
+
+
 def newton_matrix(problem, contact, newton: bool) -> np.ndarray:
     """T (S A + H) T in Cartesian components, dense, written down afresh."""
     dim, n = problem.system.dim, problem.system.n_nodes
@@ -158,13 +169,8 @@ def newton_matrix(problem, contact, newton: bool) -> np.ndarray:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     rng = np.random.default_rng(1)
-    problem, level, contact, load = parts(dim, law)
+    problem, level, contact, *_ = swept(dim, law, 3)
     n = problem.system.n_nodes
-    u = np.zeros(n * dim)
-    contact.start(u)
-    for _ in range(3):
-        residual = smooth(level, contact, load, u)
-    contact.update_status(residual)
     assert len(np.unique(contact.codes)) > 1
     P1 = sparse.csr_array(rng.random((n, 8)) * (rng.random((n, 8)) < 0.5) + np.eye(n, 8))
     P2 = sparse.csr_array(rng.random((8, 3)) + 0.1)
@@ -194,12 +200,7 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
 @pytest.mark.parametrize("law", ["tresca", "coulomb"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_truncated_residual_has_the_newton_matrix_as_derivative(dim, law):
-    problem, level, contact, load = parts(dim, law)
-    u = np.zeros(problem.system.n_dofs)
-    contact.start(u)
-    for _ in range(30):
-        residual = smooth(level, contact, load, u)
-    contact.update_status(residual)
+    problem, level, contact, load, u = swept(dim, law, 30)
     contact.linearise_friction()
     J = newton_matrix(problem, contact, True)
     rng = np.random.default_rng(2)
