@@ -54,13 +54,13 @@ class LinearCycle:
     def __post_init__(self) -> None:
         self.factors = CoarseFactors(self.levels[0], self.coarse_solve)
         self._vectors: dict[int, LevelVectors] = {}
-        self._own: dict[int, _LevelSmoother] = {}
+        self._custom: dict[int, _LevelSmoother] = {}
 
     def renew(self, number: int) -> None:
         """Take over the matrices below level ``number``, which have changed."""
         self.factors.renew()
         if self.coarse_smoother is not None:
-            self._own = {k: _LevelSmoother(self.coarse_smoother, self.levels[k]) for k in range(1, number)}
+            self._custom = {k: _LevelSmoother(self.coarse_smoother, self.levels[k]) for k in range(1, number)}
 
     def vectors(self, number: int) -> LevelVectors:
         """Load and solution of a level, made when first asked for."""
@@ -104,10 +104,10 @@ class LinearCycle:
     def _before(self, number: int, v: LevelVectors) -> float:
         """Smooth from zero; the residual is left in ``kept``. Returns the passes, those of the residual included."""
         level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
-        if self._own:
+        if self._custom:
             v.solution[:] = 0.0
-            passes = self._own[number].smooth(v.load, v.solution)
-            v.kept[:] = v.load - self._own[number].matrix @ v.solution
+            passes = self._custom[number].smooth(v.load, v.solution)
+            v.kept[:] = v.load - self._custom[number].matrix @ v.solution
             return passes + 1
         half_sweeps.forward_from_zero(zero, *level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
         if sweeps == 1:
@@ -121,8 +121,8 @@ class LinearCycle:
     def _after(self, number: int, v: LevelVectors) -> float:
         """Smooth the corrected solution; returns the passes."""
         level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
-        if self._own:
-            return self._own[number].smooth(v.load, v.solution)
+        if self._custom:
+            return self._custom[number].smooth(v.load, v.solution)
         if sweeps == 1:
             half_sweeps.backward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
         else:
@@ -141,18 +141,19 @@ class CoarseFactors:
     #: dofs up to which dense factors are quicker
     DENSE = 1500
 
-    def __init__(self, level: SplitMatrix, own: LinearSolve | None = None) -> None:
-        self.level, self.own = level, own
+    def __init__(self, level: SplitMatrix, custom: LinearSolve | None = None) -> None:
+        self.level, self.custom = level, custom
         scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self._solve: Callable[[np.ndarray], np.ndarray] | None = None
-        self._own_solve: _CheckedSolve | None = None
+        self._prepared: PreparedSolve | None = None
 
     def renew(self) -> None:
         """Factorise the matrix, which has changed."""
         matrix = regular_matrix(self.level, self._scale)
-        if self.own is not None:
-            self._own_solve = _CheckedSolve(self.own, matrix)
+        if self.custom is not None:
+            self._prepared = checks.offers("coarse_solve: what setup returns", self.custom.setup(matrix), "solve",
+                                           "an object with solve(rhs) -> solution")
             return
         factorise = _dense_factors if matrix.shape[0] <= self.DENSE else _sparse_factors
         self._solve = factorise(matrix, self.SINGULAR)
@@ -161,10 +162,13 @@ class CoarseFactors:
 
     def solve(self, load: np.ndarray, result: np.ndarray) -> float:
         """Solve into ``result`` (n_dofs,); returns the passes over the matrix, 0 for factors."""
-        if self._own_solve is not None:
-            return self._own_solve.solve(load, result)
-        result[:] = self._solve(load)
-        return 0.0
+        if self._prepared is None:
+            result[:] = self._solve(load)
+            return 0.0
+        # a copy: a user-defined solver may change it
+        solution = self._prepared.solve(load.copy())
+        result[:] = check_arrays.array("coarse_solve: what solve returns", solution, load.shape)
+        return checks.nonnegative("coarse_solve: passes", getattr(self._prepared, "passes", 0.0))
 
 
 def _dense_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -228,27 +232,13 @@ def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
     return matrix + sparse.diags_array(np.where(empty, scale, 0.0))
 
 
-class _CheckedSolve:
-    """A :class:`LinearSolve` set up for a matrix."""
-
-    def __init__(self, own: LinearSolve, matrix: sparse.csr_array) -> None:
-        self._solver = checks.offers("coarse_solve: what setup returns", own.setup(matrix), "solve",
-                                     "an object with solve(rhs) -> solution")
-
-    def solve(self, load: np.ndarray, result: np.ndarray) -> float:
-        """Solve into ``result``; returns the passes it took."""
-        # a copy: what is handed out may be changed
-        result[:] = check_arrays.array("coarse_solve: what solve returns", self._solver.solve(load.copy()), load.shape)
-        return checks.nonnegative("coarse_solve: passes", getattr(self._solver, "passes", 0.0))
-
-
 class _LevelSmoother:
     """A :class:`LinearSmoother` set up for the matrix of a level."""
 
-    def __init__(self, own: LinearSmoother, level: SplitMatrix) -> None:
+    def __init__(self, custom: LinearSmoother, level: SplitMatrix) -> None:
         diagonal = level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2).reshape(-1)
         self.matrix = regular_matrix(level, np.full(level.n_dofs, np.abs(diagonal).max()))
-        self._smoother = checks.offers("coarse_smoother: what setup returns", own.setup(self.matrix), "smooth",
+        self._smoother = checks.offers("coarse_smoother: what setup returns", custom.setup(self.matrix), "smooth",
                                        "an object with smooth(rhs, x) -> passes")
 
     def smooth(self, load: np.ndarray, unknowns: np.ndarray) -> float:

@@ -94,21 +94,16 @@ class TruncatedStep:
         return StepState(status.changed, residual, float(np.sqrt(status.reactions)))
 
     def correct(self) -> float:
-        """Recombine, correct, project and search; returns the energy of the coarse correction, N m.
+        """Correct, project and search; returns the energy of the coarse correction, N m.
 
         It estimates the energy of the error that the correction removes.
         """
-        first, proposed = self._past
-        alpha = self._recombine(first, proposed)
-        correction = self.cycle.solve(self.number - 1)
-        energy = float(dot(self.cycle.vectors(self.number - 1).load, correction))
-        combine(*self._transfer, correction, self.unknowns, first, proposed, *alpha)
-        zero_at(proposed, self.level.fixed)
+        proposed, energy = self._coarse_correction()
         before = self.contact.values.copy()
         self.contact.project(proposed)
         if self._frozen:
             self._search(proposed, before)
-        self.unknowns, self._past = proposed, [self.unknowns, first]
+        self.unknowns, self._past = proposed, [self.unknowns, self._past[0]]
         self.recombination.advance()
         self.cycle.recorder.visit(self.number, "prolong")
         return energy
@@ -148,6 +143,16 @@ class TruncatedStep:
             alpha = (0.0, 0.0)
         self.recombination.combine(alpha, self.cycle.vectors(self.number - 1).load)
         return alpha
+
+    def _coarse_correction(self) -> tuple[np.ndarray, float]:
+        """The recombined iterate plus the coarse correction (in place of the oldest), and the energy of that."""
+        first, proposed = self._past
+        alpha = self._recombine(first, proposed)
+        correction = self.cycle.solve(self.number - 1)
+        energy = float(dot(self.cycle.vectors(self.number - 1).load, correction))
+        combine(*self._transfer, correction, self.unknowns, first, proposed, *alpha)
+        zero_at(proposed, self.level.fixed)
+        return proposed, energy
 
     def _search(self, proposed: np.ndarray, before: np.ndarray) -> None:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""

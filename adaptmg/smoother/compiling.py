@@ -13,7 +13,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -27,7 +26,7 @@ _checked: set[int] = set()
 _announced = False
 
 
-def notice(*kernels: Callable[..., Any]) -> None:
+def notice(*kernels: Callable[..., object]) -> None:
     """Log an INFO message, once a process, if the next call of one of ``kernels`` has to be compiled."""
     global _announced
     for kernel in kernels:
@@ -39,7 +38,7 @@ def notice(*kernels: Callable[..., Any]) -> None:
             logger.info("compiling kernels (once per machine; cached)")
 
 
-def _needs_compiling(kernel: Callable[..., Any]) -> bool:
+def _needs_compiling(kernel: Callable[..., object]) -> bool:
     """Whether a kernel has neither been compiled in this process nor left an index file in its cache directory."""
     if not hasattr(kernel, "py_func") or kernel.signatures:
         return False

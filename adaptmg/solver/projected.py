@@ -128,15 +128,15 @@ class ProjectedRun:
     def finish(self, unknowns: np.ndarray) -> Outcome:
         """Cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
         o, local = self.options, self.problems[-1]
-        cycles = _Cycles(self.multigrid(len(self.hierarchy) - 1), o.cycle, local, unknowns)
+        given = self.multigrid(len(self.hierarchy) - 1), o.cycle, local, unknowns
         with self.run.phase("cycles"):
             if o.stop == "error":
+                cycles = _Cycles(*given)
                 stop = IterateTest(local, o.rtol, o.max_cycles, self.run, displacement=local.to_cartesian)
                 status = iterate(cycles, stop, self.run)
             else:
-                stop = ChangeTest(local, o.rtol, o.max_cycles, self.run)
-                whole = _WholeCycles(cycles)
-                status = whole.end(iterate(whole, stop, self.run), stop, self.run)
+                cycles, stop = _WholeCycles(*given), ChangeTest(local, o.rtol, o.max_cycles, self.run)
+                status = cycles.end(iterate(cycles, stop, self.run), stop, self.run)
         return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, o.rtol, stop.error_estimate, stop.rate)
 
 
@@ -187,26 +187,19 @@ class _Cycles:
         self.multigrid.smooth(self.level, self.local.contact, self.local.load, self.unknowns, sweeps)
 
 
-class _WholeCycles:
+class _WholeCycles(_Cycles):
     """The same measured at the end of a cycle by its change, the paper's test at the end of step g."""
-
-    def __init__(self, parts: _Cycles) -> None:
-        self.parts = parts
-
-    @property
-    def cycles(self) -> int:
-        return self.parts.cycles
 
     def start(self) -> None:
         """Nothing: measuring runs the cycle."""
 
     def measure(self, stop: ChangeTest) -> None:
-        """A cycle and its change."""
-        before = self.parts.unknowns.copy()
-        self.parts.start()
-        self.parts.measure(stop)
-        self.parts.correct()
-        stop.take_change(before, self.parts.unknowns)
+        """Run a cycle and measure its change."""
+        before = self.unknowns.copy()
+        super().start()
+        super().measure(stop)
+        self.correct()
+        stop.take_change(before, self.unknowns)
 
     def row(self, stop: ChangeTest) -> dict[str, float] | None:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
@@ -219,6 +212,6 @@ class _WholeCycles:
         """Measure the last iterate, which confirms the status or not."""
         if status is Status.DIVERGED:
             return status
-        self.parts.measure(stop)
+        super().measure(stop)
         run.record(cycle=self.cycles, **self.row(stop))
         return stop.confirmed(status)
