@@ -118,15 +118,6 @@ class CorrectionLevel:
         """The fine contact nodes that each coarse one reaches; ValueError if a weight is negative."""
         return supports(self.contact_prolongation)
 
-    @property
-    def proven(self) -> bool:
-        """Whether the monotone correction from the next coarser level is proven: contact rows >= 0 with sums 1."""
-        weights = self.contact_prolongation
-        if weights is None:
-            return True
-        sums = np.asarray(weights.sum(axis=1)).ravel()
-        return bool((weights.data >= 0).all() and np.abs(sums - 1).max(initial=0.0) < 1e-10)
-
 
 @dataclass(eq=False)
 class CorrectionLevels:
@@ -140,11 +131,6 @@ class CorrectionLevels:
 
     def __getitem__(self, number: int) -> CorrectionLevel:
         return self.levels[number]
-
-    @property
-    def operator_complexity(self) -> float:
-        """Nonzeros on all levels over those of the finest."""
-        return sum(level.system.nonzeros for level in self.levels) / self.levels[-1].system.nonzeros
 
 
 def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
