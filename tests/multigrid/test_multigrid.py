@@ -88,7 +88,7 @@ def test_hand_counted_work():
     grids = am.Hierarchy.uniform(problem_2d(), divisions=(4, 8, 16))
     ratio = [level.discrete.matrix.nnz / grids.finest.discrete.matrix.nnz for level in grids.levels]
     coarse = am.CoarseSolve(rtol=1e-30, max_sweeps=8)
-    for shape, visits in (("V", 1), ("W", 2)):
+    for shape, visits in (("V", 1), ("W", 2), ("F", 2)):
         cycle, run = cycle_of(grids, cycle=am.Cycle(shape=shape, pre=2, post=1), coarse=coarse)
         local = cycle.levels.fine
         cycle.cycle(2, local.contact, local.load, np.zeros(local.system.n_dofs), shape)

@@ -76,6 +76,10 @@ def test_work_units_by_hand():
     assert steps == pytest.approx(round(steps))
     # two levels: the coarse one is solved directly
     assert result.work_units - result.start_work_units == pytest.approx(result.cycles + 1)
+    # from zero there are safe cycles, half a pass more for each line search
+    cold = am.solve(hierarchy, COLD)
+    searches = 2 * (cold.work_units - cold.cycles - 1)
+    assert searches == pytest.approx(round(searches)) and searches >= 1
     three = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
     coarse, fine = (level.matrix.nnz for level in three.levels[1:])
     result = am.solve(three, NESTED)
