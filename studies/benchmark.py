@@ -26,7 +26,7 @@ import waiting
 
 import adaptmg as am
 from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.truncated import TruncatedMultigrid
+from adaptmg.solver.truncated import TruncatedRun
 
 TOLERANCE = 1e-8
 
@@ -65,8 +65,8 @@ def run_ours(hierarchy: am.Hierarchy, rtol: float, max_cycles: int = 100, refere
     """One run, without the checks around it; the record, the outcome, bytes of the solver's arrays."""
     solver = am.FullMultigrid(correction=am.Truncated(), rtol=rtol, max_cycles=max_cycles)
     run = Run(unit=hierarchy.finest.matrix.nnz, reference=reference)
-    machine = TruncatedMultigrid(solver, hierarchy, run)
-    outcome = machine.finish(machine.nested_start(solver.start), cold=False)
+    machine = TruncatedRun(solver.truncated, hierarchy, run)
+    outcome = machine.from_nested(solver.start)
     return run, outcome, machine.nbytes
 
 

@@ -62,7 +62,7 @@ def cost(first: int, last: int, rtol: float) -> dict[str, Any]:
     result = am.solve(chain, am.FullMultigrid(rtol=rtol), throw=False)
     tight = am.solve(chain, am.FullMultigrid(rtol=1e-10), throw=False)
     return {"grids": nodes_of(chain), "start_work": result.start_work_units, "cycles": result.cycles,
-            "work": result.work_units, "rate": result.rate, "run_seconds": result.seconds, "method": result.solver_name,
+            "work": result.work_units, "rate": result.rate, "run_seconds": result.seconds, "method": result.method,
             "active_seconds": reference.seconds, "residual": result.residual, "outcome": result.status.name,
             "difference": common.energy_error(tight, reference, chain)}
 

@@ -160,7 +160,7 @@ def bodies(solver: str, count: int, fineness: int, finest: int, rtol: float) -> 
     result = am.solve(am.Hierarchy.from_meshes(problem, meshes), method(rtol=rtol), throw=False)
     return {"nodes": meshes[-1].n_nodes, "contact_nodes": len(result.contact), "cycles": result.cycles,
             "work_units": result.work_units, "rate": result.rate, "residual": result.residual,
-            "outcome": result.status.name, "fallback": result.solver_name.partition(", then ")[2]}
+            "outcome": result.status.name, "fallback": result.fallback}
 
 
 def run(context: Context) -> Section:

@@ -67,7 +67,7 @@ def measured(hierarchy: am.Hierarchy, solver: Any, reference: am.Result, target:
             "cycles": best.cycles, "work": best.work_units, "start_work": best.start_work_units,
             "run_seconds": best.seconds, "true_error": common.energy_error(best, reference, hierarchy),
             "residual": best.residual, "change": float(change[-1]), "rate": best.rate, "outcome": best.status.name,
-            "fallback": best.solver_name.partition(", then ")[2],
+            "fallback": best.fallback,
             **{f"{name}_{k}": float(best.history[key][min(k, len(best.history[key]) - 1)])
                for k in (0, 1) for name, key in (("error", "true_error"), ("work", "work_units"))},
             **{_at(error): common.first_below(best, error)["work_units"] for error in ERRORS}}

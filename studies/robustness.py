@@ -111,7 +111,7 @@ def _from_both_starts(row: dict[str, Any], hierarchy: am.Hierarchy) -> dict[str,
             warnings.simplefilter("ignore", RuntimeWarning)
             result = am.solve(hierarchy, solver, throw=False)
         row |= {f"{name}_status": result.status.name, f"{name}_cycles": result.cycles,
-                f"{name}_residual": result.residual, f"{name}_fallback": result.solver_name.partition(", then ")[2]}
+                f"{name}_residual": result.residual, f"{name}_fallback": result.fallback}
     return row
 
 

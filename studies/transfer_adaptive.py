@@ -51,7 +51,7 @@ def solved(problem: am.ContactProblem, meshes: Sequence[am.MeshArrays], transfer
     grids = am.Hierarchy.from_meshes(problem, list(meshes), TRANSFERS[transfer])
     result = am.solve(grids, am.FullMultigrid(correction=METHODS[method], rtol=RTOL, max_cycles=MAX_CYCLES),
                       throw=False)
-    took_over = ", then" in result.solver_name
+    took_over = bool(result.fallback)
     return {"nodes": grids.finest.n_nodes, "levels": len(grids), "contact_nodes": len(result.contact),
             "size_ratio": max(size_ratio(coarse, fine) for coarse, fine in pairwise(meshes)),
             "cycles": result.cycles, "rate": runs.asymptotic_rate(result), "work": result.work_units,

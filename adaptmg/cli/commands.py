@@ -101,12 +101,11 @@ def solve(
     arguments: SetOption = None,
     solver: Annotated[SolverName, typer.Option(help="Method.")] = "full-multigrid",
     correction: Annotated[CorrectionName | None, typer.Option(
-        show_default="truncated, or monotone with --cycle, --pre, --post, --omega",
-        help="Multigrid: correction.")] = None,
+        show_default="truncated", help="Multigrid: correction.")] = None,
     cycle: Annotated[Shape | None, typer.Option(
-        "--cycle", "--shape", show_default="V", help="Multigrid: shape of the cycle.")] = None,
-    pre: Annotated[int | None, typer.Option(show_default="2", help="Multigrid: sweeps before the correction.")] = None,
-    post: Annotated[int | None, typer.Option(show_default="0", help="Multigrid: sweeps after the correction.")] = None,
+        "--cycle", "--shape", show_default="V", help="Shape of the cycle of other corrections than truncated.")] = None,
+    pre: Annotated[int | None, typer.Option(show_default="2", help="Sweeps before such a correction.")] = None,
+    post: Annotated[int | None, typer.Option(show_default="0", help="Sweeps after such a correction.")] = None,
     omega: Annotated[float | None, typer.Option(show_default="1", help="Relaxation of the sweeps.")] = None,
     linear: Annotated[LinearName | None, typer.Option(show_default="direct", help="Active set: linear solver.")] = None,
     rtol: Annotated[float | None, typer.Option(

@@ -69,7 +69,7 @@ def summary(result: am.Result, files: list[Path]) -> dict[str, object]:
     states = np.bincount(np.asarray(result.contact.state, dtype=int), minlength=3).tolist()
     names = ("cycles", "work_units", "start_work_units", "residual", "error_estimate", "rate", "rtol", "seconds",
              "timings", "levels")
-    row = {"problem": result.problem_name, "solver": result.solver_name, "status": result.status.name,
+    row = {"problem": result.problem_name, "solver": result.method, "status": result.status.name,
            "advice": result.status.value, **{name: getattr(result, name) for name in names},
            "contact": dict(zip(("open", "slip", "stick"), states, strict=True)),
            "max_pressure": float(result.contact.pressure.max()),

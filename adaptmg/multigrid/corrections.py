@@ -1,4 +1,4 @@
-r"""The coarse correction problem, common to the paper's and the monotone correction.
+r"""The coarse correction problem of the monotone and the paper's corrections, and the coarse spaces they use.
 
 At a fine iterate w with residual :math:`r = b - A w` (contact forces kept in it) the coarse unknown E solves
 
@@ -6,40 +6,17 @@ At a fine iterate w with residual :math:`r = b - A w` (contact forces kept in it
 
 steps d-g of the paper. The corrections differ in how they choose D (gap), U (slip) and G (sliding limit).
 
-CorrectionLevels: the coarse spaces below one fine problem, in local components.
-
-With the nodal prolongation P (fine values = P coarse values in every Cartesian component) the local one is
-:math:`\hat P = F_f\,(P \otimes I)\,F_c^T`, F the contact frames, rows and columns of fixed dofs zeroed. Between a fine
-and a coarse contact node the block is :math:`P_{ik}` times the identity (3D: times the rotation nearest to
-:math:`t_f \cdot t_c` in the tangential part), so that normal goes to normal and slip to slip also on curved boundaries.
-Coarse matrices are Galerkin products :math:`\hat P^T A \hat P`, or those of the coarse discretisations.
-
-Monotone correction: coarse contact data that can only lower the fine Tresca energy.
-
-With :math:`S_k = \{i : P_{ik} > 0\}`
-
-.. math:: D_k = \min_{S_k} (g_0 - u_n),\quad U_k = \mathrm{minmod}_{S_k}(u_t - u_t^{prev}),\quad G = P^T g .
-
-For contact rows of P that are >= 0 with row sums 1, Galerkin coarse matrices and one normal over each S_k the coarse
-functional majorises the fine one, so the energy with g frozen cannot rise, and E = 0 at the solution (the idea of
-monotone multigrid, Kornhuber 1994, doi:10.1007/BF03325426; Krause 2009, doi:10.1137/070682514). Elsewhere nothing is
-claimed.
-
-The paper's correction, its choices selectable (steps a-g of 'Multigrid in Structure Assembling Problem').
-
-The paper keeps as coarse slip U and limit G those of the first complete coarse solution ('initial'), and as coarse
-displacement for the non-penetration condition 'the smallest value of u among the value on the same node and on the
-two adjacent ones on the fine grid'. Read as the smallest opening that is safe; read literally (the smallest u_n,
-which is <= 0) it is the largest opening, and stalls or cycles. A frozen G cannot be exact on the fine grid: the
-iteration stops changing before the contact conditions hold, which :class:`adaptmg.Result` reports as STALLED. On the
-bars of the paper it is G that matters: with ``limit="summed"`` and the smallest gap every choice of U converged.
+With the nodal prolongation P the one in local components is :math:`\hat P = F_f\,(P \otimes I)\,F_c^T`, F the contact
+frames, rows and columns of fixed dofs zeroed. Between a fine and a coarse contact node the block is :math:`P_{ik}`
+times the identity (3D: times the rotation nearest to :math:`t_f \cdot t_c` in the tangential part), so that normal goes
+to normal and slip to slip on curved boundaries too.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy import sparse
@@ -66,9 +43,9 @@ __all__ = ["Correction", "CorrectionLevel", "CorrectionLevels", "InitialContact"
 
 @dataclass(frozen=True, eq=False)
 class InitialContact:
-    """What the first solution on a level leaves behind (the paper's U0 and G0)."""
+    """The first solution on a level at its contact nodes (the paper's U0 and G0)."""
 
-    slip: np.ndarray  # (n_contact, dim - 1): m
+    slip: np.ndarray  # (n_contact, dim - 1), m
     limit: np.ndarray  # (n_contact,): sliding limit, N
 
 
@@ -76,7 +53,8 @@ class Correction(Protocol):
     """How contact data go to the next coarser level."""
 
     @property
-    def needs_initial(self) -> bool: ...
+    def needs_initial(self) -> bool:
+        """Whether :meth:`transport` gets the first solution on the coarse level."""
 
     def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -114,7 +92,7 @@ def correction_contact(correction: Correction, reach: Supports, system: LocalSys
 
 
 def _transported(correction: Correction, coarse: LocalSystem, found: object) -> tuple[np.ndarray, ...]:
-    """What a correction, a user's own perhaps, hands to the coarse contact nodes, its types and shapes checked."""
+    """The coarse contact data of a correction, types and shapes checked: it may be user-defined."""
     n, name = len(coarse.nodes), f"correction: transport of {checks.shown(correction)}"
     if not isinstance(found, (tuple, list)) or len(found) != 3:
         raise TypeError(f"{name} must return gap, slip and limit, got {checks.shown(found)}")
@@ -131,23 +109,14 @@ class CorrectionLevel:
     """One level of the coarse correction."""
 
     system: LocalSystem  # matrix on this level, local components
-    prolongation: sparse.bsr_array | None = None
+    prolongation: sparse.bsr_array | None = None  # from the next coarser level, in local components
     restriction: sparse.bsr_array | None = None
-    contact_prolongation: sparse.csr_array | None = None  # csr_array (n_contact, n_contact coarse) or None
+    contact_prolongation: sparse.csr_array | None = None  # (n_contact, n_contact coarse)
 
     @cached_property
     def supports(self) -> Supports:
         """The fine contact nodes that each coarse one reaches; ValueError if a weight is negative."""
         return supports(self.contact_prolongation)
-
-    @property
-    def proven(self) -> bool:
-        """Whether the monotone correction from the next coarser level is proven: contact rows >= 0 with sums 1."""
-        weights = self.contact_prolongation
-        if weights is None:
-            return True
-        sums = np.asarray(weights.sum(axis=1)).ravel()
-        return bool((weights.data >= 0).all() and np.abs(sums - 1).max(initial=0.0) < 1e-10)
 
 
 @dataclass(eq=False)
@@ -162,11 +131,6 @@ class CorrectionLevels:
 
     def __getitem__(self, number: int) -> CorrectionLevel:
         return self.levels[number]
-
-    @property
-    def operator_complexity(self) -> float:
-        """Nonzeros on all levels over those of the finest."""
-        return sum(level.system.nonzeros for level in self.levels) / self.levels[-1].system.nonzeros
 
 
 def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
@@ -252,23 +216,33 @@ def local_galerkin(level: CorrectionLevel, coarse: LocalSystem, finer: Correctio
 
 @dataclass(frozen=True)
 class Monotone:
-    """The energy-decreasing correction; no options."""
+    r"""The correction that cannot raise the Tresca energy; no options.
 
-    @property
-    def needs_initial(self) -> bool:
-        """It needs no first coarse solution."""
-        return False
+    With :math:`S_k = \{i : P_{ik} > 0\}`
+
+    .. math:: D_k = \min_{S_k} (g_0 - u_n),\quad U_k = \mathrm{minmod}_{S_k}(u_t - u_t^{prev}),\quad G = P^T g .
+
+    For contact rows of P that are >= 0 with row sums 1, Galerkin coarse matrices and one normal over each S_k the
+    coarse functional majorises the fine one, so the energy with g frozen cannot rise, and E = 0 at the solution
+    (R. Kornhuber 1994, doi:10.1007/BF03325426; R. Krause 2009, doi:10.1137/070682514). Elsewhere nothing is claimed.
+    """
+
+    needs_initial: ClassVar[bool] = False
 
     def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See :class:`adaptmg.multigrid.corrections.Correction`."""
+        """See :class:`Correction`."""
         stick = (slip == 0.0).all(axis=1)
         return smallest_gap(reach, opening), minmod_slip(reach, slip, stick), summed_limit(reach, limit)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperCorrection:
-    """The correction of the paper.
+    """The correction of the paper (steps a-g), its choices selectable.
+
+    Read literally its coarse gap (the smallest u_n, which is <= 0) is the largest opening, and stalls or cycles. A
+    limit G that is frozen cannot be exact on the fine grid: the iteration stops changing before the contact conditions
+    hold, which :class:`adaptmg.Result` reports as STALLED. On the bars of the paper it is G that matters.
 
     Parameters
     ----------
@@ -294,12 +268,12 @@ class PaperCorrection:
 
     @property
     def needs_initial(self) -> bool:
-        """Whether the first coarse solution is kept."""
+        """See :class:`Correction`."""
         return "initial" in (self.slip, self.limit)
 
     def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See :class:`adaptmg.multigrid.corrections.Correction`."""
+        """See :class:`Correction`."""
         gap = {"smallest": smallest_gap, "largest": largest_gap, "injected": injected_gap}[self.gap](reach, opening)
         if self.slip == "initial":
             coarse_slip = initial.slip

@@ -1,19 +1,15 @@
-r"""The multigrid cycle of the monotone and the paper's correction. Fig. 1 of the paper shows its shapes.
+r"""The multigrid cycle of the monotone and the paper's correction, its coarse solve and its nested start.
 
-The complete solution of a coarse problem by the smoother (the paper's SOR with projection).
-
-By default the coarsest problem is condensed to its contact dofs first, as the paper does ('a condensation of the
-problem to the contact variables alone'): one factorisation in the set-up, far fewer sweeps, on a small dense matrix.
-
-Sweeps go in batches; with :math:`\delta_m` the change over batch m in the norm of the diagonal blocks and
-:math:`\rho = \delta_m/\delta_{m-1}` the remaining error is estimated as :math:`\delta_m\,\rho/(1-\rho)`, which costs no
-matrix pass. The paper's kind of test, on the change of one sweep alone, is there for comparison.
-
-Carrying a solution to the next finer level (step b of the paper, u0 = J U0).
+Fig. 1 of the paper shows the shapes of the cycle. The coarsest problem is condensed to its contact dofs first, as the
+paper does ('a condensation of the problem to the contact variables alone'): one factorisation in the set-up, far fewer
+sweeps, on a small dense matrix. Sweeps go in batches; with :math:`\delta_m` the change over batch m in the norm of the
+diagonal blocks and :math:`\rho = \delta_m/\delta_{m-1}` the remaining error is estimated as
+:math:`\delta_m\,\rho/(1-\rho)`, without a matrix pass. The paper's test is on the change of one sweep alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
@@ -81,7 +77,7 @@ class Cycle:
 
 @dataclass(eq=False)
 class MultigridCycle:
-    """Cycles on the levels of a coarse correction; all they change they change in place."""
+    """Cycles on the levels of a coarse correction; unknowns are changed in place."""
 
     levels: CorrectionLevels
     options: Cycle
@@ -102,7 +98,7 @@ class MultigridCycle:
         self.smooth(level, contact, load, unknowns, self.options.post)
 
     def solve(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str) -> None:
-        """Solve the problem of a level as well as the shape of the cycle wants it."""
+        """Solve the problem of a level as the shape of the cycle says."""
         if level == 0:
             self.solve_coarsest(contact, load, unknowns)
         elif shape == "complete":
@@ -111,15 +107,15 @@ class MultigridCycle:
             for each in {"V": "V", "W": "WW", "F": "FV"}[shape]:
                 self.cycle(level, contact, load, unknowns, each)
 
-    def correct(self, level: int, contact: NodalContact, unknowns: np.ndarray, defect: np.ndarray,
+    def correct(self, level: int, contact: NodalContact, unknowns: np.ndarray, r: np.ndarray,
                 shape: str | None = None) -> None:
-        """Add the correction from the next coarser level; ``defect`` is the residual at ``unknowns``."""
+        """Add the correction from the next coarser level; ``r`` is the residual at ``unknowns``."""
         fine, coarse = self.levels[level], self.levels[level - 1]
         initial = self.initial[level - 1] if self.correction.needs_initial else None
         data = correction_contact(self.correction, fine.supports, fine.system, coarse.system, contact,
-                                  unknowns, defect, initial)
+                                  unknowns, r, initial)
         self.recorder.visit(level, "restrict")
-        load = fine.restriction @ defect
+        load = fine.restriction @ r
         error = np.zeros(coarse.system.n_dofs)
         self.solve(level - 1, data, load, error, self.options.shape if shape is None else shape)
         unknowns += fine.prolongation @ error
@@ -170,8 +166,8 @@ class CoarseSolve:
     Parameters
     ----------
     condensed : bool
-        Sweep on the Schur complement of the contact dofs on the coarsest level. Its sweeps are counted as work by its
-        entries; the factorisation and its solves are reported as seconds ('factorise', and within the cycles).
+        Sweep on the Schur complement of the contact dofs on the coarsest level, whose entries are counted as work; the
+        factorisation and its solves are reported as seconds.
     rtol : float
         Tolerance relative to the solution of the coarse problem: for ``test="error"`` of the estimated error in the
         norm of the diagonal blocks, for ``test="change"`` of the Euclidean change in one sweep.
@@ -181,7 +177,7 @@ class CoarseSolve:
     omega : float
         Over-relaxation.
     max_sweeps : int
-        At most so many; the iterate reached is used.
+        Sweeps at most; the last iterate is used.
     """
 
     condensed: bool = True
@@ -234,7 +230,7 @@ class CoarseSolve:
         return sweeps
 
     @staticmethod
-    def _block_norm(system: LocalSystem):
+    def _block_norm(system: LocalSystem) -> Callable[[np.ndarray], float]:
         blocks = system.diagonal.reshape(-1, system.dim, system.dim)
 
         def norm(vector: np.ndarray) -> float:
@@ -255,8 +251,7 @@ class NestedStart:
         bodies touch each other (interpolation carries the edges of their contact less well) on levels that the next
         one outnumbers ``CHEAP`` times.
     rtol : float
-        Tolerance on the coarsest level, and with 'complete' on all of them. With two levels and a coarse solve that
-        is not condensed a tight one is most of the work of the start.
+        Tolerance on the coarsest level, and with 'complete' on all levels below the finest.
     """
 
     #: nodes of the next level over those of this one from which on a second cycle costs less than it saves

@@ -1,16 +1,14 @@
-r"""Numba kernels of the linear cycle: Gauss-Seidel in half passes, on a matrix that is stored in parts.
+r"""Numba kernels of the linear cycle: Gauss-Seidel in half passes on a matrix stored in parts, and transfers.
 
 For :math:`(L + D + U)\,u = f`, stored as :class:`~adaptmg.multigrid.split_matrix.SplitMatrix`, not necessarily
 symmetric. From zero: forward (L), keeping :math:`s = f - L u`; backward (U), keeping the change :math:`\delta`; then
 the residual is :math:`-L\delta` (L). After the coarse correction: forward (L and U), keeping s; backward (U). Two
 symmetric sweeps and a residual in three passes.
-Arguments in the order of the function: ``zero`` (dim zeros, see :mod:`adaptmg.smoother.blocks`; one for coarse spaces
-that know no nodes); indptr, indices, data of a half; ``inverse`` of the diagonal blocks.
 
-Numba kernels of transfers in the cycle: restriction by scatter, prolongation fused with what follows it.
-
-A nodal prolongation P acts on every component, one of dofs is taken as of nodes with one component (``zero`` tells
-their number, see :mod:`adaptmg.smoother.blocks`); the transpose is applied from the same arrays.
+Restriction scatters, prolongation is fused with what follows it, both from the same arrays. A nodal prolongation P acts
+on every component, one of dofs as of nodes with one component: the length of ``zero`` (see
+:mod:`adaptmg.smoother.blocks`) says which. Arguments come in the order ``zero``; indptr, indices, data of a half;
+``inverse`` of the diagonal blocks.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
 """LinearCycle: a V-cycle on the (truncated) linear coarse problems, two symmetric sweeps and a residual a level.
 
-The coarsest ones are solved by LU factors, or by a user's own solver.
-
-What one's own linear solver and smoother must offer to take part in the linear cycle, and how they are called.
+The coarsest ones are solved by LU factors. A user-defined :class:`LinearSolve` may replace these, and a user-defined
+:class:`LinearSmoother` the sweeps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy import linalg, sparse
@@ -23,12 +22,13 @@ from adaptmg.multigrid.half_sweeps import add_prolonged, restrict, zero_at
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import ZERO
 
-__all__ = ["CoarseFactors", "LevelVectors", "LinearCycle", "LinearSmoother", "LinearSolve", "OwnSmoother", "OwnSolve",
-           "regular_matrix"]
+__all__ = ["CoarseFactors", "LevelVectors", "LinearCycle", "LinearSmoother", "LinearSolve", "PreparedSmoother",
+           "PreparedSolve", "regular_matrix"]
+
 
 @dataclass(eq=False)
 class LevelVectors:
-    """What the cycle keeps on a level (n_dofs,) each."""
+    """The vectors of a level (n_dofs,)."""
 
     load: np.ndarray
     solution: np.ndarray
@@ -45,7 +45,7 @@ class LinearCycle:
 
     levels: list[SplitMatrix]  # coarsest first
     prolongations: list[sparse.csr_array]
-    recorder: Recorder  # counts passes, and notes the way
+    recorder: Recorder  # counts passes and notes the path
     sweeps: Sequence[int]
     coarse_solve: LinearSolve | None = None  # in place of LU factors on the coarsest level
     coarse_smoother: LinearSmoother | None = None  # in place of the symmetric sweeps
@@ -54,13 +54,13 @@ class LinearCycle:
     def __post_init__(self) -> None:
         self.factors = CoarseFactors(self.levels[0], self.coarse_solve)
         self._vectors: dict[int, LevelVectors] = {}
-        self._own: dict[int, OwnSmoother] = {}
+        self._custom: dict[int, _LevelSmoother] = {}
 
     def renew(self, number: int) -> None:
-        """Take the matrices below level ``number`` as they are now."""
+        """Take over the matrices below level ``number``, which have changed."""
         self.factors.renew()
         if self.coarse_smoother is not None:
-            self._own = {k: OwnSmoother(self.coarse_smoother, self.levels[k]) for k in range(1, number)}
+            self._custom = {k: _LevelSmoother(self.coarse_smoother, self.levels[k]) for k in range(1, number)}
 
     def vectors(self, number: int) -> LevelVectors:
         """Load and solution of a level, made when first asked for."""
@@ -104,10 +104,10 @@ class LinearCycle:
     def _before(self, number: int, v: LevelVectors) -> float:
         """Smooth from zero; the residual is left in ``kept``. Returns the passes, those of the residual included."""
         level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
-        if self._own:
+        if self._custom:
             v.solution[:] = 0.0
-            passes = self._own[number].smooth(v.load, v.solution)
-            v.kept[:] = v.load - self._own[number].matrix @ v.solution
+            passes = self._custom[number].smooth(v.load, v.solution)
+            v.kept[:] = v.load - self._custom[number].matrix @ v.solution
             return passes + 1
         half_sweeps.forward_from_zero(zero, *level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
         if sweeps == 1:
@@ -121,8 +121,8 @@ class LinearCycle:
     def _after(self, number: int, v: LevelVectors) -> float:
         """Smooth the corrected solution; returns the passes."""
         level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
-        if self._own:
-            return self._own[number].smooth(v.load, v.solution)
+        if self._custom:
+            return self._custom[number].smooth(v.load, v.solution)
         if sweeps == 1:
             half_sweeps.backward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
         else:
@@ -134,27 +134,26 @@ class LinearCycle:
 
 
 class CoarseFactors:
-    """Solves with the coarsest matrix; a singular one is shifted by a small part of its diagonal before it is
-    factorised, dense or sparse by its size.
-    """
+    """Solves with the coarsest matrix by dense or sparse factors; a singular one is shifted."""
 
-    #: a pivot below this times the largest means singular, and the shift that mends it, over the diagonal
+    #: a pivot below this times the largest means singular; the shift that makes the matrix regular, over the diagonal
     SINGULAR, SHIFT = 1e-13, 1e-6
     #: dofs up to which dense factors are quicker
     DENSE = 1500
 
-    def __init__(self, level: SplitMatrix, own: LinearSolve | None = None) -> None:
-        self.level, self.own = level, own
+    def __init__(self, level: SplitMatrix, custom: LinearSolve | None = None) -> None:
+        self.level, self.custom = level, custom
         scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self._solve: Callable[[np.ndarray], np.ndarray] | None = None
-        self._own_solve: OwnSolve | None = None
+        self._prepared: PreparedSolve | None = None
 
     def renew(self) -> None:
-        """Factorise the matrix as it is now."""
+        """Factorise the matrix, which has changed."""
         matrix = regular_matrix(self.level, self._scale)
-        if self.own is not None:
-            self._own_solve = OwnSolve(self.own, matrix)
+        if self.custom is not None:
+            self._prepared = checks.offers("coarse_solve: what setup returns", self.custom.setup(matrix), "solve",
+                                           "an object with solve(rhs) -> solution")
             return
         factorise = _dense_factors if matrix.shape[0] <= self.DENSE else _sparse_factors
         self._solve = factorise(matrix, self.SINGULAR)
@@ -163,10 +162,13 @@ class CoarseFactors:
 
     def solve(self, load: np.ndarray, result: np.ndarray) -> float:
         """Solve into ``result`` (n_dofs,); returns the passes over the matrix, 0 for factors."""
-        if self._own_solve is not None:
-            return self._own_solve.solve(load, result)
-        result[:] = self._solve(load)
-        return 0.0
+        if self._prepared is None:
+            result[:] = self._solve(load)
+            return 0.0
+        # a copy: a user-defined solver may change it
+        solution = self._prepared.solve(load.copy())
+        result[:] = check_arrays.array("coarse_solve: what solve returns", solution, load.shape)
+        return checks.nonnegative("coarse_solve: passes", getattr(self._prepared, "passes", 0.0))
 
 
 def _dense_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -190,26 +192,37 @@ def _sparse_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.n
     return None if singular and not sizes.min() > singular * sizes.max() else factors.solve
 
 
+class PreparedSolve(Protocol):
+    """A matrix made ready for solves."""
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """The solution (n_dofs,) for a right-hand side (n_dofs,)."""
+
+
+class PreparedSmoother(Protocol):
+    """A matrix made ready for sweeps."""
+
+    def smooth(self, rhs: np.ndarray, x: np.ndarray) -> float:
+        """Improve x (n_dofs,) in place; returns the passes over the matrix that it took."""
+
+
 class LinearSolve(Protocol):
-    """One's own solver of the coarsest linear problems."""
+    """A user-defined solver of the coarsest linear problems."""
 
-    def setup(self, matrix: sparse.csr_array) -> Any:
-        """Prepare for a matrix (n_dofs, n_dofs): return an object with ``solve(rhs (n_dofs,)) -> (n_dofs,) array``.
+    def setup(self, matrix: sparse.csr_array) -> PreparedSolve:
+        """Prepare for a matrix (n_dofs, n_dofs), whenever the contact status changes it.
 
-        Called whenever the contact status changes the matrix. It has a diagonal entry alone where dofs are fixed or
-        truncated; with Coulomb friction it is not symmetric; where only contact holds a body it may be singular. An
-        object with a number ``passes``, the passes over the matrix that its last solve took, has them counted as work.
+        It has a diagonal entry alone where dofs are fixed or truncated; with Coulomb friction it is not symmetric;
+        where only contact holds a body it may be singular. The passes over the matrix that the object's ``passes``
+        names for its last solve, if it has them, are counted as work.
         """
 
 
 class LinearSmoother(Protocol):
-    """One's own smoother of the linear problems between the coarsest level and the finest."""
+    """A user-defined smoother of the linear problems between the coarsest level and the finest."""
 
-    def setup(self, matrix: sparse.csr_array) -> Any:
-        """Prepare for a matrix as :meth:`LinearSolve.setup`: return an object with ``smooth(rhs, x) -> passes``.
-
-        That improves x (n_dofs,) in place and returns the passes over the matrix that it took.
-        """
+    def setup(self, matrix: sparse.csr_array) -> PreparedSmoother:
+        """Prepare for a matrix; see :meth:`LinearSolve.setup`."""
 
 
 def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
@@ -219,27 +232,13 @@ def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
     return matrix + sparse.diags_array(np.where(empty, scale, 0.0))
 
 
-class OwnSolve:
-    """A :class:`LinearSolve` set up for a matrix."""
+class _LevelSmoother:
+    """A :class:`LinearSmoother` set up for the matrix of a level."""
 
-    def __init__(self, own: LinearSolve, matrix: sparse.csr_array) -> None:
-        self._solver = checks.offers("coarse_solve: what setup returns", own.setup(matrix), "solve",
-                                     "an object with solve(rhs) -> solution")
-
-    def solve(self, load: np.ndarray, result: np.ndarray) -> float:
-        """Solve into ``result``; returns the passes it took."""
-        # a copy: what is handed out may be changed
-        result[:] = check_arrays.array("coarse_solve: what solve returns", self._solver.solve(load.copy()), load.shape)
-        return checks.nonnegative("coarse_solve: passes", getattr(self._solver, "passes", 0.0))
-
-
-class OwnSmoother:
-    """A :class:`LinearSmoother` set up for a level as its matrix is now."""
-
-    def __init__(self, own: LinearSmoother, level: SplitMatrix) -> None:
+    def __init__(self, custom: LinearSmoother, level: SplitMatrix) -> None:
         diagonal = level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2).reshape(-1)
         self.matrix = regular_matrix(level, np.full(level.n_dofs, np.abs(diagonal).max()))
-        self._smoother = checks.offers("coarse_smoother: what setup returns", own.setup(self.matrix), "smooth",
+        self._smoother = checks.offers("coarse_smoother: what setup returns", custom.setup(self.matrix), "smooth",
                                        "an object with smooth(rhs, x) -> passes")
 
     def smooth(self, load: np.ndarray, unknowns: np.ndarray) -> float:

@@ -1,25 +1,18 @@
-r"""Numba kernels of the nonlinear smoothing: projected Gauss-Seidel in half passes, on a symmetric matrix.
+r"""The nonlinear smoothing: projected Gauss-Seidel in half passes on a symmetric matrix, and on an interface.
 
 Unknowns are Cartesian; the exact node solve of :mod:`adaptmg.smoother.node_solve` works in the frame of the contact
 node. Both sweeps read L only, each row for two purposes, as :math:`U = L^T`. The backward sweep scatters
 :math:`-L_i^T u_i` to the nodes before, so that :math:`t = f - U u` is complete when its node is reached, and keeps t.
-The forward sweep scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i: what t has become at the end
-is the residual f - A u.
+The forward sweep scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i: at the end t is f - A u.
 
-Arguments: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`), and of a contact ``contact_of`` (n_nodes,) index
-or -1; ``frames`` (n_contact * dim^2,) rows normal, tangents; ``blocks`` (n_contact * dim (dim + 1) / 2,) upper
-triangles of the local diagonal blocks; ``gap, reference, limit, friction``; ``values`` (n_contact * dim,) the local
-unknowns, which hold gap and reference exactly where the node touches and sticks.
+Where two bodies touch, most of the error that is left lies within a few elements of the interface. Local sweeps there
+cost the rows of their nodes: a change :math:`\delta_i` alters the residual by :math:`-A_{ij}^T\delta_i` at the
+neighbours j. In relative coordinates a master node carries its followers along; where the contact is open and the slave
+body much stiffer (a soft tip before a solid wall) such sweeps hardly move the master. Masters whose followers are all
+open are therefore moved alone, :math:`w_j \leftarrow w_j - W_{ji}\delta_i`, unless that would close one of them.
 
-Where two bodies touch, the smoothing of the interface limits the rate: most of the error that is left lies within a few
-elements of it. In local sweeps there the change :math:`\delta_i` of node i alters the residual by
-:math:`-A_{ji}\delta_i = -A_{ij}^T\delta_i` at its neighbours j, so that they cost the rows of their nodes, no more.
-In relative coordinates a master node carries its followers along. That is what contact wants; but where the contact is
-open and the slave body much stiffer there (a soft tip before a solid wall) such sweeps hardly move the master. Masters
-whose followers are all open are therefore moved alone, the followers staying where they are,
-:math:`w_j \leftarrow w_j - W_{ji}\delta_i`, unless that would close one of them.
-
-Interface: the nodes near contact between bodies, swept more often than the others, and their rows of the matrix.
+Arguments: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`); the arrays of a SplitMatrix, of a TruncatedContact
+and of an :class:`Interface`; ``values`` hold gap and reference exactly where a node touches and sticks.
 """
 
 from __future__ import annotations
@@ -54,7 +47,7 @@ __all__ = ["Interface", "backward", "energy_product", "forward", "local", "solve
 ONE = np.uint64(1)
 
 
-# fastmath said, so that it does not depend on which of the sweeps is compiled first
+# explicit fastmath: it would else be that of the sweep that is compiled first
 @inner_kernel(fastmath=False)
 def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
     """Solve contact node k; ``c`` is the Cartesian force without the diagonal block."""
@@ -129,24 +122,24 @@ def energy_product(zero, l_indptr, l_indices, lower, inverse, new, old):
 
 
 @inner_kernel
-def _changed(p, i, d, indptr, indices, blocks, diagonal, defect):
+def _changed(p, i, d, indptr, indices, blocks, diagonal, residual):
     """Take a change d of node i, at position p, out of the residual: its own and that of its neighbours."""
     dim = np.uint64(len(d))
     size, at = dim * dim, dim * i
-    write(defect, at, subtract(read(defect, at, d), times(diagonal, size * p, d)))
+    write(residual, at, subtract(read(residual, at, d), times(diagonal, size * p, d)))
     for entry in range(np.uint64(indptr[p]), np.uint64(indptr[p + ONE])):
         j = dim * np.uint64(indices[entry])
-        write(defect, j, subtract(read(defect, j, d), transposed_times(blocks, size * entry, d)))
+        write(residual, j, subtract(read(residual, j, d), transposed_times(blocks, size * entry, d)))
 
 
 @inner_kernel
 def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, contact_of,
-           frames, gap, limit, values, u, defect):
+           frames, gap, limit, values, u, residual):
     """Move a master without its followers, if all are open and stay so; whether it was done."""
     dim = np.uint64(len(zero))
     size = dim * dim
     begin, end = np.uint64(follow_indptr[p]), np.uint64(follow_indptr[p + ONE])
-    r = read(defect, dim * i, zero)
+    r = read(residual, dim * i, zero)
     for s in range(begin, end):
         j = np.uint64(nodes[followers[s]])
         if contact_of[j] < 0:
@@ -154,7 +147,7 @@ def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
         k = np.uint64(contact_of[j])
         if values[dim * k] >= gap[k] or limit[k] > 0.0:
             return False
-        r = subtract(r, multiply(read(weights, dim * s, zero), read(defect, dim * j, zero)))
+        r = subtract(r, multiply(read(weights, dim * s, zero), read(residual, dim * j, zero)))
     d = times(alone, size * p, r)
     for s in range(begin, end):
         k = np.uint64(contact_of[nodes[followers[s]]])
@@ -162,7 +155,7 @@ def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
         if values[dim * k] + times(frames, size * k, behind)[0] >= gap[k]:
             return False
     write(u, dim * i, add(read(u, dim * i, zero), d))
-    _changed(p, i, d, indptr, indices, blocks, diagonal, defect)
+    _changed(p, i, d, indptr, indices, blocks, diagonal, residual)
     for s in range(begin, end):
         q = np.uint64(followers[s])
         j = np.uint64(nodes[q])
@@ -170,16 +163,16 @@ def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
         behind = negative(multiply(read(weights, dim * s, zero), d))
         write(u, dim * j, add(read(u, dim * j, zero), behind))
         write(values, dim * k, add(read(values, dim * k, zero), times(frames, size * k, behind)))
-        _changed(q, j, behind, indptr, indices, blocks, diagonal, defect)
+        _changed(q, j, behind, indptr, indices, blocks, diagonal, residual)
     return True
 
 
 @kernel
 def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, inverse,
-          contact_of, frames, own_blocks, gap, reference, limit, friction, values, u, defect):
+          contact_of, frames, own_blocks, gap, reference, limit, friction, values, u, residual):
     """Projected sweep over positions ``order`` of an :class:`~adaptmg.multigrid.projected_sweeps.Interface`.
 
-    ``defect`` is f - A u before and after.
+    ``residual`` is f - A u before and after.
     """
     dim = np.uint64(len(zero))
     for entry in range(len(order)):
@@ -188,19 +181,19 @@ def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
         at = dim * i
         now = read(u, at, zero)
         if contact_of[i] >= 0:
-            force = minus_times(read(defect, at, zero), diagonal, dim * dim * p, negative(now))
+            force = minus_times(read(residual, at, zero), diagonal, dim * dim * p, negative(now))
             new = solve_at(np.uint64(contact_of[i]), frames, own_blocks, gap, reference, limit, friction, values,
                            force)
             change = subtract(new, now)
         elif follow_indptr[p + ONE] > follow_indptr[p] and _alone(
                 zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone,
-                contact_of, frames, gap, limit, values, u, defect):
+                contact_of, frames, gap, limit, values, u, residual):
             continue
         else:
-            change = times(inverse, dim * at, read(defect, at, zero))
+            change = times(inverse, dim * at, read(residual, at, zero))
             new = add(now, change)
         write(u, at, new)
-        _changed(p, i, change, indptr, indices, blocks, diagonal, defect)
+        _changed(p, i, change, indptr, indices, blocks, diagonal, residual)
 
 
 @kernel
@@ -277,7 +270,7 @@ def _alone_blocks(dim, nodes, indptr, columns, blocks, diagonal, follow_indptr, 
 
 
 class Interface:
-    """Nodes within ``LAYERS`` edges of the graph of the matrix from the slave nodes (master nodes are neighbours)."""
+    """Nodes near contact between bodies and their rows: within ``LAYERS`` edges of the matrix from the slave nodes."""
 
     #: one layer does nearly as well, more than two gain nothing
     LAYERS = 2
@@ -311,7 +304,7 @@ class Interface:
         self.nonzeros = len(self.blocks) + len(self.diagonal)
 
     def _follow(self, coupling: Coupling, place: np.ndarray) -> None:
-        """The followers of each node; of nodes that follow others themselves none."""
+        """The followers of each node; nodes that follow others have none."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
         itself = np.diff(coupling.weights.indptr)[self.nodes] > 0
         kept = ~np.repeat(itself, np.diff(by_master.indptr))
@@ -323,7 +316,7 @@ class Interface:
 
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """What the local sweeps read of it."""
+        """The arrays that the local sweeps read."""
         return (self.nodes, self.indptr, self.indices, self.blocks, self.diagonal, self.follow_indptr, self.followers,
                 self.follow_weights, self.alone)
 

@@ -1,12 +1,4 @@
-r"""RigidContact: the contact nodes of a body that moves rigidly, and the way to its least energy, step by step.
-
-With gradient s and (3D) Hessian H of the energy :math:`\phi` of :mod:`~adaptmg.multigrid.rigid_motions` a
-step goes along :math:`-H^{-1} s`, or -s where H is singular, to the minimum on that line: to the first node that
-closes, or to the root of the slope
-
-.. math:: -F\cdot d + \sum_i g_i\,\frac{(\tau_i + \alpha T_i d)\cdot T_i d}{|\tau_i + \alpha T_i d|} .
-
-RigidMotions: motions of a body that only contact holds, taken to the least energy.
+r"""RigidMotions: motions of a body that only contact holds, taken to the least energy.
 
 A combination M of rigid motions that vanishes at the fixed dofs has A M = 0: the step M c changes no residual, only the
 slips :math:`\tau_i` and gaps. With the load f, g = s + mu p frozen and the local values :math:`N_i, T_i` of M at the
@@ -15,9 +7,12 @@ contact nodes the energy changes by
 .. math:: \phi(c) = -(M^T f)\cdot c + \sum_i g_i\,(|\tau_i + T_i c| - |\tau_i|),\qquad N_i c \le g_{0,i} - w_{n,i},
 
 where c moves neither closed nodes along their normals nor sticking nodes at all. While such a c is left, truncated
-coarse matrices are singular (2D) or nearly so (3D), and their corrections without bound. The minimum ends that: in 2D
-it lies where an open node closes or a slip vanishes (the median of the slips, weighted with g), and that node then
-holds the body; in 3D slips that are not parallel hold it too.
+coarse matrices are singular (2D) or nearly so (3D). The minimum ends that: in 2D it lies where an open node closes or a
+slip vanishes (the median of the slips, weighted with g); in 3D slips that are not parallel hold the body too. A step
+goes along :math:`-H^{-1} s` with gradient s and (3D) Hessian H of :math:`\phi`, or -s where H is singular, to the first
+node that closes, or to the root of the slope
+
+.. math:: -F\cdot d + \sum_i g_i\,\frac{(\tau_i + \alpha T_i d)\cdot T_i d}{|\tau_i + \alpha T_i d|} .
 """
 
 from __future__ import annotations
@@ -50,30 +45,30 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
 class RigidContact:
     """The contact nodes between two steps."""
 
-    motions: np.ndarray  # (n, dim, m): N_i, T_i: local values of the rigid motions
-    values: np.ndarray  # (n, dim): local unknowns, those of the level: steps change them
+    motions: np.ndarray  # (n, dim, m): N_i, T_i, local values of the rigid motions
+    values: np.ndarray  # (n, dim): local unknowns of the level, which steps change
     gap: np.ndarray  # (n,)
     reference: np.ndarray  # (n, dim - 1): of the slip
-    limit: np.ndarray  # (n,)s: s, mu and p
-    friction: np.ndarray  # (n,)s: s, mu and p
-    pressure: np.ndarray  # (n,)s: s, mu and p
-    factor: float = 1.0
+    limit: np.ndarray  # (n,): s, N
+    friction: np.ndarray  # (n,): mu
+    pressure: np.ndarray  # (n,): p, N
+    factor: float = 1.0  # of the friction, where it does not hold the body
 
     #: share of F to which a minimum balances the forces; in 2D only a node that holds the body will do
     BALANCED: ClassVar[dict[int, float]] = {2: 1e-12, 3: 1e-2}
     #: a slip that is smaller than this after a step, relative to the step, vanishes
     VANISHES: ClassVar[float] = 1e-6
-    #: such a friction is made so many times enough
+    #: how many times enough such a friction is made
     ENOUGH: ClassVar[float] = 2.0
-    #: conditioning up to which H is taken
+    #: reciprocal conditioning from which on H counts as regular
     REGULAR: ClassVar[float] = 1e-8
 
     @classmethod
-    def of(cls, contact: TruncatedContact, motions: np.ndarray, defect: np.ndarray) -> RigidContact:
+    def of(cls, contact: TruncatedContact, motions: np.ndarray, residual: np.ndarray) -> RigidContact:
         """The contact nodes of a level with the residual f - A u (n_dofs,)."""
         o, dim = contact, contact.dim
         normals = o.frames.reshape(-1, dim, dim)[:, 0]
-        pressure = np.maximum(np.einsum("ni,ni->n", normals, defect.reshape(-1, dim)[o.nodes]), 0.0)
+        pressure = np.maximum(np.einsum("ni,ni->n", normals, residual.reshape(-1, dim)[o.nodes]), 0.0)
         return cls(motions, o.values.reshape(-1, dim), o.gap, o.reference.reshape(-1, dim - 1), o.limit, o.friction,
                    pressure)
 
@@ -164,8 +159,8 @@ class RigidContact:
 class _Line:
     """The energy along a direction d."""
 
-    slip: np.ndarray  # (n, dim - 1)s: tau and T d
-    change: np.ndarray  # (n, dim - 1)s: tau and T d
+    slip: np.ndarray  # (n, dim - 1): tau
+    change: np.ndarray  # (n, dim - 1): T d
     speed: np.ndarray  # (n,): |T d|
     bound: np.ndarray  # (n,): g, zero where friction does not act or the node does not move
     work: float  # F.d
@@ -221,9 +216,6 @@ class _Line:
         return node if share[node] < small else None
 
 
-#: forces that count as zero, relative to the largest entry of the matrix
-
-
 @dataclass(eq=False)
 class RigidMotions:
     """The rigid motions of one level that its supports leave free."""
@@ -240,7 +232,7 @@ class RigidMotions:
 
     @classmethod
     def of(cls, problem: DiscreteProblem, contact: TruncatedContact, load: np.ndarray) -> RigidMotions | None:
-        """The free motions of a problem, None if it has none or nothing is known of them."""
+        """The free motions of a problem, None if it has none or its near_nullspace is unknown."""
         modes, dim = problem.near_nullspace, problem.dim
         if modes is None or not len(contact.nodes):
             return None
@@ -251,9 +243,9 @@ class RigidMotions:
         return cls(problem, contact, load, coefficients,
                    np.einsum("nij,njk->nik", contact.frames.reshape(-1, dim, dim), cartesian))
 
-    def settle(self, unknowns: np.ndarray, past: list[np.ndarray], defect: np.ndarray) -> int:
-        """Move to the least energy, in place."""
-        contact = RigidContact.of(self.contact, self.at_contact, defect)
+    def settle(self, unknowns: np.ndarray, past: list[np.ndarray], residual: np.ndarray) -> int:
+        """Move to the least energy, in place; returns the number of steps."""
+        contact = RigidContact.of(self.contact, self.at_contact, residual)
         total, steps = np.zeros(self.at_contact.shape[2]), 0
         while steps < self.STEPS:
             free = contact.free()
@@ -269,7 +261,7 @@ class RigidMotions:
         return steps
 
     def _strainless(self) -> bool:
-        """Whether A M = 0, looked at when it first matters; if not, the motions are given up."""
+        """Whether A M = 0, tested when it first matters; if not, the motions are given up."""
         if self._work is None:
             motions = self.problem.near_nullspace @ self.coefficients
             forces = self.problem.matrix @ motions
@@ -282,7 +274,7 @@ class RigidMotions:
         return True
 
     def _move(self, change: np.ndarray, unknowns: np.ndarray, past: list[np.ndarray]) -> None:
-        """Carry out a motion (m,), which the values of the contact have made already."""
+        """Carry out a motion (m,) that the values of the contact contain already."""
         o = self.contact
         step = self.problem.near_nullspace @ (self.coefficients @ change)
         step[self.problem.fixed] = 0.0

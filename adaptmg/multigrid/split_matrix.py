@@ -1,16 +1,14 @@
 r"""SplitMatrix: a block matrix stored as strict lower part L, strict upper part U and inverse diagonal blocks.
 
-Gauss-Seidel sweeps in turn, forward after backward, need the half that has changed only:
-with :math:`t = f - U u` kept from the backward sweep, the forward sweep is :math:`D u_i = t_i - L_i u`. Kept apart, a
-half is streamed for itself and counts as half a pass. Of a symmetric matrix L alone is enough where the sweeps scatter
-:math:`L^T`. Rows and columns of fixed dofs are zero. :func:`galerkin_levels` splits those of all levels of a hierarchy.
-
-Numba kernels that split a block matrix into its lower and upper parts and invert its diagonal blocks.
+Gauss-Seidel sweeps in turn, forward after backward, need the half that has changed only: with :math:`t = f - U u` kept
+from the backward sweep, the forward sweep is :math:`D u_i = t_i - L_i u`. A half is streamed by itself and counts as
+half a pass. Of a symmetric matrix L alone is stored where the sweeps scatter :math:`L^T`. Rows and columns of fixed
+dofs are zero. :func:`galerkin_levels` splits the matrices of all levels of a hierarchy.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -29,14 +27,14 @@ class SplitMatrix:
     """A matrix of ``dim`` x ``dim`` blocks in Cartesian components, fixed dofs eliminated."""
 
     dim: int
-    lower_indptr: np.ndarray  # (n_nodes + 1,) int32s
-    lower_indices: np.ndarray  # block columns, ascending in a row
+    lower_indptr: np.ndarray  # (n_nodes + 1,) int32
+    lower_indices: np.ndarray  # uint32: block columns, ascending in a row
     lower: np.ndarray  # blocks, row by row, flat
-    upper_indptr: np.ndarray  # (n_nodes + 1,) int32s
-    upper_indices: np.ndarray  # block columns, ascending in a row
-    upper: np.ndarray  # blocks, row by row, flat
-    diagonal: np.ndarray  # (n_nodes * dim * dim,)s
-    inverse: np.ndarray  # (n_nodes * dim * dim,)s
+    upper_indptr: np.ndarray  # as those of L; empty: U is the transpose of L
+    upper_indices: np.ndarray
+    upper: np.ndarray
+    diagonal: np.ndarray  # (n_nodes * dim * dim,)
+    inverse: np.ndarray  # (n_nodes * dim * dim,)
     fixed: np.ndarray  # (n_fixed,) int64: fixed dofs
     nonzeros: int  # stored entries of the whole matrix, the unit of work on this level
 
@@ -70,11 +68,6 @@ class SplitMatrix:
         """Memory of the arrays, bytes."""
         arrays = (*self.lower_arrays, *self.upper_arrays, self.diagonal, self.inverse, self.fixed)
         return sum(array.nbytes for array in arrays)
-
-    def copy(self) -> SplitMatrix:
-        """With arrays of its own where the contact status changes them."""
-        return replace(self, lower=self.lower.copy(), upper=self.upper.copy(), diagonal=self.diagonal.copy(),
-                       inverse=self.inverse.copy())
 
     def drop_diagonal(self) -> None:
         """Free the diagonal blocks: :meth:`at_slots` and :meth:`matrix` are then out of reach."""
@@ -118,7 +111,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     lower, upper = np.empty(below * dim * dim), np.empty(above * dim * dim)
     diagonal, inverse = np.empty(n * dim * dim), np.empty(n * dim * dim)
     distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices,
-                       upper, diagonal)
+               upper, diagonal)
     dofs = np.flatnonzero(fixed)
     if len(dofs):
         free, held = ~fixed, np.zeros(n, dtype=bool)
@@ -142,9 +135,8 @@ def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
 def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
     """Galerkin matrices of all levels, coarsest first.
 
-    Where the discretised matrix is the Galerkin one (nested meshes) it is taken as it is; not with coupled bodies,
-    whose truncated matrices need more entries near contact than the discretised ones have. The finest matrix, which no
-    truncation changes, is symmetric: its lower half is all that is stored.
+    Where the discretised matrix is the Galerkin one (nested meshes) it is taken over; not with coupled bodies, whose
+    truncated matrices need more entries near contact. The finest matrix, which no truncation changes, is symmetric.
     """
     matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
     result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
@@ -166,7 +158,7 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
 def _nested(above: Level, level: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array) -> bool:
     """Whether the discretised matrix of ``level`` is the Galerkin one of ``matrix``, that of the level above.
 
-    Remembered on the level above, whose prolongation it is: hierarchies that grow ask for it at every step.
+    The answer is kept on the level above, whose prolongation it is: growing hierarchies ask at every step.
     """
     coarse = level.discrete.matrix
     if matrix is not above.matrix:
@@ -292,7 +284,7 @@ def invert_block(dim, block, scale, result, at):
 
 @inner_kernel
 def _invert_2d(blocks, result, at):
-    """The same in 2D in a few operations, where no diagonal entry vanishes; whether it was done."""
+    """The same in 2D in a few operations; False where a diagonal entry vanishes."""
     a, b, c, d = blocks[at], blocks[at + 1], blocks[at + 2], blocks[at + 3]
     if a == 0.0 or abs(d - c * (b / a)) <= 1e-10 * abs(d):
         return False

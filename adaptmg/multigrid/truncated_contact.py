@@ -1,6 +1,4 @@
-r"""TruncatedContact: the contact nodes of one level, their status, and what truncation makes of vectors there.
-
-Numba kernels over the contact nodes of one level: status, truncation, projection, admissibility, in 2D and 3D.
+r"""TruncatedContact: the contact nodes of one level: status, truncation, projection, admissibility, in 2D and 3D.
 
 In the local frame of a node, with r = f - A u, :math:`p = \max(0, r_n)`, slip :math:`\tau` and
 :math:`g = s + \mu p` (an open node: g = s), the truncated residual is
@@ -31,19 +29,16 @@ __all__ = ["StatusChange", "TruncatedContact", "classify", "count_cut", "directi
 
 @dataclass(frozen=True)
 class StatusChange:
-    """What an update of the contact status finds."""
+    """The result of an update of the contact status."""
 
     changed: int  # nodes whose status differs from that of the last update
-    natural: float  # sums of squares of the natural residual and of the contact forces, N^2
-    reactions: float  # sums of squares of the natural residual and of the contact forces, N^2
+    natural: float  # sum of squares of the natural residual, N^2
+    reactions: float  # sum of squares of the contact forces, N^2
 
 
 @dataclass(eq=False)
 class TruncatedContact:
-    """Contact data and contact status of one level, flat as the kernels read them.
-
-    The kernels are those of :mod:`adaptmg.multigrid.truncated_contact`.
-    """
+    """Contact data and contact status of one level, flat as the kernels read them."""
 
     #: share of the contact nodes that a recombination may cut
     FEW: ClassVar[float] = 0.02
@@ -52,17 +47,17 @@ class TruncatedContact:
     nodes: np.ndarray  # (n_contact,) int32
     contact_of: np.ndarray  # (n_nodes,) int32: index of a node among the contact nodes, or -1
     frames: np.ndarray  # (n_contact * dim * dim,)
-    diagonal: np.ndarray  # (n_contact * dim * dim,): cartesian diagonal blocks
+    diagonal: np.ndarray  # (n_contact * dim * dim,): Cartesian diagonal blocks
     blocks: np.ndarray  # (n_contact * dim * (dim + 1) / 2,): upper triangles of the local ones
-    gap: np.ndarray  # (n_contact,)s
+    gap: np.ndarray  # (n_contact,), m
     reference: np.ndarray  # (n_contact * (dim - 1),)
-    limit: np.ndarray  # (n_contact,)s
-    friction: np.ndarray  # (n_contact,)s
+    limit: np.ndarray  # (n_contact,), N
+    friction: np.ndarray  # (n_contact,)
     values: np.ndarray  # (n_contact * dim,): local unknowns
-    codes: np.ndarray  # (n_contact,) int8: of system; -1 before the first update
+    codes: np.ndarray  # (n_contact,) int8; -1 before the first update
     pressure: np.ndarray  # (n_contact,): p >= 0, N
-    direction: np.ndarray  # (n_contact * (dim - 1),), (n_contact * (dim - 1)^2,)s
-    hessian: np.ndarray  # (n_contact * (dim - 1),), (n_contact * (dim - 1)^2,)s: of the slip, as the matrices have them
+    direction: np.ndarray  # (n_contact * (dim - 1),): of the slip
+    hessian: np.ndarray  # (n_contact * (dim - 1)^2,): of the friction
     driven: np.ndarray  # (k,) int: nodes that slip along a first tangent which a support holds
 
     @classmethod
@@ -89,7 +84,7 @@ class TruncatedContact:
 
     @property
     def node_data(self) -> tuple[np.ndarray, ...]:
-        """What the node solve reads."""
+        """The arrays that the node solve reads."""
         return self.frames, self.blocks, self.gap, self.reference, self.limit, self.friction, self.values
 
     @property
@@ -103,27 +98,27 @@ class TruncatedContact:
         self.project(unknowns)
         self.codes[:] = -1
 
-    def update_status(self, defect: np.ndarray) -> StatusChange:
-        """Find the status after a sweep; ``defect`` is f - A u (n_dofs,)."""
-        return StatusChange(*classify(ZERO[self.dim], self.nodes, *self.node_data, defect, self.codes,
-                                                      self.pressure))
+    def update_status(self, residual: np.ndarray) -> StatusChange:
+        """Find the status after a sweep; ``residual`` is f - A u (n_dofs,)."""
+        return StatusChange(*classify(ZERO[self.dim], self.nodes, *self.node_data, residual, self.codes,
+                                      self.pressure))
 
     def linearise_friction(self) -> None:
         """Take the slip directions (3D: and the Hessian) from the present unknowns."""
-        directions(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference,
-                                   self.values, self.direction, self.hessian)
+        directions(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference, self.values,
+                   self.direction, self.hessian)
         if len(self.driven):
             self.direction.reshape(-1, 2)[self.driven, 0] = 0.0
             hessian = self.hessian.reshape(-1, 2, 2)
             hessian[self.driven, 0] = 0.0
             hessian[self.driven, :, 0] = 0.0
 
-    def truncate(self, defect: np.ndarray) -> float:
+    def truncate(self, residual: np.ndarray) -> float:
         """Make f - A u the truncated residual, in place; returns its sum of squares at the contact nodes."""
-        squares = truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction,
-                                           self.reference, self.values, defect)
+        squares = truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction, self.reference,
+                           self.values, residual)
         # the support takes the friction along what it holds
-        return squares - self._clear(defect)
+        return squares - self._clear(residual)
 
     def _clear(self, vector: np.ndarray) -> float:
         """Set held tangents of driven nodes to zero in a vector (n_dofs,), in place; returns the squares lost."""
@@ -136,31 +131,26 @@ class TruncatedContact:
 
     def project(self, unknowns: np.ndarray) -> int:
         """Make a corrected iterate admissible, in place; returns the number of nodes that had to be cut."""
-        cut = project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
-                                      self.values, unknowns)
+        cut = project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference, self.values, unknowns)
         self._clear(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
         return cut
 
     def admits(self, unknowns: np.ndarray, first: np.ndarray, second: np.ndarray, alpha: tuple[float, float]) -> bool:
-        """Whether the recombination closes an open node or reverses a slip at a few nodes at most.
-
-        Those are cut back with the correction. To do without the recombination for the sake of one node that is about
-        to change its status would cost more cycles than to cut it.
-        """
+        """Whether the recombination closes open nodes or reverses slips at few nodes, which the projection cuts."""
         cut = count_cut(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
-                                        self.values, first, second, alpha[0], alpha[1], unknowns)
+                        self.values, first, second, alpha[0], alpha[1], unknowns)
         return cut <= 1 + self.FEW * len(self.nodes)
 
     def friction_slope(self, before: np.ndarray, alpha: float) -> float:
-        """How much the slope of sum g |slip| at alpha exceeds that at 0 on the way from local unknowns ``before``."""
-        return friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure,
-                                              self.reference, before, self.values, alpha)
+        """The slope of sum g |slip| at alpha minus that at 0 along the step from local unknowns ``before``."""
+        return friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference,
+                              before, self.values, alpha)
 
 
 @kernel
-def classify(zero, nodes, frames, blocks, gap, reference, limit, friction, values, defect, codes, pressure):
-    """Update ``codes`` and ``pressure`` from local unknowns and the residual ``defect`` (n_dofs,).
+def classify(zero, nodes, frames, blocks, gap, reference, limit, friction, values, residual, codes, pressure):
+    """Update ``codes`` and ``pressure`` from local unknowns and the residual ``residual`` (n_dofs,).
 
     ``zero`` are dim zeros, see :mod:`adaptmg.smoother.blocks`. Returns the number of codes that changed, and the sums
     of squares of the natural residual and of the reactions.
@@ -171,7 +161,7 @@ def classify(zero, nodes, frames, blocks, gap, reference, limit, friction, value
     reactions = 0.0
     for node in range(len(nodes)):
         k = np.uint64(node)
-        r = times(frames, dim * dim * k, read(defect, dim * np.uint64(nodes[k]), zero))
+        r = times(frames, dim * dim * k, read(residual, dim * np.uint64(nodes[k]), zero))
         w, place = read(values, dim * k, zero), read_reference(reference, k, zero)
         code = CLOSED if w[0] == gap[k] else 0
         if limit[k] > 0.0 or (code and friction[k] > 0.0):
@@ -188,7 +178,7 @@ def classify(zero, nodes, frames, blocks, gap, reference, limit, friction, value
 
 @in_loop
 def _tangential(w, reference):
-    """The code of the slip; in 3D its direction is no part of it."""
+    """The code of the slip; in 3D it is without direction."""
     if len(w) == 2:
         if w[1] == reference[0]:
             return HELD

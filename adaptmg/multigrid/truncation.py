@@ -1,21 +1,18 @@
 r"""Truncation: the matrices below one level, changed near contact whenever the contact status changes.
 
-Changed blocks are carried down by nodal prolongations through lists of products made once; on coarse spaces that are
-given dof by dof (algebraic ones, say) by sparse products.
-
-Numba kernels: what the truncation of contact nodes changes in the matrices of all coarser levels.
-
 With T dropping closed normals and held tangents, S adding the Newton rows of slip
 (:math:`row_t \leftarrow row_t - \mu\,(\tau/|\tau|)\,row_n`) and H the Hessian of the friction, a coarse matrix is
 
 .. math:: P^T T (S A + H) T P = P^T A P + P^T \Delta P,\qquad \Delta = T (S A + H) T - A,
 
-and :math:`\Delta` lives in the block rows and columns of contact nodes only. A block is addressed in a split
-matrix by one slot number: L first, then the diagonal, then U.
+and :math:`\Delta` lives in the block rows and columns of contact nodes only. Changed blocks are carried down by nodal
+prolongations through lists of products made once; on coarse spaces that are given dof by dof (algebraic ones, say) by
+sparse products. A block is addressed in a split matrix by one slot number: L first, then the diagonal, then U.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,17 +27,33 @@ __all__ = ["DofUpdate", "NodalUpdate", "Truncation", "add_contributions", "chang
            "count_contributions", "fetch", "fill_contributions", "find_slot", "find_slots", "store"]
 
 @dataclass(eq=False)
-class _ChangedDofs:
-    """One coarse level: the part of the prolongation that changes pass, and where they go."""
+class _Changed:
+    """The blocks of one coarse level that the contact status changes."""
 
     level: SplitMatrix
-    weights: sparse.csr_array
-    free: np.ndarray
-    keys: np.ndarray
+    dim: int  # block size of the changes
     slots: np.ndarray
     rows: np.ndarray
     columns: np.ndarray
-    base: np.ndarray
+
+    def __post_init__(self) -> None:
+        self.base = self.level.at_slots(self.slots)
+        self._free = np.ones(self.level.n_dofs, dtype=bool)
+        self._free[self.level.fixed] = False
+
+    def store(self, change: np.ndarray) -> None:
+        """Write base + change into the level."""
+        level = self.level
+        store(self.dim, self.slots, self.rows, self.columns, self.base, change, self._free,
+              int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse)
+
+
+@dataclass(eq=False)
+class _ChangedDofs(_Changed):
+    """Single entries, and the part of the prolongation that changes pass."""
+
+    weights: sparse.csr_array
+    keys: np.ndarray
 
     @classmethod
     def of(cls, level: SplitMatrix, weights: sparse.csr_array, dofs: np.ndarray,
@@ -50,13 +63,11 @@ class _ChangedDofs:
         keys = np.sort(order.row.astype(np.int64) * len(dofs) + order.col)
         rows, columns = dofs[keys // len(dofs)], dofs[keys % len(dofs)]
         slots = np.empty(len(keys), dtype=np.int64)
-        find_slots(rows, columns, level.lower_indptr, level.lower_indices, level.upper_indptr,
-                           level.upper_indices, slots)
+        find_slots(rows, columns, level.lower_indptr, level.lower_indices, level.upper_indptr, level.upper_indices,
+                   slots)
         if (slots < 0).any():
             raise ValueError("a coarse matrix lacks entries of the Galerkin product near contact: it must be P'AP")
-        free = np.ones(level.n_dofs, dtype=bool)
-        free[level.fixed] = False
-        return cls(level, weights, free, keys, slots, rows, columns, level.at_slots(slots))
+        return cls(level, 1, slots, rows, columns, weights, keys)
 
     def update(self, change: sparse.csr_array) -> sparse.csr_array:
         """Write the matrix for a change on the finer level; returns the change on this one."""
@@ -64,21 +75,48 @@ class _ChangedDofs:
         # a product may leave out entries that happen to vanish
         values = np.zeros(len(self.keys))
         values[np.searchsorted(self.keys, result.row.astype(np.int64) * result.shape[1] + result.col)] = result.data
-        self._store(values)
+        self.store(values)
         return sparse.csr_array(result)
 
+
+@dataclass(eq=False)
+class _ChangedBlocks(_Changed):
+    """Blocks of nodes, and the products they are made of."""
+
+    source: np.ndarray
+    target: np.ndarray
+    weight: np.ndarray
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._change = np.zeros(len(self.base))
+
+    def update(self, change: np.ndarray) -> np.ndarray:
+        """Write the matrix for a change on the finer level; returns the change on this one."""
+        add_contributions(self.dim**2, self.source, self.target, self.weight, change, self._change)
+        self.store(self._change)
+        return self._change
+
+
+class _Update:
+    """Carries changes of the finest level down the levels ``below``, finest of them first."""
+
+    below: Sequence[_Changed]
+
     def restore(self) -> None:
-        """Put the base matrix back."""
-        self._store(np.zeros(len(self.slots)))
+        """Put the base matrices back."""
+        for below in self.below:
+            below.store(np.zeros(len(below.base)))
 
-    def _store(self, change: np.ndarray) -> None:
-        level = self.level
-        store(1, self.slots, self.rows, self.columns, self.base, change, self.free,
-                      int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse)
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        return sum(value.nbytes for below in self.below for value in vars(below).values()
+                   if isinstance(value, np.ndarray))
 
 
-class DofUpdate:
-    """Carries changed blocks down scalar levels."""
+class DofUpdate(_Update):
+    """The carrier to levels of single dofs, by sparse products."""
 
     def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], dim: int, rows: np.ndarray,
                  columns: np.ndarray) -> None:
@@ -107,45 +145,9 @@ class DofUpdate:
         for below in self.below:
             matrix = below.update(matrix)
 
-    def restore(self) -> None:
-        """Put the base matrices back."""
-        for below in self.below:
-            below.restore()
 
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        arrays = [self._rows, self._columns]
-        for below in self.below:
-            arrays += [below.weights.data, below.weights.indices, below.keys, below.slots, below.rows, below.columns,
-                       below.base]
-        return sum(array.nbytes for array in arrays)
-
-
-@dataclass(eq=False)
-class _ChangedBlocks:
-    """The blocks of one coarse level that the contact status changes, and the products they are made of."""
-
-    level: SplitMatrix
-    free: np.ndarray
-    source: np.ndarray
-    target: np.ndarray
-    weight: np.ndarray
-    slots: np.ndarray
-    rows: np.ndarray
-    columns: np.ndarray
-    base: np.ndarray
-    change: np.ndarray
-
-    def store(self) -> None:
-        """Write base + change into the level."""
-        level = self.level
-        store(level.dim, self.slots, self.rows, self.columns, self.base, self.change, self.free,
-                      int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse)
-
-
-class NodalUpdate:
-    """Carries changed blocks down the levels by nodal prolongations, through lists of products made once."""
+class NodalUpdate(_Update):
+    """The carrier by nodal prolongations, through lists of products made once."""
 
     def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], rows: np.ndarray,
                  columns: np.ndarray) -> None:
@@ -157,27 +159,11 @@ class NodalUpdate:
     def update(self, change: np.ndarray) -> None:
         """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""
         for below in self.below:
-            add_contributions(below.level.dim**2, below.source, below.target, below.weight, change,
-                                      below.change)
-            below.store()
-            change = below.change
-
-    def restore(self) -> None:
-        """Put the base matrices back."""
-        for below in self.below:
-            below.change[:] = 0.0
-            below.store()
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        return sum(value.nbytes for below in self.below for value in vars(below).values()
-                   if isinstance(value, np.ndarray))
+            change = below.update(change)
 
 
 def _products(level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray) -> _ChangedBlocks:
     """Where the blocks of a finer level go on this one."""
-    size = level.dim**2
     room = int(count_contributions(rows, columns, nodal.indptr))
     source, target, weight = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(room)
     slots = np.empty(room, dtype=np.int64)
@@ -190,11 +176,8 @@ def _products(level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, col
     if lost:
         raise ValueError(f"a coarse matrix lacks {lost} entries of the Galerkin product near contact: build the coarse "
                          "matrices with coarse_matrices='galerkin'")
-    slots = slots[:met].copy()
-    free = np.ones(level.n_dofs, dtype=bool)
-    free[level.fixed] = False
-    return _ChangedBlocks(level, free, source[:count].copy(), target[:count].copy(), weight[:count].copy(), slots,
-                  coarse_rows[:met].copy(), coarse_columns[:met].copy(), level.at_slots(slots), np.zeros(met * size))
+    return _ChangedBlocks(level, level.dim, slots[:met].copy(), coarse_rows[:met].copy(), coarse_columns[:met].copy(),
+                          source[:count].copy(), target[:count].copy(), weight[:count].copy())
 
 
 class Truncation:
@@ -206,9 +189,8 @@ class Truncation:
         dim = fine.dim
         count = count_blocks(contact.nodes, contact.contact_of, fine.lower_indptr, fine.lower_indices)
         rows, columns, entries = (np.empty(count, dtype=np.int32) for _ in range(3))
-        collect(contact.nodes, contact.contact_of, fine.lower_indptr, fine.lower_indices, rows, columns,
-                        entries)
-        # contact node by contact node, so that what is written on the levels below lies close together
+        collect(contact.nodes, contact.contact_of, fine.lower_indptr, fine.lower_indices, rows, columns, entries)
+        # contact node by contact node, so that the blocks written below lie close together
         owner = np.where(contact.contact_of[rows] < 0, contact.contact_of[columns], contact.contact_of[rows])
         order = np.argsort(owner, kind="stable")
         self.rows, self.columns = rows[order], columns[order]
@@ -223,7 +205,7 @@ class Truncation:
         """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g frozen."""
         o = self.contact
         changed_blocks(o.dim, self.rows, self.columns, self.blocks, o.contact_of, o.codes, o.frames,
-                               o.friction, o.direction, o.hessian, newton, self.change)
+                       o.friction, o.direction, o.hessian, newton, self.change)
         self.products.update(self.change)
 
     def restore(self) -> None:
@@ -393,8 +375,8 @@ def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indi
                        source, target, weight, slots, coarse_rows, coarse_columns):
     """Where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``.
 
-    ``number`` (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number and
-    how many products found no place in the coarse matrix.
+    ``number`` (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number, the
+    number of products, and how many of them found no place in the coarse matrix.
     """
     count = 0
     met = 0

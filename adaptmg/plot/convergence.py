@@ -88,7 +88,7 @@ def _chosen(runs: Mapping[str, Result], quantity: str | None, several: bool) -> 
         names.sort(key=("true_error", "residual", *_QUANTITIES).index)
     common = [name for name in names if all(recorded(result, name) for result in runs.values())]
     if not common:
-        recorded_by = {label or result.solver_name: [n for n in _QUANTITIES if recorded(result, n)]
+        recorded_by = {label or result.method: [n for n in _QUANTITIES if recorded(result, n)]
                  for label, result in runs.items()}
         raise ValueError(f"not every result recorded {quantity or 'a common quantity'}; recorded are {recorded_by}")
     return common[:1] if several else common

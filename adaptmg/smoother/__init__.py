@@ -1,7 +1,7 @@
 """The projected block Gauss-Seidel smoother: numba kernels on arrays, and one thin wrapper."""
 
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.smoother.residuals import contact_state, energy, natural_residual, normal_force, residual
+from adaptmg.smoother.residuals import natural_residual, normal_force, residual
 from adaptmg.smoother.system import (
            OPEN,
            SLIP,
@@ -14,5 +14,4 @@ from adaptmg.smoother.system import (
 )
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactState", "LocalProblem", "LocalSystem", "NodalContact",
-           "ProjectedGaussSeidel", "Smoother", "contact_state", "energy", "local_system", "natural_residual",
-           "normal_force", "residual"]
+           "ProjectedGaussSeidel", "Smoother", "local_system", "natural_residual", "normal_force", "residual"]

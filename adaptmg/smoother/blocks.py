@@ -1,8 +1,8 @@
 """Vectors of a node and blocks of a matrix in kernels: tuples, whose length is known when a kernel is compiled.
 
 One kernel serves all block sizes: it takes ``zero``, as many zeros as a node has components (``ZERO[dim]``), and reads,
-multiplies and writes through the functions here. numba drops the branches of other lengths, and the compiler puts the
-functions into the loops that call them, so that what runs is the code one would write by hand for one size.
+multiplies and writes through the functions here. numba drops the branches of other lengths and inlines the functions,
+so that what runs is the code written by hand for one size.
 
 Positions are np.uint64 (no wrap-around tests); ``at`` is that of the first entry, blocks are stored row by row.
 """
@@ -25,10 +25,9 @@ FIVE, SIX, SEVEN, EIGHT = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8)
 
 
 def in_loop(function: Callable) -> Callable:
-    """Let kernels call a function in their loops: it is always put in place, and compiled as its caller is.
+    """Let kernels call a function in their loops: it is inlined and compiled as its caller is.
 
-    (A function of its own, cached, would be compiled once for callers with and without contraction to fused
-    multiply-adds, whichever comes first.)
+    (Cached by itself, it would be compiled once for callers with and without fused multiply-adds.)
     """
     return register_jitable(forceinline=True, error_model="numpy", no_cpython_wrapper=True,
                             no_cfunc_wrapper=True)(function)
@@ -134,7 +133,7 @@ def times(blocks, at, v):
 
 @in_loop
 def minus_times(r, blocks, at, v):
-    """R minus the block at a position times v."""
+    """r minus the block at a position times v."""
     if len(v) == 2:
         return (r[0] - blocks[at] * v[0] - blocks[at + ONE] * v[1],
                 r[1] - blocks[at + TWO] * v[0] - blocks[at + THREE] * v[1])

@@ -1,15 +1,11 @@
-"""A word to the user before numba compiles: the only time a call takes seconds without work to show for it.
+"""Compilation of kernels: a message to the user before it takes seconds, and hints to memory and compiler.
 
-Compiled kernels are kept on disk beside the source (``__pycache__``), so this happens once per machine and version.
+Compiled kernels are kept on disk next to the source (``__pycache__``): it happens once per machine and version.
 
-Hints for kernels that stream through a matrix: to the memory system and to the compiler.
-
-The rows of a sweep are short and depend on one another, so that the processor alone does not run far enough ahead to
-hide the latency of memory. Asking for the matrix 4 kB (a page) ahead makes a sweep over 263k nodes in 2D 1.5 times
-faster. It must run the way the matrix is read: a backward sweep reads its rows from their ends too, or it loses a
-factor of two in 3D.
-
-Contact nodes are few. Told so, the compiler keeps the registers for the other nodes (6 % of a sweep in 2D).
+:func:`prefetch`: the rows of a sweep are short and depend on one another, so that the processor does not hide the
+latency of memory. Prefetching the matrix 4 kB (a page) ahead, in the direction in which it is read, makes a sweep over
+263k nodes in 2D 1.5 times faster. :func:`likely`: contact nodes are few, and the compiler keeps the registers for the
+other nodes (6 % of a sweep in 2D).
 """
 
 from __future__ import annotations
@@ -17,7 +13,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -31,7 +26,7 @@ _checked: set[int] = set()
 _announced = False
 
 
-def notice(*kernels: Callable[..., Any]) -> None:
+def notice(*kernels: Callable[..., object]) -> None:
     """Log an INFO message, once a process, if the next call of one of ``kernels`` has to be compiled."""
     global _announced
     for kernel in kernels:
@@ -43,7 +38,7 @@ def notice(*kernels: Callable[..., Any]) -> None:
             logger.info("compiling kernels (once per machine; cached)")
 
 
-def _needs_compiling(kernel: Callable[..., Any]) -> bool:
+def _needs_compiling(kernel: Callable[..., object]) -> bool:
     """Whether a kernel has neither been compiled in this process nor left an index file in its cache directory."""
     if not hasattr(kernel, "py_func") or kernel.signatures:
         return False
@@ -55,8 +50,8 @@ def _needs_compiling(kernel: Callable[..., Any]) -> bool:
     return not any(Path(directory).glob(f"{name}-*.nbi"))
 
 
+#: distance of the prefetch in doubles
 AHEAD = np.int64(512)
-"""Distance in doubles."""
 
 _READ, _KEEP_IN_ALL_CACHES, _DATA = (ir.IntType(32)(value) for value in (0, 3, 1))
 

@@ -5,8 +5,8 @@ block of unknowns to the minimum of the functional over that block (omega = 1), 
 general; see :mod:`adaptmg.smoother.node_solve`.
 
 Coulomb's bound :math:`\mu p` either follows the iterate inside each node solve (the diagonal process) or is held for a
-number of sweeps. Over-relaxed sweeps with the former may cycle (omega >= 1.65 was seen to), with the latter each
-held problem is Tresca's and its energy falls.
+number of sweeps. Over-relaxed sweeps with the former may cycle (from omega = 1.65 on); with the latter each
+held problem is Tresca's, and its energy falls.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class ProjectedGaussSeidel:
     order : {"forward", "backward", "symmetric"}
         Order of the nodes in a sweep. A symmetric sweep is one forward and one backward pass.
     friction_update : "sweep" or int
-        How mu * p follows the iterate: "sweep": within each node solve; k >= 1: held, and updated before the first
-        sweep of a call and every k sweeps after it.
+        When mu * p is updated: "sweep": within each node solve; k >= 1: before the first sweep of a call and every k
+        sweeps after it.
     """
 
     omega: float = 1.0
@@ -58,7 +58,7 @@ class ProjectedGaussSeidel:
     def __post_init__(self) -> None:
         omega = checks.number("omega", self.omega)
         if not 0 < omega < 2:
-            raise ValueError(f"omega must lie between 0 and 2 (both excluded), got {self.omega!r}")
+            raise ValueError(f"omega must be in (0, 2), got {self.omega!r}")
         object.__setattr__(self, "omega", omega)
         checks.choice("order", self.order, _DIRECTIONS)
         if isinstance(self.friction_update, str):
@@ -73,26 +73,18 @@ class ProjectedGaussSeidel:
         Parameters
         ----------
         system : LocalSystem
-            Of any level.
         contact : NodalContact
-            Gaps, slip references and bounds at its contact nodes.
         load : (n_dofs,) array
             b (dual), local components, zero at fixed dofs, N.
         unknowns : (n_dofs,) array
-            w (primal), local components, zero at fixed dofs, m; changed. Need not be admissible: afterwards it is.
+            w (primal), local components, zero at fixed dofs, m; changed. It is admissible afterwards.
         sweeps : int
-            >= 0.
 
         Returns
         -------
         float
             Passes over the matrix: 1 a sweep (symmetric: 2), and for each update of a held bound the share of the
             matrix that the rows of the contact nodes hold.
-
-        Raises
-        ------
-        TypeError, ValueError
-            An array has the wrong type or shape. Values (nan) are not looked at.
         """
         check_contact(system, contact)
         check_vector("load", load, system)

@@ -7,19 +7,12 @@ A sweep visits the nodes in order; with the residual :math:`r_i = b_i - \sum_j A
 away from contact, and at a contact node w_i becomes the solution of :mod:`adaptmg.smoother.node_solve` with
 :math:`M = D/\omega`, :math:`c = r_i + M w_i`. For Tresca's law and :math:`0 < \omega < 2` no step can raise the energy.
 
-All arrays are flat and the loop variables unsigned (no wrap-around tests), which is what lets a sweep run at the
-speed of memory. Arguments common to the kernels: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`); with the
-sizes of a :class:`~adaptmg.smoother.system.LocalSystem` ``indptr, indices, data, diagonal, inverse, contact_of``; of a
-NodalContact ``gap, reference`` (slip_reference, flat), ``limit, friction``; ``load`` and ``w`` (n_dofs,).
-
-Rows of a block matrix in kernels: times a vector, and transposed, in the direction in which a sweep goes.
-
-``zero`` and ``r`` tell the block size; see :mod:`adaptmg.smoother.blocks`.
+All arrays are flat and the loop variables unsigned (no wrap-around tests): a sweep runs at the speed of memory.
+Arguments common to the kernels: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`); the arrays of a LocalSystem
+and of a NodalContact (slip_reference flat); ``load`` and ``w`` (n_dofs,).
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
@@ -27,7 +20,6 @@ from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.smoother.blocks import (
     add,
     in_loop,
-    inner,
     over,
     plus_symmetric,
     read,
@@ -41,10 +33,51 @@ from adaptmg.smoother.blocks import (
 from adaptmg.smoother.compiling import AHEAD, prefetch
 from adaptmg.smoother.node_solve import natural_at, read_reference, solve
 
-__all__ = ["energy", "minus_row", "minus_transposed_row", "natural_residual", "normal_residual", "residual", "sweep"]
+__all__ = ["minus_row", "minus_transposed_row", "natural_residual", "normal_residual", "residual", "sweep"]
 
 #: lines of the cache that a row fills (2D)
 LINES = 4
+ONE = np.uint64(1)
+
+
+@in_loop
+def minus_row(i, step, indptr, indices, data, w, r, lines):
+    """r minus row i of a matrix (or half of one) times w.
+
+    ``step``, 1 or -1, is the direction in which the matrix is read. ``lines`` is about the number of lines of the
+    cache that a row fills: in 1D and 2D they are prefetched once a row, in 3D (a line a block) block by block.
+    """
+    dim = np.uint64(len(r))
+    size = dim * dim
+    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    if len(r) < 3:
+        ahead = np.int64(size) * begin + step * AHEAD
+        prefetch(data, ahead)
+        if lines > 1:
+            prefetch(data, ahead + np.int64(8))
+        if lines > 2:
+            prefetch(data, ahead + np.int64(16))
+            prefetch(data, ahead + np.int64(24))
+    first = begin if step > 0 else end - np.int64(1)
+    for entry in range(end - begin):
+        k = np.uint64(first + step * entry)
+        if len(r) == 3:
+            prefetch(data, np.int64(size * k) + step * AHEAD)
+        r = subtract(r, times(data, size * k, read(w, dim * np.uint64(indices[k]), r)))
+    return r
+
+
+@in_loop
+def minus_transposed_row(i, step, indptr, indices, data, d, w):
+    """w minus the transpose of row i of a half times d, in place."""
+    dim = np.uint64(len(d))
+    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    first = begin if step > 0 else end - np.int64(1)
+    for entry in range(end - begin):
+        k = np.uint64(first + step * entry)
+        j = dim * np.uint64(indices[k])
+        # all is read before anything is written: the compiler cannot know that w is none of the other arrays
+        write(w, j, subtract(read(w, j, d), transposed_times(data, dim * dim * k, d)))
 
 
 @in_loop
@@ -107,69 +140,3 @@ def natural_residual(zero, nodes, diagonal, gap, reference, limit, friction, w, 
         r = read(result, at, zero)
         write(result, at, natural_at(upper(diagonal, dim * at, zero), r, read(w, at, zero), gap[k],
                                      read_reference(reference, k, zero), limit[k] + friction[k] * max(r[0], 0.0)))
-
-
-@kernel
-def energy(zero, indptr, indices, data, nodes, reference, limit, load, w):
-    """1/2 w'Aw - b'w + sum of limit * |slip|."""
-    dim = np.uint64(len(zero))
-    total = 0.0
-    for node in range(len(indptr) - 1):
-        i = np.uint64(node)
-        r = _residual_at(i, indptr, indices, data, load, w, zero, 1)
-        total -= 0.5 * inner(read(w, dim * i, zero), add(read(load, dim * i, zero), r))
-    for node in range(len(nodes)):
-        k = np.uint64(node)
-        total += limit[k] * _distance(read(w, dim * np.uint64(nodes[k]), zero), read_reference(reference, k, zero))
-    return total
-
-
-@in_loop
-def _distance(w, reference):
-    """Size of a slip."""
-    if len(w) == 2:
-        return abs(w[1] - reference[0])
-    return math.hypot(w[1] - reference[0], w[2] - reference[1])
-
-
-ONE = np.uint64(1)
-
-
-@in_loop
-def minus_row(i, step, indptr, indices, data, w, r, lines):
-    """R minus row i of a matrix (or half of one) times w.
-
-    ``step``, 1 or -1, is the direction in which the matrix is read. ``lines`` is how many lines of the cache a row
-    fills, about: in 1D and 2D they are asked for once a row, in 3D (whose blocks fill a line each) block by block.
-    """
-    dim = np.uint64(len(r))
-    size = dim * dim
-    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
-    if len(r) < 3:
-        ahead = np.int64(size) * begin + step * AHEAD
-        prefetch(data, ahead)
-        if lines > 1:
-            prefetch(data, ahead + np.int64(8))
-        if lines > 2:
-            prefetch(data, ahead + np.int64(16))
-            prefetch(data, ahead + np.int64(24))
-    first = begin if step > 0 else end - np.int64(1)
-    for entry in range(end - begin):
-        k = np.uint64(first + step * entry)
-        if len(r) == 3:
-            prefetch(data, np.int64(size * k) + step * AHEAD)
-        r = subtract(r, times(data, size * k, read(w, dim * np.uint64(indices[k]), r)))
-    return r
-
-
-@in_loop
-def minus_transposed_row(i, step, indptr, indices, data, d, w):
-    """W minus the transpose of row i of a half times d, in place."""
-    dim = np.uint64(len(d))
-    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
-    first = begin if step > 0 else end - np.int64(1)
-    for entry in range(end - begin):
-        k = np.uint64(first + step * entry)
-        j = dim * np.uint64(indices[k])
-        # all is read before anything is written: the compiler cannot know that w is none of the other arrays
-        write(w, j, subtract(read(w, j, d), transposed_times(data, dim * dim * k, d)))

@@ -26,13 +26,11 @@ there, and its entry :math:`M_{11}` is given with the sign turned. What is left 
 with the friction :math:`(s + \mu p)\,\tau_2/\sqrt{\tau_1^2 + \tau_2^2}`, which has one root.
 
 The bound is never lagged: p is p of the solution. A solution exists for every mu >= 0; in 2D it is unique if
-:math:`\mu|a| < b`. Where several exist the first of open, stick, slip is taken (in 3D the slip found by the same
-deterministic iteration). If open is rejected, every root of the closed problem with :math:`\max(0, p)` in place of p
-has p >= 0 (its tangential part would otherwise solve the open problem with :math:`w_n \le g_0`); the guards below
-only meet rounding.
+:math:`\mu|a| < b`. Where several exist the first of open, stick, slip is taken. If open is rejected, every root of the
+closed problem with :math:`\max(0, p)` in place of p has p >= 0; the guards below only meet rounding.
 
-numba does not see across modules that a cached kernel is stale: after an edit here delete the ``*.nbi`` files of the
-callers (smoother, multigrid) in ``__pycache__``.
+After an edit here delete the ``*.nbi`` files of the callers (smoother, multigrid) in ``__pycache__``: numba does not
+see across modules that a cached kernel is stale.
 """
 
 from __future__ import annotations
@@ -139,7 +137,7 @@ def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_
 @kernel(fastmath=False)
 def _solve_beside(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap: float, held: float,
                   reference: float, limit: float, friction: float) -> tuple[float, float]:
-    """:func:`solve_2d` of a node that slips by ``held`` along a further tangent."""
+    """:func:`solve_2d` for a node that slips by ``held`` along a further tangent."""
     c_n -= m_nt * reference
     c_t -= m_tt * reference
     ratio = m_nt / m_nn

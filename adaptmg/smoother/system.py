@@ -4,12 +4,10 @@ At contact node i the unknowns are :math:`w = F_i u`, the rows of F_i being n, t
 n, t1, t2 (3D); elsewhere w = u. Fixed dofs are lifted off: :math:`w` counts from the prescribed values, the rows and
 columns of fixed dofs are zero but for the diagonal, so a kernel leaves them at zero.
 
-The state of a contact node: the codes of results, and the finer ones that the solvers keep.
-
-Results hold :class:`ContactState`. While they iterate, the solvers tell more: bit ``CLOSED``, set where the gap is
-closed, and under ``TANGENTIAL`` one of ``FREE`` (no friction acts), ``HELD`` (no slip), ``SLIPS`` (2D: in the direction
-of the tangent) and ``BACKWARDS`` (2D: against it). With the force p a node is OPEN where it is not closed or p = 0,
-elsewhere STICK where it is held and SLIP otherwise: :func:`contact_states`.
+Results hold the :class:`ContactState` of a contact node. The solvers keep finer codes: bit ``CLOSED``, set where the
+gap is closed, and under ``TANGENTIAL`` one of ``FREE`` (no friction acts), ``HELD`` (no slip), ``SLIPS`` (2D: in the
+direction of the tangent) and ``BACKWARDS`` (2D: against it). With the force p a node is OPEN where it is not closed or
+p = 0, elsewhere STICK where it is held and SLIP otherwise: :func:`contact_states`.
 """
 
 from __future__ import annotations
@@ -24,55 +22,25 @@ from adaptmg.discrete.coordinates import frames_of, rotate, rotate_back, to_fram
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.transfer.galerkin import without_fixed
 
-__all__ = [
-    "BACKWARDS",
-    "CLOSED",
-    "FREE",
-    "HELD",
-    "OPEN",
-    "SLIP",
-    "SLIPS",
-    "STICK",
-    "TANGENTIAL",
-    "ContactState",
-    "LocalProblem",
-    "LocalSystem",
-    "NodalContact",
-    "contact_blocks",
-    "contact_codes",
-    "contact_lift",
-    "contact_states",
-    "held_tangents",
-    "inverse_blocks",
-    "local_contact",
-    "local_system",
-]
+__all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "OPEN", "SLIP", "SLIPS", "STICK", "TANGENTIAL", "ContactState",
+           "LocalProblem", "LocalSystem", "NodalContact", "contact_blocks", "contact_codes", "contact_lift",
+           "contact_states", "held_tangents", "inverse_blocks", "local_contact", "local_system", "turn_held"]
+
 
 
 @dataclass
 class NodalContact:
-    """The data of the contact conditions at contact nodes, in local components, as the kernels read them.
+    """The contact conditions in local components: w_n <= gap; |f_t| <= limit + friction * p; f_t opposite to the slip.
 
-    The condition at node i: w_n <= gap; |f_t| <= limit + friction * p; f_t opposite to w_t - slip_reference.
-
-    Attributes
-    ----------
-    gap : (n_contact,) array
-        Largest normal displacement, m; +inf where there is no obstacle.
-    slip_reference : (n_contact, dim - 1) array
-        Tangential displacement of zero slip, m.
-    limit, friction : (n_contact,) arrays
-        Nodal Tresca limit, N, and Coulomb coefficient.
-    held : (n_contact,) bool array, optional
-        3D: nodes whose first tangent alone is held by a support; minus its slip_reference is the slip along it. Their
-        diagonal blocks have that entry with the sign turned (:mod:`adaptmg.smoother.node_solve`).
+    ``held``, in 3D: nodes whose first tangent alone is held by a support; minus its slip_reference is the slip along
+    it. Their diagonal blocks have that entry with the sign turned (:mod:`adaptmg.smoother.node_solve`).
     """
 
-    gap: np.ndarray
-    slip_reference: np.ndarray
-    limit: np.ndarray
-    friction: np.ndarray
-    held: np.ndarray | None = None
+    gap: np.ndarray  # (n_contact,): largest normal displacement, m; +inf without an obstacle
+    slip_reference: np.ndarray  # (n_contact, dim - 1): tangential displacement of zero slip, m
+    limit: np.ndarray  # (n_contact,): nodal Tresca limit, N
+    friction: np.ndarray  # (n_contact,): Coulomb coefficient
+    held: np.ndarray | None = None  # (n_contact,) bool
 
     @property
     def driven(self) -> np.ndarray:
@@ -87,35 +55,17 @@ class NodalContact:
 
 @dataclass(eq=False)
 class LocalSystem:
-    """A block-sparse matrix in local components with fixed dofs eliminated.
+    """A block-sparse matrix in local components with fixed dofs eliminated, as the kernels read it."""
 
-    Attributes
-    ----------
-    dim : int
-        Block size.
-    indptr, indices : (n_nodes + 1,), (n_blocks,) int32 arrays
-        Block rows and columns; sorted.
-    data : (n_blocks * dim * dim,) array
-        Blocks, row by row, flat.
-    diagonal, inverse : (n_nodes * dim * dim,) arrays
-        Diagonal blocks and their inverses, flat.
-    fixed : (n_dofs,) bool array
-        Eliminated dofs, local components.
-    nodes : (n_contact,) int32 array
-        Contact nodes.
-    contact_of : (n_nodes,) int32 array
-        Index of a node among the contact nodes, or -1.
-    """
-
-    dim: int
-    indptr: np.ndarray
-    indices: np.ndarray
-    data: np.ndarray
-    diagonal: np.ndarray
-    inverse: np.ndarray
-    fixed: np.ndarray
-    nodes: np.ndarray
-    contact_of: np.ndarray
+    dim: int  # block size
+    indptr: np.ndarray  # (n_nodes + 1,) int32
+    indices: np.ndarray  # (n_blocks,) int32: block columns, sorted
+    data: np.ndarray  # (n_blocks * dim * dim,): blocks, row by row
+    diagonal: np.ndarray  # (n_nodes * dim * dim,): diagonal blocks
+    inverse: np.ndarray  # (n_nodes * dim * dim,): their inverses
+    fixed: np.ndarray  # (n_dofs,) bool: eliminated dofs, local components
+    nodes: np.ndarray  # (n_contact,) int32: contact nodes
+    contact_of: np.ndarray  # (n_nodes,) int32: index of a node among the contact nodes, or -1
 
     @classmethod
     def from_matrix(cls, matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray) -> LocalSystem:
@@ -171,24 +121,13 @@ def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
 
 @dataclass(eq=False)
 class LocalProblem:
-    """A DiscreteProblem in local components: what the nonlinear solvers iterate on.
-
-    Attributes
-    ----------
-    system : LocalSystem
-    load : (n_dofs,) array
-        Local components, prescribed values lifted, zero at fixed dofs, N.
-    contact : NodalContact
-    frames : (n_contact, dim, dim) array
-    discrete : DiscreteProblem
-        Where it comes from.
-    """
+    """A DiscreteProblem in local components: what the nonlinear solvers iterate on."""
 
     system: LocalSystem
-    load: np.ndarray
+    load: np.ndarray  # (n_dofs,): local components, prescribed values lifted, zero at fixed dofs, N
     contact: NodalContact
-    frames: np.ndarray
-    discrete: DiscreteProblem
+    frames: np.ndarray  # (n_contact, dim, dim): rows normal, tangents
+    discrete: DiscreteProblem  # the problem in Cartesian components
 
     def to_local(self, displacement: np.ndarray) -> np.ndarray:
         """Cartesian displacement (n_nodes, dim) or (n_dofs,) -> local unknowns (n_dofs,)."""

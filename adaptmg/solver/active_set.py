@@ -51,8 +51,7 @@ from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, l
 from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import IterateTest, iterate
 from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
-from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.status import Status
+from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.transfer.galerkin import without_fixed
 
 __all__ = ["ActiveSet", "CondensedSteps", "Linearised", "SparseSteps", "Steps", "glued_system", "hold_all", "linearise",

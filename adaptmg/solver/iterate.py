@@ -1,12 +1,10 @@
-r"""iterate: the one loop over cycles, sweeps or Newton steps of every method.
-
-When to stop: the algebraic error estimated from the measured rate, and the natural residual.
+r"""iterate: the one loop over cycles, sweeps or Newton steps of every method; StopTest: when it ends.
 
 With :math:`\delta_k` the A-norm of what step k changed, or an estimate of it, the rate is
 :math:`\rho_k = \delta_k/\delta_{k-1}`, and :math:`\rho` the larger of the last ratio and the geometric mean of the last
 three. Where the change itself is known, :math:`\delta_k = \|w_k - w_{k-1}\|_A`, the error that remains is estimated as
-:math:`\delta_k\,\rho/(1-\rho)`. A change alone says nothing: an iteration that creeps has a small change far from the
-solution. What the truncated multigrid estimates from: :mod:`adaptmg.solver.truncated_iteration`.
+:math:`\delta_k\,\rho/(1-\rho)`. The natural residual must be small too: an iteration that creeps has a small change far
+from the solution.
 """
 
 from __future__ import annotations
@@ -21,10 +19,10 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.residuals import natural_residual
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
-from adaptmg.solver.record import Run
-from adaptmg.solver.status import Status
+from adaptmg.solver.record import Run, Status
 
 __all__ = ["ChangeTest", "IterateTest", "Iteration", "StopTest", "iterate", "true_error"]
+
 
 class Iteration(Protocol):
     """What a method offers to the loop; it holds its unknowns."""
@@ -32,16 +30,16 @@ class Iteration(Protocol):
     cycles: int  # cycles, sweeps or steps done
 
     def start(self) -> None:
-        """What comes before the first measurement: a smoothing, the first sweeps; perhaps nothing."""
+        """Do what comes before the first measurement: a smoothing, the first sweeps, or nothing."""
 
     def measure(self, stop: StopTest) -> None:
-        """Hand to the test what is known of the present iterate."""
+        """Hand the residual and change of the present iterate to the test."""
 
     def row(self, stop: StopTest) -> dict[str, float] | None:
-        """What the history keeps of it; None for no row."""
+        """The row of the history; None for no row."""
 
     def step(self, stop: StopTest) -> Status | None:
-        """Go on to the next iterate; a status where the method gives up."""
+        """Do the next step; a status where the method gives up."""
 
 
 def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status:
@@ -80,7 +78,7 @@ class StopTest:
         self._last = np.nan
 
     def verdict(self, cycles: int) -> Status | None:
-        """How the iteration ends after so many cycles; None if it goes on."""
+        """How the iteration ends after this number of cycles; None if it goes on."""
         if self.met and not self.doubted(cycles):
             return Status.CONVERGED
         if self.diverged:
@@ -94,9 +92,9 @@ class StopTest:
         return self.sizes.nothing_strains(forces, ROUNDING * floor, unknowns)
 
     def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
-        """Take the norms of the natural residual and of the acting forces, N; estimate the error, and judge.
+        """Take the norms of the natural residual and of the acting forces, N, and estimate the error.
 
-        A residual at the rounding of ``floor`` (:meth:`at_rounding`) cannot be bettered; ``idle``: nor can the forces.
+        A residual at the rounding of ``floor`` (:meth:`at_rounding`) is the least; ``idle``: so are the forces.
         """
         if idle and residual <= ROUNDING * floor:
             residual = 0.0
@@ -119,7 +117,7 @@ class StopTest:
         return self.residual <= self.RESIDUAL_FACTOR * self.rtol
 
     def doubted(self, cycles: int) -> bool:
-        """Whether the certificate contradicts a test that is met after so many cycles."""
+        """Whether the certificate contradicts a test that is met after this number of cycles."""
         if self._certificate is None or self._rounding:
             return False
         if self.error_estimate > self.rtol and cycles < 1.5 * self._asked:
@@ -216,22 +214,22 @@ class IterateTest(StopTest):
         blocks = local.system.diagonal.reshape(-1, local.system.dim, local.system.dim)
         self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
         self._unknowns: np.ndarray | None = None
-        self._defect: np.ndarray | None = None
+        self._r: np.ndarray | None = None
 
     def _shortfall(self, rtol: float) -> float:
         return self.run.shortfall(self._displacement(self._unknowns), rtol)
 
-    def take(self, unknowns: np.ndarray, defect: np.ndarray) -> None:
-        """Take an iterate and its residual b - A w (n_dofs,)."""
+    def take(self, unknowns: np.ndarray, r: np.ndarray) -> None:
+        """Take an iterate and its residual r = b - A w (n_dofs,)."""
         system = self.local.system
-        vector = natural_residual(system, self.local.contact, self.local.load, unknowns, defect)
-        reactions = defect.reshape(-1, system.dim)[system.nodes]
+        vector = natural_residual(system, self.local.contact, self.local.load, unknowns, r)
+        reactions = r.reshape(-1, system.dim)[system.nodes]
         scale = self.sizes.forces(unknowns, euclidean_norm(reactions.reshape(-1)))
-        energy = float(np.einsum("i,i->", unknowns, self.local.load - defect))
+        energy = float(np.einsum("i,i->", unknowns, self.local.load - r))
         self.size = self.sizes.norm(unknowns, energy)
         if self._unknowns is not None:
-            self.changes.append(energy_norm(unknowns - self._unknowns, self._defect - defect))
-        self._unknowns, self._defect = unknowns.copy(), defect.copy()
+            self.changes.append(energy_norm(unknowns - self._unknowns, self._r - r))
+        self._unknowns, self._r = unknowns.copy(), r.copy()
         floor, size = euclidean_norm(self._diagonal * unknowns), euclidean_norm(vector)
         self.take_residual(size, scale, floor, size <= ROUNDING * floor and self.idle(scale, floor, unknowns))
 
@@ -245,9 +243,9 @@ class IterateTest(StopTest):
 
 
 class ChangeTest(IterateTest):
-    """The paper's test: the Euclidean change in a cycle or sweep, relative to the iterate, and nothing else.
+    """The paper's test: the Euclidean change in a cycle or sweep alone, relative to the iterate.
 
-    What it takes for converged is held against the residual at the end (:meth:`confirmed`).
+    The residual at the end confirms convergence or not (:meth:`confirmed`).
     """
 
     relative_change, finite = np.inf, True

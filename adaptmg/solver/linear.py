@@ -7,8 +7,7 @@ Work of the iterative solver is counted by the entries it touches, in passes ove
 
 with :math:`n_A` products with the matrix and :math:`n_M` cycles (both counted as they happen), :math:`s` passes of the
 smoother (two for a symmetric sweep), one residual, a restriction and a prolongation on every level but the coarsest,
-where the dense pseudo-inverse is one product with :math:`n^2` entries. Set-up and direct factorisations are time, not
-work.
+where the dense pseudo-inverse is one product with :math:`n^2` entries. Set-up and factorisations are time, not work.
 """
 
 from __future__ import annotations
@@ -31,17 +30,17 @@ __all__ = ["AMG", "Direct", "LinearSolution", "LinearSolver", "Prepared"]
 
 @dataclass(frozen=True, eq=False)
 class LinearSolution:
-    """What a linear solve gives."""
+    """The result of a linear solve."""
 
     unknowns: np.ndarray  # (n,)
     iterations: int  # krylov iterations; 0 of a direct solver
     passes: float  # passes over the matrix that count as work; 0 of a direct solver
     residual: float  # |b - K x| / |b|, Euclidean
-    converged: bool  # whether the residual is below the tolerance asked for
+    converged: bool  # whether the residual is below the tolerance
 
 
-def solution_of(linear: object, prepared: object, rhs: np.ndarray, rtol: float) -> LinearSolution:
-    """What a linear solver, a user's own perhaps, returns for a right-hand side, checked."""
+def solution_of(linear: LinearSolver, prepared: Prepared, rhs: np.ndarray, rtol: float) -> LinearSolution:
+    """What a linear solver, perhaps user-defined, returns for a right-hand side, checked."""
     name = f"linear: what {checks.shown(linear)}"
     checks.offers(f"{name} prepares", prepared, "solve", "an object that offers solve(rhs, start, rtol)")
     solution = prepared.solve(rhs, rtol=rtol)
@@ -61,7 +60,7 @@ class Prepared(Protocol):
 
 
 class LinearSolver(Protocol):
-    """What a linear solver must offer."""
+    """A linear solver for the steps of the active set method."""
 
     def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
               preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Prepared:
@@ -124,21 +123,14 @@ def _relative(residual: np.ndarray, rhs: np.ndarray) -> float:
 class AMG:
     """Smoothed aggregation (pyamg) as preconditioner of conjugate gradients, or of flexible GMRES if not symmetric.
 
-    The defaults, and what is no option here, are those of ``pyamg.smoothed_aggregation_solver``.
+    A symmetric block Gauss-Seidel sweep before and after the coarse correction; the other options are the defaults of
+    ``pyamg.smoothed_aggregation_solver``. Within one active set solve the hierarchy is kept while at most 8 dofs have
+    been eliminated or released since it was built: less set-up, more iterations.
 
     Parameters
     ----------
-    strength : float
-        Drop tolerance theta of the symmetric strength of connection, 0 <= theta < 1.
-    smoother : {"block_gauss_seidel", "gauss_seidel"}
-        A symmetric sweep before and after the coarse correction.
-    max_coarse : int
-        Unknowns of the coarsest level.
     max_iterations : int
         Krylov iterations at most.
-    lag : int
-        Within one active set solve, keep the hierarchy while at most so many dofs have been eliminated or released
-        since it was built: less set-up, more iterations. -1 builds one for every matrix.
 
     Notes
     -----
@@ -146,23 +138,15 @@ class AMG:
     B. Southworth, PyAMG, JOSS 8 (87), 2023, doi:10.21105/joss.05495.
     """
 
-    strength: float = 0.0
-    smoother: str = "block_gauss_seidel"
-    max_coarse: int = 10
     max_iterations: int = 500
-    lag: int = 8
 
+    #: dofs by which the eliminated ones may differ from those of a hierarchy that is kept
+    LAG = 8
     #: iterations between restarts of GMRES: on slender bodies with slip it stagnates with 50
     RESTART = 200
 
     def __post_init__(self) -> None:
-        strength = checks.nonnegative("strength", self.strength)
-        if not strength < 1:
-            raise ValueError(f"strength must be < 1, got {self.strength!r}")
-        checks.choice("smoother", self.smoother, ("block_gauss_seidel", "gauss_seidel"))
-        checks.integer("max_coarse", self.max_coarse, 1)
         checks.integer("max_iterations", self.max_iterations, 1)
-        checks.integer("lag", self.lag, -1)
 
     def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
               preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Preconditioned:
@@ -171,16 +155,15 @@ class AMG:
         if isinstance(previous, Preconditioned) and self._may_keep(previous.eliminated, eliminated):
             return Preconditioned(matrix, previous.hierarchy, symmetric, self, previous.eliminated)
         basis = matrix if preconditioner is None else preconditioner
-        smoother = (self.smoother, {"sweep": "symmetric"})
+        smoother = ("block_gauss_seidel", {"sweep": "symmetric"})
         with seeded():
             hierarchy = pyamg.smoothed_aggregation_solver(
                 sparse.bsr_matrix(basis), B=near_nullspace, symmetry="symmetric",
-                strength=("symmetric", {"theta": self.strength}), presmoother=smoother, postsmoother=smoother,
-                max_coarse=self.max_coarse)
+                strength=("symmetric", {"theta": 0.0}), presmoother=smoother, postsmoother=smoother)
         return Preconditioned(matrix, hierarchy, symmetric, self, eliminated)
 
     def _may_keep(self, before: np.ndarray | None, now: np.ndarray | None) -> bool:
-        return before is not None and now is not None and np.count_nonzero(before != now) <= self.lag
+        return before is not None and now is not None and np.count_nonzero(before != now) <= self.LAG
 
 
 @dataclass(eq=False)

@@ -35,14 +35,12 @@ from adaptmg.problem.load_path import LoadPath
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver import step_store
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.load_steps import Past, StepSolver, better_start, coarse_displacements, past_of
+from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, coarse_displacements, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
-from adaptmg.solver.projected import own
-from adaptmg.solver.record import Outcome, Run, Solver
+from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result
 from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, result_of, solver_argument
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
-from adaptmg.solver.status import Status
 from adaptmg.solver.step_store import PathStore, fingerprint
 
 if TYPE_CHECKING:
@@ -247,9 +245,8 @@ def step_solver(solver: Solver) -> StepSolver:
     """The way through the steps for a solver."""
     if not isinstance(solver, Multigrid):
         return _Restarted(solver, solver)
-    kept = own(solver.correction, "load_steps")
-    if kept is not None:
-        return kept(solver)
+    if solver.truncated is not None:
+        return TruncatedSteps(solver.truncated)
     if not isinstance(solver, FullMultigrid):
         return _Restarted(solver, solver)
     plain = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})

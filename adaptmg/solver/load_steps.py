@@ -27,9 +27,8 @@ from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.smoother.system import local_contact
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
-from adaptmg.solver.projected import MultigridOptions, need_levels
 from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.truncated import TruncatedMultigrid
+from adaptmg.solver.truncated import TruncatedMultigrid, TruncatedRun
 
 __all__ = ["KeptMultigrid", "Past", "StepSolver", "TruncatedSteps", "better_start", "coarse_displacements", "past_of"]
 
@@ -78,12 +77,12 @@ def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list
     return result
 
 
-class KeptMultigrid(TruncatedMultigrid):
+class KeptMultigrid(TruncatedRun):
     """The truncated multigrid for a sequence of steps."""
 
-    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
+    def __init__(self, options: TruncatedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
         super().__init__(options, hierarchy, run)
-        self._runners: dict[int, TruncatedStep] = {}
+        self._steps: dict[int, TruncatedStep] = {}
         self.spent = False
 
     def take(self, hierarchy: Hierarchy, run: Run) -> None:
@@ -91,7 +90,7 @@ class KeptMultigrid(TruncatedMultigrid):
         self.hierarchy, self.run, self.cycle.recorder = hierarchy, run, run
         self.problems = [level.discrete for level in hierarchy.levels]
         with run.phase("setup"):
-            finest = self._runners.get(len(hierarchy) - 1)
+            finest = self._steps.get(len(hierarchy) - 1)
             if finest is not None:
                 finest.truncation.restore()
 
@@ -107,34 +106,30 @@ class KeptMultigrid(TruncatedMultigrid):
                 unknowns = problem.from_prescribed(unknowns)
                 self.run.visit(number, "start")
                 if number < len(self.problems) - 1:
-                    runner = self._runner(number, unknowns)
-                    with self.run.phase("start"):
-                        self._start_cycles(runner, number, start)
-                        unknowns = runner.unknowns
-                        runner.truncation.restore()
+                    unknowns = self._start_cycles(number, unknowns, start)
             result.append(problem.with_prescribed(unknowns))
         self.run.start_work_units = self.run.work_units
         return result
 
-    def finish(self, unknowns: np.ndarray, cold: bool, rate: float | None = None) -> Outcome:
-        """See :class:`TruncatedMultigrid`."""
-        outcome = super().finish(unknowns, cold, rate)
+    def finish(self, unknowns: np.ndarray, cold: bool, first_rate: float | None = None) -> Outcome:
+        """See :class:`TruncatedRun`."""
+        outcome = super().finish(unknowns, cold, first_rate)
         self.spent = bool(self.run.fallback)
         return outcome
 
-    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
-        if number not in self._runners:
-            self._runners[number] = super()._runner(number, unknowns)
-            return self._runners[number]
-        runner, problem = self._runners[number], self.problems[number]
+    def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
+        if number not in self._steps:
+            self._steps[number] = super()._step(number, unknowns)
+            return self._steps[number]
+        step, problem = self._steps[number], self.problems[number]
         with self.run.phase("setup"):
             data, _ = local_contact(problem)
-            contact, load = runner.contact, problem.load_from_prescribed()
+            contact, load = step.contact, problem.load_from_prescribed()
             contact.renew(data)
             contact.start(unknowns)
-            runner.load, runner.unknowns = load, unknowns
-            runner.motions = RigidMotions.of(problem, contact, load)
-        return runner
+            step.load, step.unknowns = load, unknowns
+            step.motions = RigidMotions.of(problem, contact, load)
+        return step
 
 
 class TruncatedSteps:
@@ -144,7 +139,7 @@ class TruncatedSteps:
     #: is rough and soon smoothed away
     EXTRAPOLATE = 0.05
 
-    def __init__(self, options: MultigridOptions) -> None:
+    def __init__(self, options: TruncatedMultigrid) -> None:
         self.options = options
         self.multigrid: KeptMultigrid | None = None
 
@@ -181,7 +176,6 @@ class TruncatedSteps:
                 <= self.EXTRAPOLATE * examiner.relative_residual(nested))
 
     def _kept(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
-        need_levels(hierarchy)
         if self.multigrid is None or self.multigrid.spent:
             self.multigrid = KeptMultigrid(self.options, hierarchy, run)
         else:

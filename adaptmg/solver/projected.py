@@ -1,18 +1,17 @@
-"""ProjectedMultigrid: cycles of contact problems on all levels, with nested start, for corrections that transport.
+"""ProjectedMultigrid: cycles of contact problems on all levels, for corrections that transport contact data.
 
-Method: what runs the cycles of a multigrid method. A correction may bring its own.
+The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.corrections`.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.corrections import InitialContact, correction_levels
+from adaptmg.multigrid.corrections import Correction, InitialContact, Monotone, correction_levels
 from adaptmg.multigrid.cycle import (
     CoarseSolve,
     Cycle,
@@ -22,25 +21,38 @@ from adaptmg.multigrid.cycle import (
     project,
     prolonged_start,
 )
-from adaptmg.smoother.gauss_seidel import Smoother
+from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
 from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
-from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.status import Status
+from adaptmg.solver.record import Outcome, Run, Status
 
-__all__ = ["Method", "MultigridOptions", "ProjectedMultigrid", "need_levels", "own"]
+__all__ = ["ProjectedMultigrid", "ProjectedRun", "need_levels"]
 
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProjectedMultigrid:
-    """One run of a multigrid method whose correction transports gap, slip and limit.
+    """Multigrid with a correction that transports gap, slip and limit; what each option means says ``Multigrid``."""
 
-    See :class:`~adaptmg.solver.projected.Method`.
-    """
+    cycle: Cycle = field(default_factory=Cycle)
+    smoother: Smoother = field(default_factory=ProjectedGaussSeidel)
+    correction: Correction = field(default_factory=Monotone)
+    coarse: CoarseSolve = field(default_factory=CoarseSolve)
+    coarse_matrices: str = "galerkin"
+    stop: str = "error"
+    rtol: float
+    max_cycles: int
+
+
+class ProjectedRun:
+    """One run of it."""
 
     #: of the diagonal, added to a coarsest matrix that is singular
     SHIFT = 1e-9
 
-    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
+    def __init__(self, options: ProjectedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
+        need_levels(hierarchy)
         hierarchy.need_discretised(f"the correction {type(options.correction).__name__}")
         self.options, self.hierarchy, self.run = options, hierarchy, run
         with run.phase("setup"):
@@ -48,7 +60,7 @@ class ProjectedMultigrid:
         self.initial: list[InitialContact] = []
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
-        """See :class:`~adaptmg.solver.projected.Method`."""
+        """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero."""
         if self.options.correction.needs_initial:
             self.nested_start(NestedStart())
         local = self.problems[-1]
@@ -57,11 +69,11 @@ class ProjectedMultigrid:
         return self.finish(unknowns)
 
     def from_nested(self, start: NestedStart) -> Outcome:
-        """See :class:`~adaptmg.solver.projected.Method`."""
+        """Solve level by level from the coarsest."""
         return self.finish(self.nested_start(start))
 
-    def runner(self, finest: int) -> MultigridCycle:
-        """What runs cycles on level ``finest`` and those below."""
+    def multigrid(self, finest: int) -> MultigridCycle:
+        """Cycles on level ``finest`` and those below."""
         o = self.options
         with self.run.phase("setup"):
             levels = correction_levels(self.hierarchy, self.problems, finest, o.coarse_matrices)
@@ -86,56 +98,62 @@ class ProjectedMultigrid:
         """Solve level by level from the coarsest (steps a and b of the paper)."""
         unknowns = np.empty(0)
         for level in range(len(self.hierarchy) - 1):
-            runner, local = self.runner(level), self.problems[level]
+            multigrid, local = self.multigrid(level), self.problems[level]
             with self.run.phase("start"):
                 if level == 0:
-                    unknowns = self._solve_coarsest(runner, start)
+                    unknowns = self._solve_coarsest(multigrid, start)
                 elif start.cycles == "complete":
-                    iterate(_Cycles(runner, self.options.cycle, local, unknowns),
+                    iterate(_Cycles(multigrid, self.options.cycle, local, unknowns),
                             IterateTest(local, start.rtol, self.options.max_cycles))
                 else:
                     for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
-                        runner.cycle(level, local.contact, local.load, unknowns, self.options.cycle.shape)
+                        multigrid.cycle(level, local.contact, local.load, unknowns, self.options.cycle.shape)
                 if self.options.correction.needs_initial:
-                    defect = runner.residual(level, local.load, unknowns)
-                    self.initial.append(initial_contact(local, unknowns, defect))
+                    r = multigrid.residual(level, local.load, unknowns)
+                    self.initial.append(initial_contact(local, unknowns, r))
                 nodal = self.hierarchy[level + 1].contact_prolongation
                 unknowns = prolonged_start(nodal, local, unknowns, self.problems[level + 1])
                 self.run.visit(level + 1, "start")
         self.run.start_work_units = self.run.work_units
         return unknowns
 
-    def _solve_coarsest(self, runner: MultigridCycle, start: NestedStart) -> np.ndarray:
+    def _solve_coarsest(self, multigrid: MultigridCycle, start: NestedStart) -> np.ndarray:
         local = self.problems[0]
         unknowns = np.zeros(local.system.n_dofs)
         project(local, unknowns)
-        runner.coarse = replace(self.options.coarse, rtol=start.rtol, atol=0.0, test="error")
-        runner.solve_coarsest(local.contact, local.load, unknowns)
+        multigrid.coarse = replace(self.options.coarse, rtol=start.rtol, atol=0.0, test="error")
+        multigrid.solve_coarsest(local.contact, local.load, unknowns)
         return unknowns
 
     def finish(self, unknowns: np.ndarray) -> Outcome:
         """Cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
         o, local = self.options, self.problems[-1]
-        cycles = _Cycles(self.runner(len(self.hierarchy) - 1), o.cycle, local, unknowns)
+        given = self.multigrid(len(self.hierarchy) - 1), o.cycle, local, unknowns
         with self.run.phase("cycles"):
             if o.stop == "error":
+                cycles = _Cycles(*given)
                 stop = IterateTest(local, o.rtol, o.max_cycles, self.run, displacement=local.to_cartesian)
                 status = iterate(cycles, stop, self.run)
             else:
-                stop = ChangeTest(local, o.rtol, o.max_cycles, self.run)
-                whole = _WholeCycles(cycles)
-                status = whole.end(iterate(whole, stop, self.run), stop, self.run)
+                cycles, stop = _WholeCycles(*given), ChangeTest(local, o.rtol, o.max_cycles, self.run)
+                status = cycles.end(iterate(cycles, stop, self.run), stop, self.run)
         return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, o.rtol, stop.error_estimate, stop.rate)
+
+
+def need_levels(hierarchy: Hierarchy) -> None:
+    """Refuse a single level."""
+    if len(hierarchy) < 2:
+        raise ValueError("grids must have at least two levels for multigrid, got one: use SingleGrid or ActiveSet")
 
 
 class _Cycles:
     """Cycles from ``unknowns``, in place, measured after the first smoothing, where the cycle has its residual."""
 
-    def __init__(self, runner: MultigridCycle, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray) -> None:
-        self.runner, self.local, self.unknowns = runner, local, unknowns
-        self.level, self.pre, self.post = len(runner.levels) - 1, cycle.pre, cycle.post
+    def __init__(self, multigrid: MultigridCycle, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray) -> None:
+        self.multigrid, self.local, self.unknowns = multigrid, local, unknowns
+        self.level, self.pre, self.post = len(multigrid.levels) - 1, cycle.pre, cycle.post
         self.cycles = 0
-        self._defect = np.empty(0)
+        self._residual = np.empty(0)
 
     def start(self) -> None:
         """Smooth before the coarse correction."""
@@ -143,121 +161,57 @@ class _Cycles:
 
     def measure(self, stop: IterateTest) -> None:
         """Hand over iterate and residual."""
-        self._defect = self.defect()
-        stop.take(self.unknowns, self._defect)
+        self._residual = self.residual()
+        stop.take(self.unknowns, self._residual)
 
     def row(self, stop: IterateTest) -> dict[str, float]:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
         return stop.measures()
 
     def step(self, stop: IterateTest) -> None:
-        """From one first smoothing to the next."""
+        """Go from one first smoothing to the next."""
         self.correct()
         self._smooth(self.pre)
 
     def correct(self) -> None:
-        """The rest of the cycle."""
-        self.runner.correct(self.level, self.local.contact, self.unknowns, self._defect)
+        """Do the rest of the cycle."""
+        self.multigrid.correct(self.level, self.local.contact, self.unknowns, self._residual)
         self._smooth(self.post)
         self.cycles += 1
 
-    def defect(self) -> np.ndarray:
+    def residual(self) -> np.ndarray:
         """b - A w (n_dofs,)."""
-        return self.runner.residual(self.level, self.local.load, self.unknowns)
+        return self.multigrid.residual(self.level, self.local.load, self.unknowns)
 
     def _smooth(self, sweeps: int) -> None:
-        self.runner.smooth(self.level, self.local.contact, self.local.load, self.unknowns, sweeps)
+        self.multigrid.smooth(self.level, self.local.contact, self.local.load, self.unknowns, sweeps)
 
 
-class _WholeCycles:
+class _WholeCycles(_Cycles):
     """The same measured at the end of a cycle by its change, the paper's test at the end of step g."""
 
-    def __init__(self, parts: _Cycles) -> None:
-        self.parts = parts
-
-    @property
-    def cycles(self) -> int:
-        return self.parts.cycles
-
     def start(self) -> None:
-        """Measuring runs the cycle."""
+        """Nothing: measuring runs the cycle."""
 
     def measure(self, stop: ChangeTest) -> None:
-        """A cycle and its change."""
-        before = self.parts.unknowns.copy()
-        self.parts.start()
-        self.parts.measure(stop)
-        self.parts.correct()
-        stop.take_change(before, self.parts.unknowns)
+        """Run a cycle and measure its change."""
+        before = self.unknowns.copy()
+        super().start()
+        super().measure(stop)
+        self.correct()
+        stop.take_change(before, self.unknowns)
 
     def row(self, stop: ChangeTest) -> dict[str, float] | None:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
         return {"relative_change": stop.relative_change, **stop.measures()} if stop.finite else None
 
     def step(self, stop: ChangeTest) -> None:
-        """Measuring runs the cycle."""
+        """Nothing: measuring runs the cycle."""
 
     def end(self, status: Status, stop: ChangeTest, run: Run) -> Status:
         """Measure the last iterate, which confirms the status or not."""
         if status is Status.DIVERGED:
             return status
-        self.parts.measure(stop)
+        super().measure(stop)
         run.record(cycle=self.cycles, **self.row(stop))
         return stop.confirmed(status)
-
-
-class MultigridOptions(Protocol):
-    """What a method is asked for; :class:`adaptmg.Multigrid` says what each means."""
-
-    @property
-    def cycle(self) -> Cycle: ...
-
-    @property
-    def smoother(self) -> Smoother: ...
-
-    @property
-    def correction(self) -> Any: ...
-
-    @property
-    def coarse(self) -> CoarseSolve: ...
-
-    @property
-    def coarse_matrices(self) -> str: ...
-
-    @property
-    def stop(self) -> str: ...
-
-    @property
-    def rtol(self) -> float | str: ...
-
-    @property
-    def max_cycles(self) -> int: ...
-
-    @property
-    def start(self) -> NestedStart | None: ...
-
-
-class Method(Protocol):
-    """One run of a multigrid method."""
-
-    def from_given(self, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level from a displacement (n_nodes, dim), between bodies relative, or from zero."""
-
-    def from_nested(self, start: NestedStart) -> Outcome:
-        """Solve level by level from the coarsest."""
-
-
-def own(correction: Any, hook: str) -> Any:
-    """A hook of a correction that brings its own method, None where it has none.
-
-    ``method(options, hierarchy, run) -> Method`` makes what runs it, ``check_options(options)`` refuses options that it
-    does not take, ``load_steps(options)`` makes what goes from load step to load step.
-    """
-    found = getattr(correction, hook, None)
-    return found if callable(found) else None
-
-
-def need_levels(hierarchy: Hierarchy) -> None:
-    """Refuse a single level."""
-    if len(hierarchy) < 2:
-        raise ValueError("grids: multigrid needs at least two levels, got one; use SingleGrid or ActiveSet on one grid")

@@ -1,4 +1,4 @@
-"""Run: the record of one solve: work units, history, timings by phase, and the path through the levels."""
+"""Run: what a solver writes while it runs. Outcome: what it returns. Status: how it ended. Solver: what it offers."""
 
 from __future__ import annotations
 
@@ -6,18 +6,36 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from enum import Enum
+from typing import Protocol
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.solver.status import Status
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.solver.examine import Examined
 
-if TYPE_CHECKING:
-    from adaptmg.hierarchy import Hierarchy
-    from adaptmg.solver.examine import Examiner
+__all__ = ["Outcome", "Run", "Solver", "Status"]
 
-__all__ = ["Outcome", "Run", "Solver"]
+
+class Status(Enum):
+    """How a solver ended; the value is advice."""
+
+    CONVERGED = "converged to the tolerance asked for"
+    LIMIT = ("the limit on cycles or sweeps was reached before the tolerance: raise it, take a better start "
+             "(FullMultigrid), more smoothing, or a looser rtol")
+    STALLED = ("the iterates no longer improve, or the certificate contradicts the last one, short of the "
+               "tolerance: take am.Monotone() (the frozen choices of the paper's correction are known to stall), or "
+               "am.ActiveSet()")
+    CYCLING = ("the contact status repeats without converging: reduce the friction or the load step, start from a "
+               "nested iteration, or solve with am.Multigrid()")
+    DIVERGED = ("the iterates grow without bound: check supports and loads (am.solve checks rigid motions), take "
+                "am.Monotone() or omega <= 1")
+
+    @property
+    def ok(self) -> bool:
+        """True if the tolerance was reached."""
+        return self is Status.CONVERGED
 
 
 @dataclass
@@ -30,16 +48,16 @@ class Run:
     work_units: float = 0.0  # passes over matrices, weighted by nonzeros over unit
     history: list[dict[str, float]] = field(default_factory=list)
     timings: dict[str, float] = field(default_factory=dict)  # seconds by phase
-    path: list[tuple[int, str, int]] = field(default_factory=list)  # list of (level, action, times)
+    path: list[tuple[int, str, int]] = field(default_factory=list)  # (level, action, times)
     started: float = field(default_factory=time.perf_counter)
     start_work_units: float = 0.0  # the part of work_units of the nested start
-    untimed_seconds: float = 0.0
+    untimed_seconds: float = 0.0  # spent on comparison with the reference
     first_cycle: int = 0  # cycles done by another method before the one that records now
-    fallback: str = ""  # the method that took over from the one asked for, and after how many cycles; empty if none did
-    examiner: Examiner | None = None
+    fallback: str = ""  # the method that took over, and from which cycle; empty if none did
+    examiner: Callable[[np.ndarray], Examined] | None = None
     _nested_seconds: float = 0.0
 
-    #: the certificate errs by a factor of two: its estimate of the error may be so many times the tolerance
+    #: how many times the tolerance the certificate's estimate may be: it errs by a factor of two
     ENOUGH = 1.3
     #: natural residual up to which the contact status is believed to be nearly that of the solution
     SETTLED = 0.5
@@ -47,7 +65,7 @@ class Run:
     PATH_LIMIT = 100_000
 
     def count(self, passes: float, nonzeros: int) -> None:
-        """Count ``passes`` over a matrix of ``nonzeros`` stored entries; those of a user's part are checked here."""
+        """Count ``passes`` over a matrix of ``nonzeros`` stored entries, checked here for user-defined parts."""
         passes = checks.nonnegative("the passes over the matrix that a smoother or linear solver returns", passes)
         self.work_units += passes * nonzeros / self.unit
 
@@ -88,8 +106,8 @@ class Run:
     def shortfall(self, solved: np.ndarray, rtol: float) -> float:
         """By how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not.
 
-        Between bodies in relative coordinates. What rounding explains is no shortfall. The energy error holds the
-        contact status: where that is still far from the solution's, which a large residual shows, no factor is granted.
+        Between bodies in relative coordinates. Rounding is not a shortfall. The energy error assumes the contact
+        status: no factor is granted where that is far from the solution's, which a large residual shows.
         """
         if self.examiner is None or not rtol > 0:
             return 0.0
@@ -106,7 +124,7 @@ class Run:
 class Outcome:
     """What a solver returns."""
 
-    displacement: np.ndarray  # (n_nodes, dim): on the finest level, m
+    displacement: np.ndarray  # (n_nodes, dim) on the finest level, m
     status: Status
     cycles: int  # cycles, sweeps or Newton steps on the finest level
     rtol: float  # the tolerance asked for

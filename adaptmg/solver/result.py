@@ -24,11 +24,10 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
-from adaptmg.solver.record import Run, Solver
+from adaptmg.solver.record import Status
 from adaptmg.solver.result_file import read_result, write_result
-from adaptmg.solver.status import Status
 
-__all__ = ["ContactResult", "NotConverged", "Result", "label", "problem_name", "solver_name", "versions"]
+__all__ = ["ContactResult", "NotConverged", "Result", "label", "problem_name", "versions"]
 
 @dataclass(frozen=True, eq=False)
 class Result:
@@ -57,7 +56,7 @@ class Result:
         certificate find.
     rate : float
         Asymptotic convergence rate per cycle (geometric mean of the last cycles); NaN if unknown, and where the active
-        set method took over (``solver_name``).
+        set method took over (``fallback``).
     rtol : float
         What was asked for.
     history : dict of str to (n,) array
@@ -70,7 +69,9 @@ class Result:
     levels : list of dict
         The table of the hierarchy.
     problem_name, solver_name : str
-        The solver as it was asked for, and what took over if it did not converge.
+        The names of the problem and of the solver with its options.
+    fallback : str
+        The method that took over where the solver did not converge, and from which cycle; empty if none did.
     mesh : MeshArrays or None
         Finest mesh (without its NGSolve source after loading).
     start_work_units : float
@@ -105,6 +106,12 @@ class Result:
     stress_data: StressData | None = None
     checked: Certificate | None = None
     supports: dict[str, str] = field(default_factory=dict)
+    fallback: str = ""
+
+    @property
+    def method(self) -> str:
+        """The name of the solver, and of what took over from it."""
+        return f"{self.solver_name}, then {self.fallback}" if self.fallback else self.solver_name
 
     @property
     def dim(self) -> int:
@@ -118,7 +125,7 @@ class Result:
 
     def __repr__(self) -> str:
         states = np.bincount(np.asarray(self.contact.state, dtype=int), minlength=3)
-        return (f"Result of {self.solver_name} for {self.problem_name}: {self.status.name}\n"
+        return (f"Result of {self.method} for {self.problem_name}: {self.status.name}\n"
                 f"  {len(self.displacement)} nodes, {len(self.contact)} contact nodes: "
                 f"{states[0]} open, {states[1]} slip, {states[2]} stick\n"
                 f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
@@ -321,11 +328,6 @@ def label(option: object) -> str:
     return f"{type(option).__name__}({', '.join(shown)})"
 
 
-def solver_name(solver: Solver, run: Run) -> str:
-    """The label of a solver, and of what took over from it."""
-    return f"{label(solver)}, then {run.fallback}" if run.fallback else label(solver)
-
-
 def problem_name(grids: Hierarchy) -> str:
     """Of the problem, or else of the finest level."""
     return grids.problem.name if grids.problem is not None else grids.finest.discrete.name
@@ -355,7 +357,7 @@ class NotConverged(RuntimeError):
         self.result = result
         found = () if result.checked is None else result.checked.contradictions(result.rtol)
         contradicted = f" The certificate contradicts this tolerance: {', '.join(found)}." if found else ""
-        super().__init__(f"{result.solver_name}: {result.status.name} after {result.cycles} cycles, natural residual "
+        super().__init__(f"{result.method}: {result.status.name} after {result.cycles} cycles, natural residual "
                          f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}."
                          f"{contradicted} The last iterate is in the exception's .result; throw=False returns "
                          "it instead.")

@@ -35,14 +35,14 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.contact_result import ContactResult
-from adaptmg.solver.status import Status
+from adaptmg.solver.record import Status
 
 __all__ = ["DAMAGES", "read_arrays", "read_result", "write_result"]
 
 _FORMAT = 1
 #: fields of a Result that go into the JSON text as they are, and what they are
-_TEXTS, _NUMBERS = ("problem_name", "solver_name"), ("work_units", "residual", "error_estimate", "rate", "rtol",
-                                                     "start_work_units")
+_TEXTS = ("problem_name", "solver_name", "fallback")
+_NUMBERS = ("work_units", "residual", "error_estimate", "rate", "rtol", "start_work_units")
 #: fields of ContactResult: shapes in n contact nodes, d dimensions, t tangents, m nodes that follow
 _CONTACT = {"node": "n", "x": "nd", "frames": "ndd", "gap": "n", "u_n": "n", "u_t": "nt", "slip": "nt", "force_n": "n",
             "force_t": "nt", "weights": "n", "limit": "n", "state": "n", "boundary": "n", "master_node": "m",
@@ -159,6 +159,9 @@ def _fields(meta: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, An
     if unknown:
         raise ValueError(f"supports names boundaries that the mesh does not have: {checks.shown(sorted(unknown))}")
     fields |= {name: _number(name, meta[name]) for name in _NUMBERS}
+    if "fallback" not in meta:  # the first files say it in the name of the solver
+        solver, _, fallback = _text("solver_name", meta["solver_name"]).partition(", then ")
+        meta = {**meta, "solver_name": solver, "fallback": fallback}
     return fields | {name: _text(name, meta[name]) for name in _TEXTS}
 
 

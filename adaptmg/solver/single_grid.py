@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -15,12 +14,11 @@ from adaptmg.multigrid.corrections import sliding_limit
 from adaptmg.multigrid.cycle import project
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.residuals import residual
-from adaptmg.smoother.system import LocalProblem, NodalContact, local_system
+from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
-from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.status import Status
+from adaptmg.solver.record import Outcome, Run, Status
 
 __all__ = ["SingleGrid"]
 
@@ -35,13 +33,13 @@ class SingleGrid:
         Over-relaxation, 0 < omega < 2; the best value depends on the mesh.
     condensed : bool
         Eliminate all but the contact dofs first (one factorisation, reported as time, not as work units) and sweep
-        on the dense Schur complement (its sweeps are counted by its own entries over those of the sparse matrix).
+        on the dense Schur complement, whose entries are counted.
     friction : {"diagonal", "fixed point"}
         Coulomb: update the sliding limit with every node solve (the paper's diagonal process), or solve Tresca
         problems with the limit held and update it between them (Problems P1 and P2 of the paper).
     friction_update : "sweep" or int
-        The diagonal process updates the limit within each node solve, or holds it for so many sweeps: over-relaxed
-        sweeps that cycle with the former can converge with the latter.
+        The diagonal process updates the limit within each node solve, or holds it for this number of sweeps, with which
+        over-relaxed sweeps can converge that else cycle.
     stop : {"error", "change"}
         Test the estimated relative A-norm error and the natural residual, or (as the paper) the relative Euclidean
         change in one sweep alone.
@@ -63,37 +61,39 @@ class SingleGrid:
         checks.flag("condensed", self.condensed)
         checks.choice("friction", self.friction, ("diagonal", "fixed point"))
         checks.choice("stop", self.stop, ("error", "change"))
+        if self.friction == "fixed point" and (self.stop, self.friction_update) != ("error", "sweep"):
+            raise ValueError("stop and friction_update must be left at their defaults with friction='fixed point', got "
+                             f"{self.stop!r} and {self.friction_update!r}")
         object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
     def smoother(self) -> ProjectedGaussSeidel:
-        """What sweeps."""
+        """The smoother with these options."""
         return ProjectedGaussSeidel(omega=self.omega, friction_update=self.friction_update)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level; see :class:`adaptmg.solver.record.Solver`."""
         with run.phase("setup"):
             local = local_system(hierarchy.finest.discrete)
-        problem, recover = local, None
+        condensed = None
         if self.condensed:
             with run.phase("factorise"):
                 condensed = condense(local)
-            problem, recover = condensed.problem, condensed.recover
-        unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
-        if self.condensed:
-            unknowns = condensed.restrict(unknowns)
-        project(problem, unknowns)
-        reference = None if run.reference is None else local.to_local(run.reference)
-        if self.condensed and reference is not None:
-            # the Schur complement measures the energy of the error of the recovered solution
-            reference = condensed.restrict(reference)
-        sizes = _CondensedSizes(condensed) if self.condensed else Sizes(local.discrete, local.frames)
-        test = {"run": run, "reference": reference, "sizes": sizes}
+        problem = local if condensed is None else condensed.problem
+
+        def restrict(unknowns: np.ndarray) -> np.ndarray:
+            return unknowns if condensed is None else condensed.restrict(unknowns)
 
         def displacement(unknowns: np.ndarray) -> np.ndarray:
-            return local.to_cartesian(unknowns if recover is None else recover(unknowns))
+            return local.to_cartesian(unknowns if condensed is None else condensed.recover(unknowns))
 
-        given = (problem, self.smoother(), run, unknowns, self.max_sweeps)
+        unknowns = restrict(np.zeros(local.system.n_dofs) if start is None else local.to_local(start))
+        project(problem, unknowns)
+        # the Schur complement measures the energy of the error of the recovered solution
+        reference = None if run.reference is None else restrict(local.to_local(run.reference))
+        sizes = Sizes(local.discrete, local.frames) if condensed is None else _CondensedSizes(condensed)
+        test = {"run": run, "reference": reference, "sizes": sizes}
+        given = problem, self.smoother(), run, unknowns, self.max_sweeps
         with run.phase("sweeps"):
             if self.friction == "fixed point":
                 stop = _TrescaTest(problem, self.rtol, self.max_sweeps, displacement=displacement, **test)
@@ -107,11 +107,9 @@ class SingleGrid:
                 sweeps = _Sweeps(*given)
                 status = iterate(sweeps, stop, run)
         run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
-        if recover is not None:
-            with run.phase("factorise"):
-                unknowns = recover(unknowns)
-        return Outcome(local.to_cartesian(unknowns), status, sweeps.cycles, self.rtol, stop.error_estimate,
-                       sweeps.rate(stop))
+        with run.phase("factorise" if self.condensed else "sweeps"):
+            solved = displacement(unknowns)
+        return Outcome(solved, status, sweeps.cycles, self.rtol, stop.error_estimate, sweeps.rate(stop))
 
 
 class _CondensedSizes(Sizes):
@@ -136,13 +134,13 @@ class _CondensedSizes(Sizes):
 
 
 class _SweepTest(IterateTest):
-    """An iteration of sweeps whose change reaches no new minimum goes round in circles."""
+    """Sweeps whose change reaches no new minimum are cycling."""
 
     STALLED = Status.CYCLING
 
 
 class _TrescaTest(IterateTest):
-    """For a sequence of Tresca problems: only the limit ends it where it does not converge."""
+    """For a sequence of Tresca problems: only the limit ends it without convergence."""
 
     stalled = False
 
@@ -166,7 +164,7 @@ class _Sweeps:
 
     def measure(self, stop: IterateTest) -> None:
         """Hand over iterate and residual."""
-        stop.take(self.unknowns, self.defect())
+        stop.take(self.unknowns, self.residual())
 
     def row(self, stop: IterateTest) -> dict[str, float] | None:
         """See :class:`~adaptmg.solver.iterate.Iteration`."""
@@ -177,13 +175,13 @@ class _Sweeps:
         self.start()
 
     def sweep(self, times: int) -> None:
-        """Sweep so many times."""
+        """Sweep ``times`` times."""
         system = self.problem.system
         passes = self.smoother.smooth(system, self.problem.contact, self.problem.load, self.unknowns, times)
         self.run.count(passes, system.nonzeros)
         self.cycles += times
 
-    def defect(self) -> np.ndarray:
+    def residual(self) -> np.ndarray:
         """b - A w (n_dofs,), one pass."""
         self.run.count(1, self.problem.system.nonzeros)
         return residual(self.problem.system, self.problem.load, self.unknowns)
@@ -194,7 +192,7 @@ class _Sweeps:
 
 
 class _ChangingSweeps(_Sweeps):
-    """Sweeps tested by what each changes (the paper's test); the residual is known at the end alone."""
+    """Sweeps tested by what each changes (the paper's test); the residual is computed at the end."""
 
     def start(self) -> None:
         """One sweep."""
@@ -216,29 +214,29 @@ class _ChangingSweeps(_Sweeps):
 
 
 class _TrescaProblems(_Sweeps):
-    """The fixed point: Tresca problems with the limit held; it is updated until it changes the solution no more."""
+    """The fixed point: Tresca problems with the limit held, which is updated until the solution no longer changes."""
 
     #: Tresca problems at most, and how much better than rtol each is solved
     MOST, INNER = 200, 0.1
 
-    def __init__(self, *arguments: Any, new_test: Callable[..., _SweepTest]) -> None:
-        super().__init__(*arguments)
-        self._new_test, self._solved, self._defect = new_test, 0, np.empty(0)
+    def __init__(self, problem: LocalProblem, smoother: ProjectedGaussSeidel, run: Run, unknowns: np.ndarray,
+                 limit: int, new_test: Callable[..., _SweepTest]) -> None:
+        super().__init__(problem, smoother, run, unknowns, limit)
+        self._new_test, self._solved, self._residual = new_test, 0, np.empty(0)
 
     def start(self) -> None:
         """Nothing: the start is measured."""
 
     def measure(self, stop: IterateTest) -> None:
         """Hand over iterate and residual."""
-        self._defect = self.defect()
-        stop.take(self.unknowns, self._defect)
+        self._residual = self.residual()
+        stop.take(self.unknowns, self._residual)
 
     def step(self, stop: IterateTest) -> Status | None:
         """Hold the present limit, and solve."""
         contact, left = self.problem.contact, self.limit - self.cycles
-        limit = sliding_limit(self.problem.system, contact, self._defect)
-        frozen = NodalContact(contact.gap, contact.slip_reference, limit, np.zeros_like(limit))
-        held = replace(self.problem, contact=frozen)
+        limit = sliding_limit(self.problem.system, contact, self._residual)
+        held = replace(self.problem, contact=replace(contact, limit=limit, friction=np.zeros_like(limit), held=None))
         sweeps = _Sweeps(held, self.smoother, self.run, self.unknowns, left, self.cycles)
         iterate(sweeps, self._new_test(held, self.INNER * stop.rtol, self.cycles + left), self.run)
         self.cycles = sweeps.cycles

@@ -1,9 +1,4 @@
-"""solve: one entry for every method.
-
-What solve and solve_path do with their arguments.
-
-result_of: the Result of what a solver returned, its status confirmed.
-"""
+"""solve: one entry for every method: it checks the arguments, runs the solver and confirms the status of its result."""
 
 from __future__ import annotations
 
@@ -22,13 +17,15 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
-from adaptmg.solver.record import Outcome, Run, Solver
-from adaptmg.solver.result import NotConverged, Result, problem_name, solver_name, versions
+from adaptmg.solver.record import Outcome, Run, Solver, Status
+from adaptmg.solver.result import NotConverged, Result, label, problem_name, versions
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
-from adaptmg.solver.status import Status
 
 __all__ = ["checked_outcome", "default_solver", "displacement_argument", "grids_argument", "result_of", "solve",
            "solver_argument"]
+
+_LOG = logging.getLogger(__name__)
+
 
 @one_blas_thread()
 def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, start: np.ndarray | Result | None = None,
@@ -40,19 +37,16 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     ----------
     grids : Hierarchy or DiscreteProblem
         A bare DiscreteProblem is a hierarchy of one level.
-    solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or one's own, optional
-        Default ``FullMultigrid()``, where coarse levels are only spaces ``Multigrid()``, on one level
-        ``SingleGrid()``. One's own offers ``run`` (see
-        :class:`adaptmg.solver.record.Solver`).
+    solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
+        A user-defined one offers ``run`` (:class:`adaptmg.solver.record.Solver`). Default ``FullMultigrid()``, where
+        coarse levels are only spaces ``Multigrid()``, on one level ``SingleGrid()``.
     start : (n_nodes, dim) array or Result, optional
         Where to start, m; default zero. FullMultigrid makes its own start and refuses one. With Coulomb friction there
-        may be several solutions (:func:`~adaptmg.cases.blocks` has three): starts from other solutions, of the
-        problem without friction or with more of it, say, show whether there are.
+        may be several solutions (:func:`~adaptmg.cases.leaning_strut` has three), which other starts show.
     reference : (n_nodes, dim) array or Result, optional
         The exact discrete solution, m: the history then has the true relative A-norm error (``true_error``).
     throw : bool
-        Raise :class:`NotConverged`, which carries the result, if the tolerance is not reached; False returns the
-        result, and ``result.status`` says it.
+        Raise :class:`NotConverged`, which carries the result, if the tolerance is not reached.
     callback : callable, optional
         Called with each row of the history (a dict), for progress bars.
 
@@ -63,7 +57,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     Raises
     ------
     ValueError
-        Bad input, or a rigid motion that neither supports nor contact hold.
+        Bad input, or a rigid motion that neither supports nor contact prevent.
     NotConverged
     """
     grids = grids_argument(grids)
@@ -71,9 +65,9 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     checks.flag("throw", throw)
     checks.optional_callable("callback", callback, "a row of the history")
     discrete = grids.finest.discrete
-    known = displacement_argument("reference", reference, discrete)
+    exact = displacement_argument("reference", reference, discrete)
     first = displacement_argument("start", start, discrete)
-    run = Run(unit=discrete.matrix.nnz, callback=callback, reference=known)
+    run = Run(unit=discrete.matrix.nnz, callback=callback, reference=exact)
     with run.phase("statics"):
         check_statics_of(grids)
     with run.phase("setup"):
@@ -105,8 +99,7 @@ def displacement_argument(name: str, value: np.ndarray | Result | None, discrete
     if value is None:
         return None
     given = value.displacement if isinstance(value, Result) else value
-    wanted = (discrete.n_nodes, discrete.dim)
-    array = check_arrays.array(name, given, wanted)
+    array = check_arrays.array(name, given, (discrete.n_nodes, discrete.dim))
     size = np.abs(array).max(initial=0.0)
     if not size <= checks.VAST:
         raise ValueError(f"{name} must be at most {checks.VAST:g} m, got {size:.3g}")
@@ -129,7 +122,7 @@ def solver_argument(value: Solver | None, grids: Hierarchy) -> Solver:
 
 
 def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) -> Outcome:
-    """What a solver, a user's own perhaps, returns; where its numbers are not finite the status says so."""
+    """What a solver, perhaps user-defined, returns: checked, and DIVERGED where its numbers are not finite."""
     name = f"solver: the run of {checks.shown(solver)} must return an Outcome"
     if not isinstance(outcome, Outcome):
         raise TypeError(f"{name}, got {checks.described(outcome)}")
@@ -152,12 +145,9 @@ def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) 
     return replace(outcome, cycles=cycles, rtol=rtol, status=outcome.status if finite else Status.DIVERGED)
 
 
-_LOG = logging.getLogger(__name__)
-
-
 def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, solver: Solver,
               stress_data: StressData | None) -> Result:
-    """The Result on the finest level; what is examined must confirm the status."""
+    """The Result on the finest level; the certificate and the natural residual confirm the status."""
     with run.phase("certificate"):
         found = examiner(outcome.displacement)
     keys = dict.fromkeys(key for row in run.history for key in row)
@@ -169,28 +159,29 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   error_estimate=float(np.fmax(outcome.error_estimate, found.checked.energy_error)),
                   rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
-                  problem_name=problem_name(grids), solver_name=solver_name(solver, run), mesh=grids.finest.mesh,
+                  problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
+                  mesh=grids.finest.mesh,
                   start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data,
                   supports={} if grids.problem is None or grids.finest.mesh is None else grids.problem.held_components)
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
-    """The status of a solver, unless what it returned, examined here anew, contradicts it.
+    """The status of a solver, unless the natural residual or the certificate contradicts it.
 
-    With the paper's test rtol is that of a change: the error is held against the multiple that the residual has.
+    With the paper's test rtol is that of a change: the error is compared with the multiple that the residual has.
     """
     if not np.isfinite(residual):
         return Status.DIVERGED
-    wanted = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, StopTest.ROUNDING_LIMIT)
+    most = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, StopTest.ROUNDING_LIMIT)
     # twice: solvers sum the same numbers in another order
-    if outcome.status.ok and not residual <= 2 * wanted:
+    if outcome.status.ok and not residual <= 2 * most:
         return Status.DIVERGED if not residual < 1 else Status.STALLED
     factor = StopTest.RESIDUAL_FACTOR if stop == "change" else checked.ENERGY_FACTOR
     found = checked.contradictions(outcome.rtol, factor)
     if not checked.energy_error < 1:
         found = *found, "energy error of the size of the solution"
     if outcome.status.ok and found:
-        _LOG.info("said to be converged, contradicted by %s", ", ".join(found))
+        _LOG.info("the solver reports convergence, contradicted by %s", ", ".join(found))
         _LOG.debug("%s", checked)
         return Status.STALLED
     return outcome.status

@@ -1,231 +1,230 @@
-"""TruncatedMultigrid: one run of the truncated multigrid: nested start, cycles on the finest level, fallback.
+r"""TruncatedMultigrid: the truncated nonsmooth Newton multigrid: nested start, cycles on the finest level, fallback.
 
-Where safe cycles do not help either (friction of 3, say), a :class:`~adaptmg.solver.truncated.Fallback` takes
-over for the cycles that are left.
+Truncated are the options of its parts. TruncatedRun solves the coarsest level by the active set method, the levels
+above it by a few cycles each, and the finest to the tolerance.
 
-Fallback: what goes on where the truncated multigrid does not converge: the active set method, or monotone cycles.
-
-The active set method needs the finest level alone and few steps, but factorisations, so it is for problems of
-moderate size; larger ones go on with the monotone correction, which is slow but needs no more memory. Newton steps
-count as cycles, and the residual of each as one pass over the finest matrix; factorisations count as seconds.
+Fallback continues where that does not converge (friction of 3, say), for the cycles that are left: with the active set
+method, which needs the finest level alone and few steps, but factorisations, on problems of moderate size; on larger
+ones with the monotone correction, which is slow but needs no more memory. A Newton step counts as a cycle, and its
+residual as one pass over the finest matrix; factorisations count as seconds.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from scipy import sparse
 
-from adaptmg._check_arrays import indices_frozen
+from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.corrections import Monotone
 from adaptmg.multigrid.cycle import NestedStart, project
-from adaptmg.multigrid.linear_cycle import LinearCycle
+from adaptmg.multigrid.linear_cycle import LinearCycle, LinearSmoother, LinearSolve, regular_matrix
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.split_matrix import galerkin_levels, nodal_prolongations
+from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.examine import Sizes
 from adaptmg.solver.iterate import iterate
-from adaptmg.solver.projected import MultigridOptions, ProjectedMultigrid
-from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.status import Status
-from adaptmg.solver.truncated_iteration import (
-    EnergyTest,
-    StartIteration,
-    StartTest,
-    TruncatedIteration,
-    WarmIteration,
-    WarmTest,
-)
+from adaptmg.solver.projected import ProjectedMultigrid, ProjectedRun, need_levels
+from adaptmg.solver.record import Outcome, Run, Status
+from adaptmg.solver.truncated_iteration import TruncatedIteration
 
-__all__ = ["Fallback", "TruncatedMultigrid"]
+__all__ = ["Fallback", "Truncated", "TruncatedMultigrid", "TruncatedRun"]
 
 _LOG = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Truncated:
+    """Truncated nonsmooth Newton multigrid: the fast method.
+
+    Parameters
+    ----------
+    recombine : int
+        Past iterates recombined with the present one, 0 to 2.
+    coarse_sweeps : int, optional
+        Smoothing before and after the coarse correction on the coarser levels, 1 or 2; there is one symmetric sweep on
+        the finest. Default: 1 on levels whose matrix has more than 1.25 times the entries a row of the finest one
+        (Galerkin products of independent meshes), 2 on the others.
+    interface_sweeps : int
+        Where bodies touch each other: sweeps over the nodes within two elements of the interface after each smoothing
+        of the finest level, backward and forward in turn. Where a joint is soft they bring the rate from .6 or .7 to
+        .4 (``studies/dovetail.py``), for a few per cent of a cycle on large meshes and a tenth on small graded ones.
+    coarse_solve : LinearSolve, optional
+        A user-defined solver of the coarsest linear problems, anything with ``setup(matrix) -> object with solve(rhs)``
+        (:class:`~adaptmg.multigrid.linear_cycle.LinearSolve`). Default: LU factors.
+    coarse_smoother : LinearSmoother, optional
+        A user-defined smoother of the linear problems between the coarsest level and the finest, anything with
+        ``setup(matrix) -> object with smooth(rhs, x) -> passes``. Default: Gauss-Seidel sweeps. The smoother of the
+        finest level, projected sweeps that leave the residual behind, is part of the method.
+    """
+
+    #: how much denser than the finest matrix a coarse one is that is smoothed once only
+    DENSE: ClassVar[float] = 1.25
+
+    recombine: int = 2
+    coarse_sweeps: int | None = None
+    interface_sweeps: int = 2
+    coarse_solve: LinearSolve | None = None
+    coarse_smoother: LinearSmoother | None = None
+
+    def __post_init__(self) -> None:
+        if checks.integer("recombine", self.recombine) > 2:
+            raise ValueError(f"recombine must be 0, 1 or 2, got {self.recombine!r}")
+        if self.coarse_sweeps is not None and checks.integer("coarse_sweeps", self.coarse_sweeps, 1) > 2:
+            raise ValueError(f"coarse_sweeps must be 1 or 2, got {self.coarse_sweeps!r}")
+        checks.integer("interface_sweeps", self.interface_sweeps)
+        if self.coarse_solve is not None:
+            checks.offers("coarse_solve", self.coarse_solve, "setup",
+                          "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution")
+        if self.coarse_smoother is not None:
+            checks.offers("coarse_smoother", self.coarse_smoother, "setup",
+                          "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes")
+
+    def sweeps(self, levels: Sequence[SplitMatrix]) -> list[int]:
+        """Sweeps on each of the levels, coarsest first."""
+        if self.coarse_sweeps is not None:
+            return [self.coarse_sweeps] * len(levels)
+        rows = [level.nonzeros / level.n_nodes for level in levels]
+        return [1 if row > self.DENSE * rows[-1] else 2 for row in rows]
+
+
+@dataclass(frozen=True, kw_only=True)
 class TruncatedMultigrid:
+    """The truncated multigrid and its options; what each means says :class:`adaptmg.Multigrid`."""
+
+    parts: Truncated
+    rtol: float | str
+    max_cycles: int
+    start: NestedStart | None = None  # None: no nested start
+
+
+class TruncatedRun:
     """One run of the truncated multigrid."""
 
-    #: complete nested starts stop after so many cycles on a level
+    #: cycles on a level of a complete nested start at most
     COMPLETE_LIMIT = 60
-    #: of the diagonal, added to a coarsest matrix that the active set method is to solve
-    SHIFT = 1e-9
 
-    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run) -> None:
+    def __init__(self, options: TruncatedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
+        need_levels(hierarchy)
         if options.start is not None:
             hierarchy.need_discretised("the nested start of FullMultigrid")
         self.options, self.hierarchy, self.run = options, hierarchy, run
         self.nbytes = 0
+        parts = options.parts
         with run.phase("setup"):
             prolongations = nodal_prolongations(hierarchy)
             levels = galerkin_levels(hierarchy, prolongations)
-            self.cycle = LinearCycle(levels, prolongations, run, options.correction.sweeps(levels),
-                                     options.correction.coarse_solve, options.correction.coarse_smoother)
+            self.cycle = LinearCycle(levels, prolongations, run, parts.sweeps(levels), parts.coarse_solve,
+                                     parts.coarse_smoother)
         self.problems: list[DiscreteProblem | None] = [level.discrete for level in hierarchy.levels]
 
-    def from_given(self, start: np.ndarray | None) -> Outcome:
-        """See :class:`~adaptmg.solver.projected.Method`."""
-        return self.finish(self._lifted(start), cold=True)
+    def from_given(self, start: np.ndarray | None, first_rate: float | None = None) -> Outcome:
+        """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero.
 
-    def from_warm(self, start: np.ndarray, rate: float) -> Outcome:
-        """Solve from a displacement that is nearly solved; see :mod:`adaptmg.solver.multigrid`."""
-        return self.finish(self._lifted(start), cold=False, rate=rate)
-
-    def _lifted(self, start: np.ndarray | None) -> np.ndarray:
-        """A displacement, or none, as unknowns of the finest level (n_dofs,)."""
+        ``first_rate``: the start is nearly solved; see :class:`~adaptmg.solver.truncated_iteration.TruncatedIteration`.
+        """
         problem = self.problems[-1]
-        return np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start)
+        unknowns = np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start)
+        return self.finish(unknowns, cold=first_rate is None, first_rate=first_rate)
 
     def from_nested(self, start: NestedStart) -> Outcome:
-        """See :class:`~adaptmg.solver.projected.Method`."""
+        """Solve level by level from the coarsest."""
         return self.finish(self.nested_start(start), cold=False)
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,), Cartesian."""
-        unknowns = np.empty(0)
+        unknowns = self._solve_coarsest(start)
         for number in range(len(self.hierarchy) - 1):
-            if number == 0:
-                unknowns = self._solve_coarsest(start)
-            else:
-                runner = self._runner(number, unknowns)
-                with self.run.phase("start"):
-                    self._start_cycles(runner, number, start)
-                    unknowns = runner.unknowns
-                    runner.truncation.restore()
+            if number > 0:
+                unknowns = self._start_cycles(number, unknowns, start)
             with self.run.phase("start"):
                 unknowns = self._prolonged(number, unknowns)
             self.run.visit(number + 1, "start")
         self.run.start_work_units = self.run.work_units
         return unknowns
 
-    def finish(self, unknowns: np.ndarray, cold: bool, rate: float | None = None) -> Outcome:
+    def finish(self, unknowns: np.ndarray, cold: bool, first_rate: float | None = None) -> Outcome:
         """Cycles on the finest level."""
         o, problem = self.options, self.problems[-1]
-        start = unknowns.copy() if o.rtol == "discretisation" else None
-        runner = self._runner(len(self.hierarchy) - 1, unknowns)
-
-        def shortfall(rtol: float) -> float:
-            if stop.at_rounding(runner.rounding()):
-                return 0.0
-            return self.run.shortfall(problem.with_prescribed(runner.unknowns), rtol)
-
+        nested = unknowns.copy() if o.rtol == "discretisation" else None
+        step = self._step(len(self.hierarchy) - 1, unknowns)
         with self.run.phase("cycles"):
-            stop = (EnergyTest(problem, o.rtol, o.max_cycles, shortfall) if rate is None
-                    else WarmTest(problem, o.rtol, o.max_cycles, shortfall, rate))
-            kind = TruncatedIteration if rate is None else WarmIteration
-            cycles = kind(runner, o.correction.safe_cycles, cold, self.run, problem, start,
-                          hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
-            status = iterate(cycles, stop, self.run)
-        displacement = problem.with_prescribed(runner.unknowns).reshape(-1, problem.dim)
-        outcome = Outcome(displacement, status, cycles.cycles, stop.rtol, stop.error_estimate, stop.rate)
-        failed = status in (Status.STALLED, Status.DIVERGED) and not stop.at_rounding(runner.rounding())
-        if failed and cycles.cycles < o.max_cycles and stop.rtol > 0:
-            return Fallback(o, self.hierarchy, self.run, stop.rtol).finish(outcome, stop.better)
+            cycles = TruncatedIteration(step, problem, o.rtol, o.max_cycles, run=self.run, cold=cold, nested=nested,
+                                        first_rate=first_rate,
+                                        hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
+            status = iterate(cycles, cycles, self.run)
+        displacement = problem.with_prescribed(step.unknowns).reshape(-1, problem.dim)
+        outcome = Outcome(displacement, status, cycles.cycles, cycles.rtol, cycles.error_estimate, cycles.rate)
+        failed = status in (Status.STALLED, Status.DIVERGED) and not cycles.rests()
+        if failed and cycles.cycles < o.max_cycles and cycles.rtol > 0:
+            return Fallback(o.max_cycles, self.hierarchy, self.run, cycles.rtol).finish(outcome, cycles.better)
         return outcome
 
-    def _runner(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
+    def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
+        """Steps on level ``number`` from ``unknowns`` (n_dofs,), which become admissible."""
         with self.run.phase("setup"):
-            problem, levels = self.problems[number], self.cycle.levels
-            runner = self._cycle_on(problem, self.cycle, number, unknowns)
+            problem, levels, parts = self.problems[number], self.cycle.levels, self.options.parts
+            contact, load = TruncatedContact.of(problem, levels[number]), problem.load_from_prescribed()
+            contact.start(unknowns)
+            interface = None
+            if problem.coupling is not None and parts.interface_sweeps:
+                interface = Interface(levels[number], problem.coupling)
+            step = TruncatedStep(self.cycle, number, contact, load, unknowns, parts.recombine,
+                                 RigidMotions.of(problem, contact, load), interface, parts.interface_sweeps)
             if number == len(levels) - 1 and self.cycle.coarse_smoother is None:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:]:
                     level.drop_diagonal()
-            self.nbytes = self.cycle.nbytes + runner.nbytes
-            return runner
-
-    def _cycle_on(self, problem: DiscreteProblem, cycle: LinearCycle, number: int,
-                  unknowns: np.ndarray) -> TruncatedStep:
-        """Cycles for a problem on level ``number`` of a linear cycle, from ``unknowns`` (n_dofs,)."""
-        contact, load = TruncatedContact.of(problem, cycle.levels[number]), problem.load_from_prescribed()
-        contact.start(unknowns)
-        options, interface = self.options.correction, None
-        if problem.coupling is not None and options.interface_sweeps:
-            interface = Interface(cycle.levels[number], problem.coupling)
-        return TruncatedStep(cycle, number, contact, load, unknowns, options.recombine,
-                              RigidMotions.of(problem, contact, load), interface, options.interface_sweeps)
-
-    def _start_cycles(self, runner: TruncatedStep, number: int, start: NestedStart) -> None:
-        """The cycles of a nested start on one level."""
-        problem, options = self.problems[number], self.options.correction
-        if start.cycles == "complete":
-            iterate(TruncatedIteration(runner, options.safe_cycles, cold=False),
-                    EnergyTest(problem, start.rtol, self.COMPLETE_LIMIT))
-            return
-        wanted = start.cycles_on(problem, self.problems[number + 1])
-        iterate(StartIteration(runner, 0, cold=False), StartTest(problem, wanted, max(wanted, options.safe_cycles)))
+            self.nbytes = self.cycle.nbytes + step.nbytes
+            return step
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
-        """The coarsest level; several bodies, near-mechanisms as long as they come loose, by the active set method."""
-        methods = [self._coarsest_by_cycles, self._coarsest_by_active_set]
-        if self.problems[0].coupling is not None:
-            methods.reverse()
+        """Solve the coarsest level by semismooth Newton steps; each counts a pass, its factorisation as seconds."""
+        problem, level = self.problems[0], self.cycle.levels[0]
         with self.run.phase("start"):
-            for method in methods:
-                unknowns, solved = method(start)
-                if solved:
-                    break
-        return unknowns
+            # rows are empty where dofs are fixed, and where the next mesh is locally the coarser one
+            matrix = sparse.bsr_array(regular_matrix(level, problem.matrix.diagonal()), blocksize=(problem.dim,) * 2)
+            grids = Hierarchy.single(replace(problem, matrix=matrix, load=problem.load_from_prescribed()))
+            try:
+                found = ActiveSet(rtol=start.rtol).run(grids, Run(unit=self.run.unit), None)
+            except np.linalg.LinAlgError as error:
+                _LOG.info("coarsest level: the active set method gives up: %s", error)
+                return np.zeros(problem.n_dofs)
+            self.run.count(found.cycles, level.nonzeros)
+            self.run.visit(0, "solve", found.cycles)
+            return found.displacement.reshape(-1) - problem.fixed_values
 
-    def _coarsest_by_cycles(self, start: NestedStart) -> tuple[np.ndarray, bool]:
-        """The coarsest level as its own coarse level: truncated Newton steps with direct solves between sweeps."""
-        problem, level = self.problems[0], self.cycle.levels[0]
-        n = level.n_nodes
-        identity = indices_frozen(sparse.csr_array(
-            (np.ones(n), np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32))))
-        cycle = LinearCycle([level.copy(), level], [identity], _OnCoarsest(self.run), (1, 1),
-                            self.options.correction.coarse_solve)
-        runner = self._cycle_on(problem, cycle, 1, np.zeros(problem.n_dofs))
-        status = iterate(TruncatedIteration(runner, self.options.correction.safe_cycles, cold=True),
-                         EnergyTest(problem, start.rtol, self.COMPLETE_LIMIT))
-        # unless restored, the matrix stays as the last contact status left it
-        runner.truncation.restore()
-        return runner.unknowns, status.ok
-
-    def _coarsest_by_active_set(self, start: NestedStart) -> tuple[np.ndarray, bool]:
-        """Semismooth Newton steps; each counts a pass, its factorisation as seconds."""
-        problem, level = self.problems[0], self.cycle.levels[0]
-        # where dofs are fixed the matrix of the level is empty; where the next mesh is locally the coarser one, other
-        # coarse functions vanish on it
-        diagonal = sparse.diags_array(np.where(problem.fixed, 1.0, self.SHIFT) * problem.matrix.diagonal())
-        whole = sparse.bsr_array(sparse.csr_array(level.matrix()) + diagonal, blocksize=(problem.dim,) * 2)
-        grids = Hierarchy.single(replace(problem, matrix=whole, load=problem.load_from_prescribed()))
-        try:
-            found = ActiveSet(rtol=start.rtol).run(grids, Run(unit=self.run.unit), None)
-        except np.linalg.LinAlgError as error:
-            _LOG.info("coarsest level: the active set method gives up: %s", error)
-            return np.zeros(problem.n_dofs), False
-        self.run.count(found.cycles, level.nonzeros)
-        self.run.visit(0, "solve", found.cycles)
-        return problem.from_prescribed(found.displacement), found.status.ok
+    def _start_cycles(self, number: int, unknowns: np.ndarray, start: NestedStart) -> np.ndarray:
+        """The cycles of a nested start on one level; returns the iterate (n_dofs,)."""
+        step, problem = self._step(number, unknowns), self.problems[number]
+        with self.run.phase("start"):
+            if start.cycles == "complete":
+                cycles = TruncatedIteration(step, problem, start.rtol, self.COMPLETE_LIMIT)
+                iterate(cycles, cycles)
+            else:
+                sizes, enough = Sizes(problem), start.cycles_on(problem, self.problems[number + 1])
+                for cycle in range(max(enough, TruncatedIteration.SAFE_CYCLES)):
+                    # the next level takes over no iterate with a large residual
+                    state = step.step(lambda smoothed: TruncatedIteration.TRUSTED * sizes.forces(smoothed, 0.0))
+                    forces = sizes.forces(step.smoothed, state.reactions)
+                    if cycle + 1 >= enough and state.residual <= TruncatedIteration.TRUSTED * forces:
+                        break
+            step.truncation.restore()
+        return step.unknowns
 
     def _prolonged(self, number: int, unknowns: np.ndarray) -> np.ndarray:
         """Interpolated to the next finer level, prescribed values respected."""
         coarse, fine = self.problems[number], self.problems[number + 1]
         displacement = coarse.with_prescribed(unknowns).reshape(-1, coarse.dim)
         return fine.from_prescribed(self.cycle.prolongations[number] @ displacement)
-
-
-@dataclass(frozen=True)
-class _OnCoarsest:
-    """Notes everything as done on the coarsest level."""
-
-    run: Run
-
-    def count(self, passes: float, nonzeros: int) -> None:
-        """Count matrix passes."""
-        self.run.count(passes, nonzeros)
-
-    def visit(self, level: int, action: str, times: int = 1) -> None:
-        """Note smoothing and solves; what goes between the level and its copy is no transfer."""
-        if action in ("smooth", "solve"):
-            self.run.visit(0, action, times)
 
 
 class Fallback:
@@ -236,8 +235,8 @@ class Fallback:
     #: contact dofs up to which the steps are taken on a dense matrix (0.3 GB)
     CONDENSED = 6_000
 
-    def __init__(self, options: MultigridOptions, hierarchy: Hierarchy, run: Run, rtol: float) -> None:
-        self.options, self.hierarchy, self.run, self.rtol = options, hierarchy, run, rtol
+    def __init__(self, max_cycles: int, hierarchy: Hierarchy, run: Run, rtol: float) -> None:
+        self.max_cycles, self.hierarchy, self.run, self.rtol = max_cycles, hierarchy, run, rtol
         self.problem: DiscreteProblem = hierarchy.finest.discrete
 
     def finish(self, outcome: Outcome, better: bool) -> Outcome:
@@ -252,7 +251,7 @@ class Fallback:
 
     def _active_set(self, before: Outcome, start: np.ndarray | None) -> Outcome:
         """Semismooth Newton steps from ``start`` (n_nodes, dim), or from all nodes sticking."""
-        left = self.options.max_cycles - before.cycles
+        left = self.max_cycles - before.cycles
         if left < 1:
             return before
         self._take_over(before.cycles, "ActiveSet")
@@ -270,12 +269,12 @@ class Fallback:
 
     def _monotone(self, before: Outcome, start: np.ndarray | None) -> Outcome:
         """Cycles with the monotone correction from ``start`` (n_nodes, dim), or from zero: slower, but they go on."""
-        left = self.options.max_cycles - before.cycles
+        left = self.max_cycles - before.cycles
         if left < 1:
             return before
         self._take_over(before.cycles, "Monotone")
-        options = replace(self.options, correction=Monotone(), rtol=self.rtol, max_cycles=left)
-        method = ProjectedMultigrid(options, self.hierarchy, self.run)
+        options = ProjectedMultigrid(rtol=self.rtol, max_cycles=left)
+        method = ProjectedRun(options, self.hierarchy, self.run)
         local = method.problems[-1]
         unknowns = local.to_local(self.problem.fixed_values if start is None else start)
         project(local, unknowns)

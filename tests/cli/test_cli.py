@@ -81,7 +81,7 @@ def test_solve_writes_result_pictures_and_vtk(command, tmp_path):
 
 @pytest.mark.parametrize("options", [
     ("--solver", "single-grid", "--omega", "1.5"),
-    ("--solver", "multigrid", "--cycle", "W", "--pre", "1", "--post", "1"),
+    ("--solver", "multigrid", "--correction", "monotone", "--cycle", "W", "--pre", "1", "--post", "1"),
     ("--solver", "active-set", "--linear", "amg", "--rtol", "1e-9"),
     ("--law", "tresca", "--limit", "1e7"),
     ("--law", "frictionless"),

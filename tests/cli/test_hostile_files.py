@@ -88,7 +88,7 @@ def test_the_file_they_spoil_is_right():
     (D, 'transfer = "l2"', 8, "has no meaning for uniform grids"),
     (D, f"{D}\nlevels = 2", 9, "bisect one grid"), (D, "divisions = [2]\nlevels = 99", 9, "<= 30"),
     (D, 'sizes = [1e-2]\nlevels = 2\ntransfer = "l2"', 10, "not nested"),
-    (P, "strength = 0.1", 12, "belongs to active-set"), (P, 'gap = "largest"', 12, "solver.correction paper"),
+    (P, "condensed = true", 12, "belongs to single-grid"), (P, 'gap = "largest"', 12, "solver.correction paper"),
     (P, "pre = 2.0", 12, "must be an integer"), (P, "pre = 0", 12, "must not both be 0"),
     (P, "omega = 2.0", 12, "omega"), (P, "rtol = 1", 12, "must be > 0 and < 1"), (P, "coarse.rtol = 2", 12, "rtol"),
     (P, 'linear = "amg"', 12, "solver.linear has no meaning for solver.method multigrid"),

@@ -167,13 +167,14 @@ def test_whole_numbers_are_numbers_where_an_argument_is_one(tmp_path, monkeypatc
                       smoother=am.ProjectedGaussSeidel(order="symmetric"))),
     ({"method": "single-grid", "condensed": True, "omega": 1.3, "max_cycles": 9},
      am.SingleGrid(omega=1.3, condensed=True, max_sweeps=9)),
-    ({"method": "multigrid", "shape": "complete", "pre": 1}, am.Multigrid(cycle=am.Cycle(shape="complete", pre=1))),
+    ({"method": "multigrid", "correction": "monotone", "shape": "complete", "pre": 1},
+     am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="complete", pre=1))),
     ({"correction": "monotone", "coarse.omega": 1.2, "start.rtol": 1e-6, "rtol": 1e-6},
      am.FullMultigrid(correction=am.Monotone(), coarse=am.CoarseSolve(omega=1.2), rtol=1e-6,
                       start=am.FullMultigrid().start.__class__(rtol=1e-6))),
     ({"correction": "truncated", "recombine": 1}, am.FullMultigrid(correction=am.Truncated(recombine=1))),
-    ({"method": "active-set", "linear": "amg", "strength": 0.1, "lag": -1, "smoother": "gauss_seidel"},
-     am.ActiveSet(linear=am.AMG(strength=0.1, lag=-1, smoother="gauss_seidel")))])
+    ({"method": "active-set", "linear": "amg", "max_iterations": 90},
+     am.ActiveSet(linear=am.AMG(max_iterations=90)))])
 def test_settings_reach_the_method(solver, wanted):
     assert build.solver_of(dict(solver)) == wanted
 

@@ -7,8 +7,8 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.record import Status
 from adaptmg.solver.result import Result
-from adaptmg.solver.status import Status
 
 
 def square(n: int, size: float = 0.04) -> MeshArrays:

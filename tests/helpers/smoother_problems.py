@@ -81,6 +81,13 @@ def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:
     return flexibility @ load
 
 
+def tresca_energy(problem: LocalProblem, w: np.ndarray) -> float:
+    """1/2 w'Aw - b'w + sum of limit * |slip|, N m."""
+    system, contact = problem.system, problem.contact
+    slip = w.reshape(-1, system.dim)[system.nodes, 1:] - contact.slip_reference
+    return float(0.5 * w @ (system.matrix @ w) - problem.load @ w + contact.limit @ np.linalg.norm(slip, axis=1))
+
+
 def expand(P, dim):
     """kron(P, I): from nodes to dofs, component by component."""
     return sparse.csr_array(sparse.kron(P, np.eye(dim)))

@@ -68,7 +68,6 @@ _NUMBERS = {
     "CoarseSolve rtol": lambda v: am.CoarseSolve(rtol=v),
     "ProjectedGaussSeidel omega": lambda v: am.ProjectedGaussSeidel(omega=v),
     "SingleGrid omega": lambda v: am.SingleGrid(omega=v),
-    "AMG strength": lambda v: am.AMG(strength=v),
     "algebraic strength": lambda v: am.Hierarchy.algebraic(discrete(), strength=v),
 }
 _COUNTS_IN_FULL = {

@@ -36,8 +36,8 @@ class Body:
         self.motions = RigidMotions.of(problem, self.contact, problem.load)
 
     def settle(self):
-        defect = self.problem.load - self.problem.matrix @ self.unknowns
-        return self.motions.settle(self.unknowns, self.past, defect)
+        residual = self.problem.load - self.problem.matrix @ self.unknowns
+        return self.motions.settle(self.unknowns, self.past, residual)
 
     def energy(self, unknowns):
         """Tresca energy without u'Au; infinite where a node penetrates."""

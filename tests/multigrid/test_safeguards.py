@@ -1,6 +1,6 @@
 """No wrong answer in silence: bodies held by contact alone, solvers that are mistaken, coarse grids that are large."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,11 +8,9 @@ import pytest
 import adaptmg as am
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.split_matrix import split
 from adaptmg.solver import truncated as fallback
-from adaptmg.solver.record import Outcome
 from adaptmg.solver.truncated import Fallback
-from adaptmg.solver.truncated_iteration import EnergyTest
+from adaptmg.solver.truncated_iteration import TruncatedIteration
 
 
 def floating():
@@ -58,7 +56,7 @@ def test_a_body_that_nearly_slides_takes_no_more_cycles_than_others(dim, law, he
     hierarchy = am.Hierarchy.uniform(nearly_sliding(dim, law, held), divisions=divisions)
     exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12))
     result = am.solve(hierarchy, solver, reference=exact)
-    assert result.cycles <= 30 and "then" not in result.solver_name
+    assert result.cycles <= 30 and not result.fallback
     assert result.history["true_error"][-1] < 1e-7
 
 
@@ -76,7 +74,7 @@ GRIDS_THAT_FAIL["only spaces"] = lambda: am.Hierarchy.algebraic(GRIDS_THAT_FAIL[
 def test_the_active_set_method_takes_over(grids):
     hierarchy = GRIDS_THAT_FAIL[grids]()
     result = am.solve(hierarchy, am.Multigrid())
-    assert "then ActiveSet from cycle" in result.solver_name
+    assert "ActiveSet from cycle" in result.fallback
     assert np.isnan(result.rate)  # of Newton steps it would be that of no cycle
     assert result.history["cycle"][-1] == result.cycles
     exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12)).displacement
@@ -93,47 +91,24 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, monkeypatch
             raise np.linalg.LinAlgError("singular")
         monkeypatch.setattr(fallback.ActiveSet, "run", singular)
     result = am.solve(GRIDS_THAT_FAIL["nested"](), am.Multigrid(), throw=False)
-    assert "then Monotone from cycle" in result.solver_name
+    assert "Monotone from cycle" in result.fallback
     # slow, but on its way, and not in silence
     assert result.residual < 1e-2 and result.status.ok == (result.residual <= 1e-7)
     if reason == "gives up":
         # an error of one method is no error of the run
-        monkeypatch.setattr(fallback.ProjectedMultigrid, "finish",
+        monkeypatch.setattr(fallback.ProjectedRun, "finish",
                             lambda self, unknowns: singular(self, None, None, None))
         nothing = am.solve(GRIDS_THAT_FAIL["nested"](), am.Multigrid(), throw=False)
-        assert not nothing.status.ok and "then" not in nothing.solver_name
+        assert not nothing.status.ok and not nothing.fallback
         spaces = am.solve(GRIDS_THAT_FAIL["only spaces"](), am.Multigrid(), throw=False)
-        assert not spaces.status.ok and "then" not in spaces.solver_name
+        assert not spaces.status.ok and not spaces.fallback
 
 
 def test_nothing_takes_over_where_arithmetic_ends():
     hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8, 16, 32))
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-17), throw=False)
-    assert result.status is am.Status.STALLED and "then" not in result.solver_name
+    assert result.status is am.Status.STALLED and not result.fallback
     assert result.residual < 1e-11
-
-
-@dataclass(frozen=True)
-class Mistaken:
-    """Says that it converged, to this many times the solution."""
-
-    solution: np.ndarray
-    factor: float
-
-    def run(self, hierarchy, run, start):
-        return Outcome(self.factor * self.solution, am.Status.CONVERGED, cycles=1, rtol=1e-8, error_estimate=0.0)
-
-
-@pytest.mark.parametrize(("factor", "status"), [(1.0, am.Status.CONVERGED), (1.0001, am.Status.STALLED),
-                                                (1e15, am.Status.DIVERGED)])
-def test_a_mistaken_solver_is_found_out(factor, status):
-    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
-    exact = am.solve(grids, am.ActiveSet(rtol=1e-12)).displacement
-    result = am.solve(grids, Mistaken(exact, factor), throw=False)
-    assert result.status is status
-    if factor != 1.0:
-        with pytest.raises(am.NotConverged):
-            am.solve(grids, Mistaken(exact, factor))
 
 
 def test_a_large_coarsest_grid_is_factorised_sparse():
@@ -144,25 +119,9 @@ def test_a_large_coarsest_grid_is_factorised_sparse():
     assert result.history["true_error"][-1] < 1e-8
 
 
-@pytest.mark.parametrize("limit", [0, 10_000])
-def test_singular_coarsest_matrices_are_mended(limit, monkeypatch):
-    monkeypatch.setattr(CoarseFactors, "DENSE", limit)
-    discrete = am.Hierarchy.uniform(floating(), divisions=(4,)).finest.discrete
-    level = split(discrete.matrix, discrete.fixed)
-    factors = CoarseFactors(level)
-    factors.renew()
-    load = np.zeros(discrete.n_dofs)
-    # a load in balance: opposite forces along the line between two nodes
-    load[0], load[8] = 1e6, -1e6
-    result = np.empty_like(load)
-    factors.solve(load, result)
-    assert np.isfinite(result).all()
-    assert np.linalg.norm(discrete.matrix @ result - load) < 1e-4 * np.linalg.norm(load)
-
-
 def test_a_start_that_ran_away_sets_no_tolerance():
     problem = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4,)).finest.discrete
-    watch = EnergyTest(problem, "discretisation")
+    watch = TruncatedIteration(None, problem, "discretisation", 100)
     watch.size = 1.0
     for change in (1e-2, 1e3):
         watch.take_discretisation_error(change)

@@ -11,7 +11,6 @@ from smoother_problems import expand
 
 import adaptmg as am
 
-LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(3e7), "coulomb": am.Coulomb(0.7)}
 COLD = am.Multigrid(correction=am.Truncated())
 NESTED = am.FullMultigrid(correction=am.Truncated())
 
@@ -34,31 +33,11 @@ def exact(hierarchy: am.Hierarchy) -> am.Result:
     return am.solve(hierarchy, am.ActiveSet(rtol=1e-12))
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("solver", [COLD, NESTED], ids=["cold", "nested"])
-@pytest.mark.parametrize("make", [bar, block], ids=["2d", "3d"])
-def test_agrees_with_the_active_set(make, solver, law):
-    hierarchy = make(LAWS[law])
-    reference = exact(hierarchy)
-    result = am.solve(hierarchy, replace(solver, rtol=1e-10), reference=reference)
-    assert result.history["true_error"][-1] <= 3e-10
-    assert result.residual <= 1e-8
-    assert (result.contact.gap >= -1e-15).all()
-    assert (result.contact.state == reference.contact.state).all()
-
-
-def test_graded_independent_meshes():
-    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(16e-3, 8e-3, 4e-3), contact_ratio=4)
+@pytest.mark.parametrize("transfer", [am.Interpolation(), am.L2(), am.PseudoL2(), am.QuasiInterpolation()], ids=str)
+def test_independent_meshes(transfer):
+    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(12e-3, 6e-3, 3e-3), contact_ratio=2, transfer=transfer)
     result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
     assert result.history["true_error"][-1] <= 3e-8 and result.cycles <= 15
-
-
-@pytest.mark.parametrize("transfer", [am.L2(), am.PseudoL2(), am.QuasiInterpolation()], ids=str)
-def test_other_transfers_converge_to_the_same(transfer):
-    sizes = (12e-3, 6e-3, 3e-3)
-    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), sizes=sizes, contact_ratio=2, transfer=transfer)
-    result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
-    assert result.history["true_error"][-1] <= 3e-8
 
 
 def test_cycles_and_work_do_not_grow_with_the_mesh():
@@ -66,13 +45,9 @@ def test_cycles_and_work_do_not_grow_with_the_mesh():
                for divisions in ((4, 8, 16, 32), (4, 8, 16, 32, 64, 128))]
     assert all(r.cycles <= 12 for r in results)
     assert results[-1].work_units <= 32 and results[-1].start_work_units <= 1.0
-
-
-@pytest.mark.parametrize("friction", [0.1, 2.0])
-def test_small_and_large_friction(friction):
-    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, 32, 64))
-    assert am.solve(hierarchy, NESTED).cycles <= 16
-    assert am.solve(hierarchy, COLD).residual <= 1e-7
+    for friction in (0.1, 2.0):
+        grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, 32, 64))
+        assert am.solve(grids, NESTED).cycles <= 16 and am.solve(grids, COLD).residual <= 1e-7
 
 
 def test_the_estimate_does_not_flatter():
@@ -96,11 +71,15 @@ def test_work_units_by_hand():
     hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
     coarse, fine = (level.matrix.nnz for level in hierarchy.levels)
     result = am.solve(hierarchy, NESTED)
-    # cycles of one pass, and half a pass for each line search
-    steps = result.start_work_units * fine / coarse / 0.5
+    # a pass for each Newton step on the coarsest level
+    steps = result.start_work_units * fine / coarse
     assert steps == pytest.approx(round(steps))
     # two levels: the coarse one is solved directly
     assert result.work_units - result.start_work_units == pytest.approx(result.cycles + 1)
+    # from zero there are safe cycles, half a pass more for each line search
+    cold = am.solve(hierarchy, COLD)
+    searches = 2 * (cold.work_units - cold.cycles - 1)
+    assert searches == pytest.approx(round(searches)) and searches >= 1
     three = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
     coarse, fine = (level.matrix.nnz for level in three.levels[1:])
     result = am.solve(three, NESTED)
@@ -134,14 +113,9 @@ def test_bare_matrices():
                am.solve(am.Hierarchy.algebraic(discrete), solver)]
     for result in results:
         assert np.abs(result.displacement - reference.displacement).max() <= 1e-9 * np.abs(reference.displacement).max()
-    assert results[0].cycles == results[1].cycles or abs(results[0].cycles - results[1].cycles) <= 3
-
-
-def test_algebraic_in_3d_and_its_default_solver():
-    discrete = block(am.Coulomb(0.5)).finest.discrete
-    hierarchy = am.Hierarchy.algebraic(discrete)
-    assert not hierarchy.discretised and "aggregation" in repr(hierarchy)
-    assert am.solve(hierarchy).residual <= 1e-7
+    assert abs(results[0].cycles - results[1].cycles) <= 3
+    solid = am.Hierarchy.algebraic(block(am.Coulomb(0.5)).finest.discrete)
+    assert not solid.discretised and "aggregation" in repr(solid) and am.solve(solid).residual <= 1e-7
 
 
 @pytest.mark.parametrize("solver", [am.FullMultigrid(correction=am.Truncated()), am.Multigrid(correction=am.Monotone()),
@@ -164,27 +138,6 @@ def test_bad_prolongations():
         am.Hierarchy.from_prolongations(discrete, [np.eye(n, 10)])
     with pytest.raises(ValueError, match="nothing to coarsen"):
         am.Hierarchy.algebraic(discrete, max_coarse=10_000)
-
-
-def test_options_check_themselves():
-    for options in ({"recombine": 3}, {"recombine": -1}, {"coarse_sweeps": 3}, {"coarse_sweeps": 0},
-                    {"safe_cycles": -1}):
-        with pytest.raises(ValueError, match=next(iter(options))):
-            am.Truncated(**options)
-    with pytest.raises(ValueError, match="cycle"):
-        am.Multigrid(correction=am.Truncated(), cycle=am.Cycle(shape="W"))
-    with pytest.raises(ValueError, match="discretisation"):
-        am.Multigrid(correction=am.Truncated(), rtol="discretisation")
-    with pytest.raises(ValueError, match="rtol"):
-        am.FullMultigrid(correction=am.Truncated(), rtol="loose")
-
-
-def test_a_limit_is_reported():
-    hierarchy = bar(am.Coulomb(1.0))
-    result = am.solve(hierarchy, replace(COLD, max_cycles=2), throw=False)
-    assert result.status is am.Status.LIMIT and result.cycles == 2
-    with pytest.raises(am.NotConverged):
-        am.solve(hierarchy, replace(COLD, max_cycles=2))
 
 
 @pytest.mark.parametrize("recombine", [0, 1, 2])
@@ -210,10 +163,10 @@ def test_random_cold_starts():
 def test_the_active_set_method_takes_over_where_friction_is_too_large():
     hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(5.0)), divisions=(4, 8, 16, 32, 64))
     result = am.solve(hierarchy, am.FullMultigrid())
-    assert result.residual <= 1e-7 and "ActiveSet from cycle" in result.solver_name
+    assert result.residual <= 1e-7 and "ActiveSet from cycle" in result.fallback
     # one count of cycles and of work for both
     steps = result.history["cycle"]
     assert (np.diff(steps) >= 0).all() and steps[-1] == result.cycles <= 100
     assert (np.diff(result.history["work_units"]) >= 0).all()
     early = am.solve(hierarchy, am.FullMultigrid(max_cycles=20), throw=False)
-    assert early.status is am.Status.LIMIT and "then" not in early.solver_name
+    assert early.status is am.Status.LIMIT and not early.fallback

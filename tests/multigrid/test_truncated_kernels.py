@@ -99,12 +99,12 @@ def parts(dim: int, law: str):
 
 
 def smooth(level, contact, load, u):
-    zero, defect = ZERO[level.dim], np.zeros_like(u)
+    zero, residual = ZERO[level.dim], np.zeros_like(u)
     projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, load, contact.contact_of,
-                              *contact.node_data, u, defect)
+                              *contact.node_data, u, residual)
     projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, contact.diagonal, contact.contact_of,
-                             *contact.node_data, u, defect)
-    return defect
+                             *contact.node_data, u, residual)
+    return residual
 
 
 @pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
@@ -115,15 +115,26 @@ def test_projected_half_passes_are_the_smoother(dim, law):
     contact.start(u)
     w = problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim))
     for _ in range(3):
-        defect = smooth(level, contact, load, u)
+        residual = smooth(level, contact, load, u)
         ProjectedGaussSeidel(order="backward").smooth(problem.system, problem.contact, problem.load, w)
         ProjectedGaussSeidel(order="forward").smooth(problem.system, problem.contact, problem.load, w)
         np.testing.assert_allclose(problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim)), w,
                                    atol=1e-11)
-        np.testing.assert_allclose(defect, load - level.matrix() @ u, atol=1e-11)
+        np.testing.assert_allclose(residual, load - level.matrix() @ u, atol=1e-11)
     other = np.random.default_rng(0).normal(size=u.shape) * ~problem.discrete.fixed
     product = projected_sweeps.energy_product(ZERO[dim], *level.lower_arrays, level.inverse, other, u)
     assert product == pytest.approx((other - u) @ (level.matrix() @ (other - u)), rel=1e-10)
+
+
+def swept(dim: int, law: str, sweeps: int):
+    """The same after some sweeps from zero, with its contact status, and the iterate."""
+    problem, level, contact, load = parts(dim, law)
+    u = np.zeros(problem.system.n_dofs)
+    contact.start(u)
+    for _ in range(sweeps):
+        residual = smooth(level, contact, load, u)
+    contact.update_status(residual)
+    return problem, level, contact, load, u
 
 
 def newton_matrix(problem, contact, newton: bool) -> np.ndarray:
@@ -158,13 +169,8 @@ def newton_matrix(problem, contact, newton: bool) -> np.ndarray:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     rng = np.random.default_rng(1)
-    problem, level, contact, load = parts(dim, law)
+    problem, level, contact, *_ = swept(dim, law, 3)
     n = problem.system.n_nodes
-    u = np.zeros(n * dim)
-    contact.start(u)
-    for _ in range(3):
-        defect = smooth(level, contact, load, u)
-    contact.update_status(defect)
     assert len(np.unique(contact.codes)) > 1
     P1 = sparse.csr_array(rng.random((n, 8)) * (rng.random((n, 8)) < 0.5) + np.eye(n, 8))
     P2 = sparse.csr_array(rng.random((8, 3)) + 0.1)
@@ -194,12 +200,7 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
 @pytest.mark.parametrize("law", ["tresca", "coulomb"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_truncated_residual_has_the_newton_matrix_as_derivative(dim, law):
-    problem, level, contact, load = parts(dim, law)
-    u = np.zeros(problem.system.n_dofs)
-    contact.start(u)
-    for _ in range(30):
-        defect = smooth(level, contact, load, u)
-    contact.update_status(defect)
+    problem, level, contact, load, u = swept(dim, law, 30)
     contact.linearise_friction()
     J = newton_matrix(problem, contact, True)
     rng = np.random.default_rng(2)
@@ -259,7 +260,9 @@ def test_galerkin_products():
     assert (galerkin_product(matrix, P).diagonal() > 0).all()
 
 
-def test_a_singular_coarsest_matrix_is_shifted():
+@pytest.mark.parametrize("limit", [0, 10_000], ids=["sparse", "dense"])
+def test_singular_coarsest_matrices_are_shifted(limit, monkeypatch):
+    monkeypatch.setattr(CoarseFactors, "DENSE", limit)
     matrix = sparse.bsr_array(np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]]),
                               blocksize=(2, 2))
     factors = CoarseFactors(split(matrix, np.zeros(4, dtype=bool)))

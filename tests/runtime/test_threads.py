@@ -18,7 +18,7 @@ from bodies import bar_on_block
 import adaptmg as am
 from adaptmg._runtime import one_blas_thread, seeded
 
-AMG_STEPS = am.ActiveSet(linear=am.AMG(max_coarse=300, strength=0.05), rtol=1e-8)
+AMG_STEPS = am.ActiveSet(linear=am.AMG(), rtol=1e-8)
 
 
 def digest(*arrays):

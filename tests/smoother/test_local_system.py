@@ -14,7 +14,21 @@ from adaptmg.discrete.coordinates import frames_of, rotate
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh import structured
 from adaptmg.problem import Contact, Coulomb, GapFunction, Plane, Support, Tresca
-from adaptmg.smoother.system import inverse_blocks, local_system
+from adaptmg.smoother.system import (
+    BACKWARDS,
+    CLOSED,
+    FREE,
+    HELD,
+    OPEN,
+    SLIP,
+    SLIPS,
+    STICK,
+    contact_blocks,
+    contact_codes,
+    contact_states,
+    inverse_blocks,
+    local_system,
+)
 
 RNG = np.random.default_rng(4)
 
@@ -43,22 +57,15 @@ def solid() -> DiscreteProblem:
 PROBLEMS = [plane(), solid()]
 
 
-@pytest.mark.parametrize("problem", PROBLEMS)
+@pytest.mark.parametrize("problem", PROBLEMS, ids=["plane", "solid"])
 class TestLocalProblem:
-    def test_to_local_and_back(self, problem):
-        local = local_system(problem)
-        w = RNG.normal(size=problem.n_dofs)
-        w[local.system.fixed] = 0.0
-        u = local.to_cartesian(w)
-        np.testing.assert_allclose(local.to_local(u), w, atol=1e-14)
-        # prescribed values are met
-        np.testing.assert_allclose(u.reshape(-1)[problem.fixed], problem.fixed_values[problem.fixed], atol=1e-14)
-
-    def test_same_energy(self, problem):
+    def test_there_and_back_with_the_same_energy(self, problem):
         local = local_system(problem)
         w = 1e-5 * RNG.normal(size=problem.n_dofs)
         w[local.system.fixed] = 0.0
         u, lift = local.to_cartesian(w).reshape(-1), problem.fixed_values
+        np.testing.assert_allclose(local.to_local(u), w, atol=1e-19)
+        np.testing.assert_allclose(u[problem.fixed], lift[problem.fixed], atol=1e-19)
 
         def energy(x):
             return 0.5 * x @ (problem.matrix @ x) - problem.load @ x
@@ -66,59 +73,56 @@ class TestLocalProblem:
         assert 0.5 * w @ (local.system.matrix @ w) - local.load @ w == pytest.approx(energy(u) - energy(lift), rel=1e-9)
 
     def test_fixed_rows_are_decoupled(self, problem):
-        system = local_system(problem).system
-        matrix = system.matrix.toarray()
-        held = system.fixed
+        before = problem.matrix.data.copy()
+        local = local_system(problem)
+        np.testing.assert_array_equal(problem.matrix.data, before)
+        matrix, held = local.system.matrix.toarray(), local.system.fixed
         assert held.sum() == problem.fixed.sum()
         assert not matrix[np.ix_(held, ~held)].any() and not matrix[np.ix_(~held, held)].any()
         among = matrix[np.ix_(held, held)]
         assert not (among - np.diag(np.diag(among))).any() and (np.diag(among) > 0).all()
-        assert not local_system(problem).load[held].any()
+        assert not local.load[held].any()
         np.testing.assert_allclose(matrix, matrix.T, atol=1e-12 * np.abs(matrix).max())
 
     def test_contact_conditions_are_the_same(self, problem):
-        local = local_system(problem)
+        local, contact = local_system(problem), problem.contact
+        np.testing.assert_allclose(local.frames @ np.swapaxes(local.frames, 1, 2),
+                                   np.broadcast_to(np.eye(problem.dim), local.frames.shape), atol=1e-14)
+        np.testing.assert_allclose(np.linalg.det(local.frames), 1.0, atol=1e-14)
+        np.testing.assert_array_equal(local.frames[:, 0], contact.normals)
         u = local.to_cartesian(np.where(local.system.fixed, 0.0, RNG.normal(size=problem.n_dofs)))
-        contact = problem.contact
         w = local.to_local(u).reshape(-1, problem.dim)[contact.nodes]
         gap = contact.gaps - np.sum(u[contact.nodes] * contact.normals, axis=1)
         np.testing.assert_allclose(local.contact.gap - w[:, 0], gap, atol=1e-13)
-        slip = u[contact.nodes] - contact.slip_reference
-        slip = np.einsum("nij,nj->ni", local.frames, slip)[:, 1:]
+        slip = np.einsum("nij,nj->ni", local.frames, u[contact.nodes] - contact.slip_reference)[:, 1:]
         free = ~local.system.fixed.reshape(-1, problem.dim)[contact.nodes, 1:]
         np.testing.assert_allclose((w[:, 1:] - local.contact.slip_reference)[free], slip[free], atol=1e-13)
         limit, friction = problem.law.bounds(len(contact))
         np.testing.assert_array_equal(local.contact.limit, limit)
         np.testing.assert_array_equal(local.contact.friction, friction)
-
-    def test_frames_are_right_handed(self, problem):
-        frames = local_system(problem).frames
-        identity = np.broadcast_to(np.eye(problem.dim), frames.shape)
-        np.testing.assert_allclose(frames @ np.swapaxes(frames, 1, 2), identity, atol=1e-14)
-        np.testing.assert_allclose(np.linalg.det(frames), 1.0, atol=1e-14)
-        np.testing.assert_array_equal(frames[:, 0], problem.contact.normals)
+        force = np.arange(float(len(contact)))
+        frozen = local.contact.frozen(force)
+        np.testing.assert_allclose(frozen.limit, limit + friction * force)
+        assert not frozen.friction.any()
 
     def test_flat_arrays_describe_the_matrix(self, problem):
         local = local_system(problem)
         system, held = local.system, local.contact.held
         dim, matrix = system.dim, system.matrix.toarray()
         for node in range(system.n_nodes):
-            rows = slice(dim * node, dim * (node + 1))
-            block = slice(dim * dim * node, dim * dim * (node + 1))
+            rows, block = slice(dim * node, dim * (node + 1)), slice(dim * dim * node, dim * dim * (node + 1))
             expected = matrix[rows, rows].copy()
             if held is not None and node in system.nodes[held]:
-                expected[1, 1] *= -1  # says that the tangent is held
+                expected[1, 1] *= -1  # marks the tangent as held
             np.testing.assert_array_equal(system.diagonal[block].reshape(dim, dim), expected)
             np.testing.assert_allclose(system.inverse[block].reshape(dim, dim) @ matrix[rows, rows], np.eye(dim),
                                        atol=1e-12)
+        blocks = contact_blocks(problem, local.contact, local.frames)
+        np.testing.assert_allclose(blocks, system.diagonal.reshape(-1, dim, dim)[system.nodes],
+                                   atol=1e-12 * np.abs(blocks).max())
         assert system.nonzeros == len(system.indices) * dim * dim == problem.matrix.nnz
         np.testing.assert_array_equal(system.contact_of[system.nodes], np.arange(len(problem.contact)))
         assert np.count_nonzero(system.contact_of >= 0) == len(problem.contact)
-
-    def test_problem_is_left_alone(self, problem):
-        before = problem.matrix.data.copy()
-        local_system(problem)
-        np.testing.assert_array_equal(problem.matrix.data, before)
 
 
 def test_plane_at_45_degrees():
@@ -162,14 +166,6 @@ def test_fixed_tangents_of_a_horizontal_plane(axes):
     assert not local.system.fixed[0]
 
 
-def test_frozen_turns_coulomb_into_tresca():
-    nodal = local_system(PROBLEMS[0]).contact
-    force = np.arange(5.0)
-    frozen = nodal.frozen(force)
-    np.testing.assert_array_equal(frozen.limit, force)
-    assert not frozen.friction.any() and nodal.friction.all()
-
-
 def test_rotate_copies():
     vector = np.ones(4)
     frames = np.array([[[0.0, -1.0], [1.0, 0.0]]])
@@ -182,3 +178,14 @@ def test_singular_block_is_named():
     blocks[1] = [[1.0, 1.0], [1.0, 1.0]]
     with pytest.raises(ValueError, match="diagonal block of node 1 is singular"):
         inverse_blocks(blocks)
+
+
+def test_codes_of_contact_nodes_and_their_states():
+    closed, held = np.array([0, 0, 1, 1, 1], dtype=bool), np.array([0, 1, 0, 1, 0], dtype=bool)
+    backwards = np.array([0, 1, 0, 1, 1], dtype=bool)
+    assert contact_codes(closed, held, backwards).tolist() == [
+        SLIPS, HELD, CLOSED + SLIPS, CLOSED + HELD, CLOSED + BACKWARDS]
+    assert contact_codes(closed, held).tolist() == [SLIPS, HELD, CLOSED + SLIPS, CLOSED + HELD, CLOSED + SLIPS]
+    codes = np.array([FREE, HELD, CLOSED + FREE, CLOSED + SLIPS, CLOSED + BACKWARDS, CLOSED + HELD, CLOSED + HELD])
+    found = contact_states(codes, np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0]))
+    assert found.dtype == np.int8 and found.tolist() == [OPEN, OPEN, SLIP, SLIP, SLIP, STICK, OPEN]

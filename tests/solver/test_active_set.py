@@ -120,7 +120,7 @@ def test_solution_is_that_of_gauss_seidel(name):
 
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("solver", [am.ActiveSet(condensed=False), am.ActiveSet(linear=am.AMG()),
-                                    am.ActiveSet(linear=am.AMG(lag=-1), linear_rtol=1e-6),
+                                    am.ActiveSet(linear=am.AMG(), linear_rtol=1e-6),
                                     am.ActiveSet(nested_start=True)], ids=["sparse", "amg", "amg, exact", "nested"])
 def test_linear_solvers_agree(name, solver):
     result = am.solve(grids(name), solver)

@@ -11,7 +11,7 @@ from study_scripts import load
 import adaptmg as am
 from adaptmg.solver.iterate import IterateTest, StopTest
 from adaptmg.solver.record import Run
-from adaptmg.solver.truncated_iteration import EnergyTest
+from adaptmg.solver.truncated_iteration import TruncatedIteration
 
 slender = load("slender_bodies")
 
@@ -27,7 +27,7 @@ def test_it_goes_on(solver, monkeypatch):
     """Estimates of a thousandth, and residuals that say nothing: only the certificate keeps a method going."""
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
-    for kind in (StopTest, EnergyTest):
+    for kind in (StopTest, TruncatedIteration):
         monkeypatch.setattr(kind, "_estimate", lambda self, own=kind._estimate: 1e-3 * own(self))
     monkeypatch.setattr(IterateTest, "change", property(lambda self, own=IterateTest.change: 1e-3 * own.fget(self)))
     monkeypatch.setattr(StopTest, "RESIDUAL_FACTOR", 1e5)

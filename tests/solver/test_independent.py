@@ -38,8 +38,7 @@ POSED = {"bar": (am.cases.greco_bar, (4, 8)), "block": (am.cases.greco_block, (2
 def bodies(kind, law):
     if kind in POSED:
         case, divisions = POSED[kind]
-        changes = {"law": LAWS[law]}
-        return am.Hierarchy.uniform(replace(case(), **changes, reference={}), divisions)
+        return am.Hierarchy.uniform(replace(case(), law=LAWS[law], reference={}), divisions)
     if kind == "graded":
         return am.Hierarchy.graded(replace(am.cases.greco_bar(), law=LAWS[law], reference={}), sizes=(16e-3, 8e-3),
                                    contact_ratio=3)

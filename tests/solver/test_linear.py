@@ -31,9 +31,6 @@ def skewed(matrix: sparse.bsr_array) -> sparse.bsr_array:
     return sparse.bsr_array(result.tocsr(), blocksize=(2, 2))
 
 
-# -- elimination order ---------------------------------------------------------------------------------------------
-
-
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.floats(0, 0.2))
 @settings(max_examples=25, deadline=None)
 def test_every_node_comes_once_and_the_last_come_last(seed, n, density):
@@ -82,11 +79,7 @@ def test_distances_keep_connected_parts_apart():
     assert np.ptp(distances[:4, 0]) == 3
 
 
-# -- solvers -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("linear", [am.Direct(), am.AMG(), am.AMG(smoother="gauss_seidel", strength=0.05)],
-                         ids=["direct", "amg", "amg, points"])
+@pytest.mark.parametrize("linear", [am.Direct(), am.AMG()], ids=["direct", "amg"])
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_solutions_are_those_of_dense_algebra(linear, symmetric):
     matrix, load, modes = glued_system(bar(10))
@@ -104,25 +97,20 @@ def test_solutions_are_those_of_dense_algebra(linear, symmetric):
         assert np.linalg.norm(exact - other) > 1e-3 * np.linalg.norm(exact)
 
 
-def test_direct_counts_no_work():
-    matrix, load, _ = glued_system(bar(5))
-    solution = am.Direct().setup(matrix).solve(load)
-    assert (solution.iterations, solution.passes) == (0, 0.0)
-
-
 @pytest.mark.parametrize("symmetric", [True, False])
-def test_direct_says_that_a_matrix_is_singular(symmetric):
-    floating = bar(6).matrix
+def test_direct_reports_a_singular_matrix(symmetric):
     with pytest.raises(np.linalg.LinAlgError, match="singular"):
-        am.Direct().setup(floating, symmetric=symmetric)
+        am.Direct().setup(bar(6).matrix, symmetric=symmetric)
 
 
-def test_direct_uses_the_order_of_a_matrix_like_it():
+def test_direct_uses_the_order_of_a_matrix_like_it_and_counts_no_work():
     matrix, load, _ = glued_system(bar(6))
     first = am.Direct().setup(matrix)
     second = am.Direct().setup(sparse.bsr_array(2 * matrix, blocksize=(2, 2)), previous=first)
     assert second.factors.order is first.factors.order
-    assert second.solve(load).unknowns == pytest.approx(0.5 * first.solve(load).unknowns, rel=1e-10)
+    solutions = [prepared.solve(load) for prepared in (first, second)]
+    assert solutions[1].unknowns == pytest.approx(0.5 * solutions[0].unknowns, rel=1e-10)
+    assert (solutions[0].iterations, solutions[0].passes) == (0, 0.0)
 
 
 def test_work_is_that_of_products_and_cycles():
@@ -141,44 +129,25 @@ def test_work_is_that_of_products_and_cycles():
     assert more.passes - few.passes == pytest.approx((more.iterations - few.iterations) * (1 + cycle))
 
 
-def test_rigid_body_modes_pay():
+def test_rigid_body_modes_pay_and_few_iterations_show():
     matrix, load, modes = glued_system(bar(32))
     constants = np.tile(np.eye(2), (len(load) // 2, 1)) * modes.any(axis=1)[:, None]
     counts = [am.AMG().setup(matrix, b).solve(load, rtol=1e-8).iterations for b in (modes, constants)]
-    assert counts[0] <= 18
-    assert counts[1] >= 1.3 * counts[0]
-
-
-def test_too_few_iterations_show():
-    matrix, load, modes = glued_system(bar(16))
+    assert counts[0] <= 18 and counts[1] >= 1.3 * counts[0]
     for symmetric in (True, False):
         solution = am.AMG(max_iterations=2).setup(matrix, modes, symmetric=symmetric).solve(load, rtol=1e-10)
-        assert not solution.converged
-        assert solution.residual > 1e-10
-        assert solution.iterations <= 3
+        assert not solution.converged and solution.residual > 1e-10 and solution.iterations <= 3
+    with pytest.raises(ValueError, match="max_iterations must be >= 1"):
+        am.AMG(max_iterations=0)
 
 
 def test_a_hierarchy_is_kept_while_few_dofs_are_released():
     matrix, _, modes = glued_system(bar(8))
-    linear = am.AMG(lag=2)
-    first = linear.setup(matrix, modes)
-    for changed, kept in ((2, True), (3, False)):
+    first = am.AMG().setup(matrix, modes)
+    for changed, kept in ((8, True), (9, False)):
         other = modes.copy()
         other[np.flatnonzero(modes.any(axis=1))[:changed]] = 0.0
-        assert (linear.setup(matrix, other, previous=first).hierarchy is first.hierarchy) is kept
-    assert am.AMG(lag=-1).setup(matrix, modes, previous=first).hierarchy is not first.hierarchy
-
-
-@pytest.mark.parametrize(("wrong", "error", "words"), [
-    ({"strength": 1.0}, ValueError, "strength must be < 1"), ({"strength": np.nan}, ValueError, "strength"),
-    ({"smoother": "sor"}, ValueError, "smoother must be one of"), ({"lag": -2}, ValueError, "lag must be >= -1"),
-    ({"max_coarse": 2.5}, TypeError, "max_coarse"), ({"max_iterations": 0}, ValueError, "max_iterations must be >= 1")])
-def test_wrong_options_of_amg_are_refused(wrong, error, words):
-    with pytest.raises(error, match=words):
-        am.AMG(**wrong)
-
-
-# -- glued ---------------------------------------------------------------------------------------------------------
+        assert (am.AMG().setup(matrix, other, previous=first).hierarchy is first.hierarchy) is kept
 
 
 def test_glued_system_is_the_stiffness_at_free_dofs():

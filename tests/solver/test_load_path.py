@@ -12,9 +12,9 @@ from adaptmg.discrete.load_steps import load_steps, whole_load
 from adaptmg.mesh import structured
 from adaptmg.mesh.structured import merged
 from adaptmg.solver import load_steps as truncated_steps
-from adaptmg.solver import truncated_iteration as energy_test
 from adaptmg.solver.load_path import StepNotConverged
 from adaptmg.solver.load_steps import KeptMultigrid, coarse_displacements
+from adaptmg.solver.truncated_iteration import TruncatedIteration
 
 FINE = am.FullMultigrid(rtol=1e-11)
 EXACT = am.ActiveSet(rtol=1e-12)
@@ -513,9 +513,9 @@ class TestResult:
                 super().__init__(*arguments)
 
         monkeypatch.setattr(truncated_steps, "KeptMultigrid", Counted)
-        monkeypatch.setattr(energy_test.EnergyTest, "stalled", property(lambda watch: True))
+        monkeypatch.setattr(TruncatedIteration, "stalled", property(lambda watch: True))
         results = am.solve_path(rough, CYCLE, FINE)
         assert distance(results[-1], cycle[-1]) <= 1e-8
         # what a cycle that ran away leaves behind is not used again
         assert len(made) == len(CYCLE) and all(machine.spent for machine in made)
-        assert all("then ActiveSet" in result.solver_name for result in results)
+        assert all("ActiveSet" in result.fallback for result in results)

@@ -13,8 +13,8 @@ from made import cube, result_on, same, square
 
 import adaptmg as am
 from adaptmg.solver.load_path import StepNotConverged
+from adaptmg.solver.record import Status
 from adaptmg.solver.result import NotConverged
-from adaptmg.solver.status import Status
 
 cloudpickle = pytest.importorskip("cloudpickle")
 
@@ -78,20 +78,17 @@ def test_a_copy_keeps_the_ngsolve_mesh_and_a_pickle_needs_none():
 @pytest.mark.parametrize("pool", ["multiprocessing", "concurrent.futures"])
 def test_a_pool_hands_back_results_and_exceptions(pool):
     context = multiprocessing.get_context("spawn")
-    if pool == "multiprocessing":
-        with context.Pool(1) as workers:
-            # with a limit: the pool waits for ever for what it cannot unpickle
-            assert same(workers.apply_async(returns, (2,)).get(100), returns(2))
-            for kind in (NotConverged, StepNotConverged):
-                with pytest.raises(kind, match="LIMIT") as caught:
-                    workers.apply_async(raises, (kind.__name__,)).get(100)
-                assert same(caught.value.result, unfinished())
-        return
-    with ProcessPoolExecutor(1, mp_context=context) as workers:
-        assert same(workers.submit(returns, 2).result(100), returns(2))
+    with context.Pool(1) if pool == "multiprocessing" else ProcessPoolExecutor(1, mp_context=context) as workers:
+        def answer(function, argument):
+            # with a limit: a pool waits without end for what it cannot unpickle
+            if pool == "multiprocessing":
+                return workers.apply_async(function, (argument,)).get(100)
+            return workers.submit(function, argument).result(100)
+
+        assert same(answer(returns, 2), returns(2))
         for kind in (NotConverged, StepNotConverged):
             with pytest.raises(kind, match="LIMIT") as caught:
-                workers.submit(raises, kind.__name__).result(100)
+                answer(raises, kind.__name__)
             assert same(caught.value.result, unfinished())
 
 

@@ -13,8 +13,8 @@ from made import cube, result_on, same, square
 import adaptmg as am
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver import step_store as path_files
+from adaptmg.solver.record import Status
 from adaptmg.solver.result_file import read_result, write_result
-from adaptmg.solver.status import Status
 
 
 def moved(result: am.Result, folder) -> am.Result:

@@ -1,0 +1,256 @@
+"""The smoother step and the natural residual on networks and meshes: 2D, 3D, one body, two bodies, axisymmetric."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from smoother_problems import LAWS, dual_solution, network, tresca_energy
+
+import adaptmg as am
+from adaptmg.smoother import OPEN, SLIP, STICK, ProjectedGaussSeidel, compiling
+from adaptmg.smoother.residuals import contact_share, natural_residual, normal_force, residual, states
+from adaptmg.smoother.system import LocalProblem, local_system
+
+NETWORKS = [f"network {dim}D {law}" for dim in (2, 3) for law in LAWS]
+MESHES = {
+    "bar": lambda law: am.Hierarchy.uniform(am.cases.greco_bar(law=law), (4,)),
+    "block": lambda law: am.Hierarchy.uniform(am.cases.greco_block(law=law), (2,)),
+    "pair": lambda law: am.Hierarchy.uniform(am.cases.two_block_patch(law=law), [{"upper": 3, "lower": 4}]),
+    "pair 3D": lambda law: am.Hierarchy.uniform(am.cases.two_block_patch(law=law, dim=3), [{"upper": 1, "lower": 2}]),
+    "axisymmetric pair": lambda law: am.Hierarchy.graded(am.cases.hertz_sphere(law=law), (5e-3,))}
+CASES = [*NETWORKS, *(f"{mesh}, {law}" for mesh in MESHES for law in ("tresca", "coulomb"))]
+ORDERS = ["forward", "backward", "symmetric"]
+every_case = pytest.mark.parametrize("case", CASES)
+every_network = pytest.mark.parametrize(("dim", "law"), [(dim, law) for dim in (2, 3) for law in LAWS])
+
+
+@cache
+def posed(case: str) -> tuple[LocalProblem, np.ndarray, float]:
+    """A problem, its solution by a method that shares nothing with the smoother, and the size of its forces."""
+    if case in NETWORKS:
+        _, dim, law = case.split()
+        problem = network(int(dim[0]), law, fixed_tangent=True)
+        return problem, dual_solution(problem), 1.0
+    mesh, law = case.split(", ")
+    discrete = MESHES[mesh]({"tresca": am.Tresca(2e7), "coulomb": am.Coulomb(0.3)}[law]).finest.discrete
+    problem = local_system(discrete)
+    exact = am.solve(discrete, am.ActiveSet(rtol=1e-13)).displacement
+    return problem, problem.to_local(discrete.relative(exact)), np.linalg.norm(problem.load)
+
+
+def smooth(problem, unknowns, sweeps=1, **options):
+    return ProjectedGaussSeidel(**options).smooth(problem.system, problem.contact, problem.load, unknowns, sweeps)
+
+
+def random_start(problem, seed, size=1.0):
+    w = size * np.random.default_rng(seed).normal(size=problem.system.n_dofs)
+    w[problem.system.fixed] = 0.0
+    return w
+
+
+def natural_norm(problem, unknowns):
+    return np.linalg.norm(natural_residual(problem.system, problem.contact, problem.load, unknowns))
+
+
+@every_case
+@pytest.mark.parametrize("options", [{}, {"omega": 1.3, "order": "symmetric"}, {"omega": 0.5, "order": "backward"}],
+                         ids=str)
+def test_the_solution_is_a_fixed_point_and_the_only_zero_of_the_natural_residual(case, options):
+    problem, exact, force = posed(case)
+    size = np.abs(exact).max()
+    w = exact.copy()
+    smooth(problem, w, 2, **options)
+    np.testing.assert_allclose(w, exact, atol=1e-8 * size)
+    assert natural_norm(problem, exact) <= 1e-8 * force
+    stiffness = problem.system.diagonal.reshape(-1, problem.system.dim, problem.system.dim)
+    for dof in np.flatnonzero(~problem.system.fixed)[::5]:
+        moved = exact.copy()
+        moved[dof] += 1e-3 * size
+        assert natural_norm(problem, moved) > 1e-5 * size * np.abs(stiffness).min(initial=np.inf, where=stiffness != 0)
+
+
+@every_case
+@pytest.mark.parametrize("seed", range(3))
+def test_what_every_sweep_keeps(case, seed):
+    """No node penetrates, fixed dofs stay, the Tresca energy never rises; the last node has no natural residual."""
+    problem, exact, force = posed(case)
+    dim, rng = problem.system.dim, np.random.default_rng(seed)
+    if "coulomb" in case:
+        problem = replace(problem, contact=problem.contact.frozen(normal_force(problem.system, problem.load, exact)))
+    w = random_start(problem, seed, np.abs(exact).max())
+    smooth(problem, w)
+    energy = [tresca_energy(problem, w)]
+    for order in ORDERS * 2:
+        smooth(problem, w, omega=float(rng.uniform(0.05, 1.95)), order=order)
+        energy.append(tresca_energy(problem, w))
+        assert (w.reshape(-1, dim)[problem.system.nodes, 0] <= problem.contact.gap).all()
+        assert (w[problem.system.fixed] == 0).all()
+    assert (np.diff(energy) <= 1e-12 * np.abs(energy).max()).all() and energy[-1] < energy[0]
+    smooth(problem, w, order="backward")
+    last = natural_residual(problem.system, problem.contact, problem.load, w)[:dim]
+    assert np.linalg.norm(last) <= 1e-9 * max(force, np.abs(problem.system.diagonal).max() * np.abs(w).max())
+
+
+@every_case
+def test_the_natural_residual_is_the_jacobi_step(case):
+    """At the first contact node of a sweep it is D times the step with the bound frozen, elsewhere the residual."""
+    problem, exact, _ = posed(case)
+    system, dim = problem.system, problem.system.dim
+    w = random_start(problem, 5, np.abs(exact).max())
+    vector = natural_residual(system, problem.contact, problem.load, w).reshape(-1, dim)
+    linear = residual(system, problem.load, w)
+    np.testing.assert_array_equal(vector.ravel(), natural_residual(system, problem.contact, problem.load, w, linear))
+    frozen = replace(problem, contact=problem.contact.frozen(normal_force(system, problem.load, w)))
+    first = int(system.nodes.min())
+    # nodes before it are not visited: they do not move
+    rows = np.zeros((system.n_nodes, dim), dtype=bool)
+    rows[:first] = True
+    still = replace(system, inverse=np.where(np.repeat(rows.any(axis=1), dim * dim), 0.0, system.inverse))
+    moved = w.copy()
+    smooth(replace(frozen, system=still), moved)
+    block = system.diagonal.reshape(-1, dim, dim)[first]
+    scale = np.abs(system.diagonal).max() * np.abs(w).max()
+    if problem.contact.held is None:
+        np.testing.assert_allclose(vector[first], block @ (moved - w).reshape(-1, dim)[first], atol=1e-11 * scale)
+    elsewhere = np.setdiff1d(np.arange(system.n_nodes), system.nodes)
+    np.testing.assert_array_equal(vector[elsewhere], linear.reshape(-1, dim)[elsewhere])
+
+
+@every_network
+@pytest.mark.parametrize("options", [{}, {"omega": 1.3, "order": "symmetric"},
+                                     {"order": "backward", "friction_update": 2}], ids=str)
+def test_sweeps_converge_and_meet_the_laws(dim, law, options):
+    problem, exact, _ = posed(f"network {dim}D {law}")
+    w, contact = np.zeros(problem.system.n_dofs), problem.contact
+    smooth(problem, w, 400, **options)
+    np.testing.assert_allclose(w, exact, atol=1e-11)
+    r = residual(problem.system, problem.load, w).reshape(-1, dim)
+    local, force = w.reshape(-1, dim)[problem.system.nodes], r[problem.system.nodes]
+    p = normal_force(problem.system, problem.load, w)
+    slip, bound = local[:, 1:] - contact.slip_reference, contact.limit + contact.friction * p
+    np.testing.assert_allclose(p, np.maximum(force[:, 0], 0.0), atol=1e-13)
+    np.testing.assert_allclose(p * (contact.gap - local[:, 0]), 0, atol=1e-12)
+    free = ~problem.system.fixed.reshape(-1, dim)[problem.system.nodes, 1:]
+    tangential = np.where(free, force[:, 1:], 0.0)
+    assert (np.linalg.norm(tangential, axis=1) <= bound + 1e-12).all()
+    size = np.linalg.norm(slip, axis=1)
+    np.testing.assert_allclose((tangential * size[:, None])[free], (bound[:, None] * slip)[free], atol=1e-12)
+    # in 3D the support drives the node that would stick under the Tresca limit
+    sticks = law != "frictionless" and (dim, law) != (3, "tresca")
+    assert set(states(contact, local, p, 1e-9)) == ({OPEN, SLIP, STICK} if sticks else {OPEN, SLIP})
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_without_contact_a_sweep_is_block_sor(dim):
+    problem = network(dim, "frictionless", seed=7)
+    problem.contact.gap[:] = np.inf
+    matrix, load, omega = problem.system.matrix.toarray(), problem.load, 1.4
+    w = random_start(problem, 7)
+    np.testing.assert_allclose(residual(problem.system, load, w), load - matrix @ w, atol=1e-13)
+    expected = w.copy()
+    for i in range(problem.system.n_nodes):
+        at = slice(i * dim, (i + 1) * dim)
+        expected[at] += omega * np.linalg.solve(matrix[at, at], load[at] - matrix[at] @ expected)
+    smooth(problem, w, omega=omega)
+    np.testing.assert_allclose(w, expected, atol=1e-13)
+
+
+def test_orders_held_bounds_and_passes():
+    """Symmetric is forward, then backward; friction_update=2 solves two sweeps at each p. Passes are hand-counted:
+    row 0 of the 4 x 4 grid holds 4 + 5 + 5 + 3 of the 16 + 2 * 33 blocks."""
+    problem = network(2, "coulomb", seed=9)
+    w = random_start(problem, 9)
+    symmetric, both, held, expected = (w.copy() for _ in range(4))
+    assert smooth(problem, symmetric, 2, omega=1.2, order="symmetric") == 4
+    for order in ("forward", "backward") * 2:
+        assert smooth(problem, both, omega=1.2, order=order) == 1
+    np.testing.assert_array_equal(symmetric, both)
+    share = (4 + 5 + 5 + 3) / (16 + 2 * 33)
+    assert contact_share(problem.system) == pytest.approx(share, rel=1e-15)
+    assert smooth(problem, held, 4, friction_update=2) == pytest.approx(4 + 2 * share)
+    for _ in range(2):
+        p = normal_force(problem.system, problem.load, expected)
+        smooth(replace(problem, contact=problem.contact.frozen(p)), expected, 2)
+    np.testing.assert_array_equal(held, expected)
+    assert smooth(problem, w, 0) == 0
+    assert smooth(network(2, "tresca"), w, 5, friction_update=2) == 5
+
+
+def test_states():
+    """Touching with and without slip, open, and touching without force."""
+    contact = replace(network(2, "coulomb").contact, gap=np.full(4, 0.1))
+    values = np.column_stack([[0.1, 0.1, 0.0, 0.1 * (1 + 1e-14)], contact.slip_reference[:, 0] + [0.01, 0.0, 0.0, 0.0]])
+    force = np.array([1.0, 1.0, 0.0, 0.0])
+    assert states(contact, values, force, 1e-13).tolist() == [SLIP, STICK, OPEN, OPEN]
+    frictionless = replace(contact, friction=np.zeros(4))
+    assert states(frictionless, values, force, 1e-13).tolist() == [SLIP, SLIP, OPEN, OPEN]
+
+
+@pytest.mark.parametrize(("options", "error", "message"), [
+    ({"omega": 2.0}, ValueError, r"omega must be in \(0, 2\)"), ({"omega": 0.0}, ValueError, r"omega must be in"),
+    ({"omega": float("nan")}, ValueError, "omega must be finite"),
+    ({"order": "random"}, ValueError, "order must be one of 'forward', 'backward', 'symmetric'"),
+    ({"friction_update": "never"}, ValueError, "friction_update must be one of 'sweep'"),
+    ({"friction_update": 0}, ValueError, "friction_update must be >= 1"),
+    ({"friction_update": 1.5}, TypeError, "friction_update must be an integer")])
+def test_bad_options(options, error, message):
+    with pytest.raises(error, match=message):
+        ProjectedGaussSeidel(**options)
+
+
+@pytest.mark.parametrize(("changes", "error", "message"), [
+    ({"load": np.zeros(31)}, ValueError, r"load must have shape \(32,\)"),
+    ({"unknowns": np.zeros(32, dtype=np.float32)}, TypeError, "unknowns must be a numpy array of float64, got an"),
+    ({"unknowns": [0.0] * 32}, TypeError, "unknowns must be a numpy array of float64, got list"),
+    ({"unknowns": np.zeros(64)[::2]}, ValueError, "unknowns must be contiguous"),
+    ({"unknowns": np.frombuffer(bytes(256))}, ValueError, "unknowns is read-only"),
+    ({"contact": {"gap": np.zeros(3)}}, ValueError, r"contact\.gap must have shape \(4,\) \(there are 4 contact nodes"),
+    ({"contact": {"slip_reference": np.zeros(4)}}, ValueError, r"contact\.slip_reference must have shape \(4, 1\)"),
+    ({"contact": None}, TypeError, "contact must be a NodalContact"),
+    ({"sweeps": -1}, ValueError, "sweeps must be >= 0")])
+def test_bad_arrays(changes, error, message):
+    problem = network(2, "coulomb")
+    given = {"contact": problem.contact, "load": problem.load, "unknowns": np.zeros(32), "sweeps": 1} | changes
+    if isinstance(given["contact"], dict):
+        given["contact"] = replace(problem.contact, **given["contact"])
+    with pytest.raises(error, match=message):
+        ProjectedGaussSeidel().smooth(problem.system, **given)
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing compiles")
+def test_the_notice_of_compiling_comes_once_and_not_for_cached_kernels(caplog, monkeypatch):
+    problem = network(2, "tresca")
+    residual(problem.system, problem.load, problem.load)
+    monkeypatch.setattr(compiling, "_announced", False)
+    monkeypatch.setattr(compiling, "_checked", set())
+    kernels = [numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 2)]
+    with caplog.at_level(logging.INFO, "adaptmg"):
+        residual(problem.system, problem.load, problem.load)
+        compiling.notice(len)
+        assert not caplog.records
+        compiling.notice(*kernels)
+        compiling.notice(*kernels)
+    assert [record.getMessage() for record in caplog.records] == ["compiling kernels (once per machine; cached)"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="this is the run without the JIT")
+def test_kernels_without_the_jit():
+    """Out-of-bounds reads are silent in compiled code: here they raise."""
+    chosen = "optimality or block_sor or (jacobi and network) or orders or isotropy"
+    here = Path(__file__).parent
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", chosen, here / "test_smoother_step.py",
+         here / "test_smoother_node_solve.py"],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout
+    assert " passed" in run.stdout and "skipped" not in run.stdout
