@@ -74,7 +74,7 @@ class _Cache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
-        except Exception as error:  # noqa: BLE001 - whatever a damaged pickle raises
+        except Exception as error:
             self._warn("read", error)
             with suppress(OSError):  # a new index takes what is compiled now
                 os.unlink(self._cache_file._index_path)
@@ -82,7 +82,7 @@ class _Cache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
             super().save_overload(sig, data)
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             self._warn("written", error)
 
     def _warn(self, done: str, error: Exception) -> None:
@@ -110,8 +110,8 @@ def _temporary_folder() -> str:
         folder = Path(tempfile.gettempdir(), f"adaptmg-kernels-{os.getuid() if hasattr(os, 'getuid') else 'user'}")
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
-        if not stat.S_ISDIR(status.st_mode) or hasattr(os, "getuid") and (status.st_uid, status.st_mode & 0o077) != (
-                os.getuid(), 0):
+        if not stat.S_ISDIR(status.st_mode) or (hasattr(os, "getuid") and (status.st_uid, status.st_mode & 0o077) != (
+                os.getuid(), 0)):
             folder = Path(tempfile.mkdtemp(prefix="adaptmg-kernels-"))
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:

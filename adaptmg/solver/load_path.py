@@ -24,7 +24,9 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._files import make_folder
 from adaptmg._runtime import one_blas_thread
 from adaptmg.discrete.load_steps import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.problem import DiscreteProblem
@@ -33,17 +35,17 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.smoother.system import OPEN, SLIP, STICK
-from adaptmg.solver import step_store
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import Past, StepSolver, better_start, coarse_displacements, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.projected import own
 from adaptmg.solver.record import Outcome, Run, Solver
 from adaptmg.solver.result import NotConverged, Result
+from adaptmg.solver.result_file import damage
 from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, result_of, solver_argument
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
 from adaptmg.solver.status import Status
-from adaptmg.solver.step_store import PathStore, fingerprint
+from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
 from adaptmg.solver.truncated import lifted_load
 
 if TYPE_CHECKING:
@@ -137,7 +139,16 @@ class PathResult(Sequence[Result]):
         ValueError
             If the folder holds another path already.
         """
-        step_store.write(checks.file_path("folder", folder), self.results, self.factors, self.n_steps, self.fingerprint)
+        target = checks.file_path("folder", folder)
+        if (target / _HEAD).exists():
+            raise ValueError(f"{target} holds a load path already: give another folder, or remove it")
+        make_folder("folder", target)
+        # the norms distinguish paths of the same factors
+        norms = [float(np.linalg.norm(result.displacement)) for result in self.results]
+        store = StepStore(target, _HEAD, _head(self.factors, self.n_steps, self.fingerprint, norms))
+        for k, result in enumerate(self.results):
+            store.put(k, _stored(k, result))
+        store.write_head()
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> PathResult:
@@ -148,8 +159,36 @@ class PathResult(Sequence[Result]):
         ValueError
             If the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
         """
-        head, results = step_store.read(checks.file_path("folder", folder))
-        return cls(results, head.factors, head.fingerprint, head.steps)
+        store = StepStore.read(checks.file_path("folder", folder), _HEAD)
+        with damage(store.file):
+            steps = checks.integer("steps", store.head["steps"])
+            factors = {name: check_arrays.vector(f"factors[{name!r}]", values, steps)
+                       for name, values in checks.instance("factors", store.head["factors"], dict).items()}
+        return cls(_results(store, steps), factors, store.head["fingerprint"], steps)
+
+
+_HEAD = "path.json"
+
+
+def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[str, Any],
+          norms: Sequence[float] = ()) -> dict[str, Any]:
+    """What the steps of a path share."""
+    return {"steps": steps, "factors": {name: list(map(float, values)) for name, values in factors.items()},
+            "norms": list(norms), "fingerprint": dict(fingerprint)}
+
+
+def _stored(k: int, result: Result) -> StepContent:
+    """A step as it is kept: the first has the mesh of all."""
+    return StepContent(result if k == 0 else replace(result, mesh=None))
+
+
+def _results(store: StepStore, steps: int) -> tuple[Result, ...]:
+    """The finished steps of a path."""
+    results = [step.result for step in store.steps()]
+    if len(results) > steps:
+        raise ValueError(f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
+                         "remove it")
+    return tuple(replace(result, mesh=results[0].mesh) for result in results)
 
 
 def _counts(result: Result) -> dict[str, int]:
@@ -223,8 +262,8 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     checks.optional_callable("progress", progress, "the number of a step and a row of its history")
     walk = PathWalk(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
     mark = {} if store is None else walk.fingerprint(depends)
-    kept = None if store is None else PathStore(store, walk.factors, len(path), mark)
-    results = [] if kept is None else kept.results
+    kept = None if store is None else StepStore.resumed(store, _HEAD, _head(walk.factors, len(path), mark))
+    results = [] if kept is None else list(_results(kept, len(path)))
     for k, result in enumerate(results):
         walk.replay(k, result)
     if len(results) < len(path):
@@ -238,7 +277,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
                 raise StepNotConverged(result, k, walk.described(k), partial_result)
             return partial_result
         if kept is not None:
-            kept.put(k, result)
+            kept.put(k, _stored(k, result))
         if callback is not None:
             callback(k, result)
     return PathResult(tuple(results), walk.factors, mark, len(path))

@@ -289,15 +289,7 @@ class Result:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
         """Read what :meth:`save` wrote; ValueError, which names the file, if it is something else or damaged."""
-        return loaded(path)[0]
-
-
-def loaded(path: str | os.PathLike[str]) -> tuple[Result, dict[str, Any]]:
-    """The result in a file, and of which load path it is a part (empty if of none)."""
-    fields, part_of = read_result(path)
-    stress = fields["stress_data"]
-    return Result(**{**fields, "contact": ContactResult(**fields["contact"]),
-                     "stress_data": None if stress is None else StressData(**stress)}), part_of
+        return cls(**read_result(path)[0])
 
 
 @dataclass(frozen=True, eq=False)

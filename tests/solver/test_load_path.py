@@ -425,7 +425,7 @@ class TestStore:
         with pytest.raises(ValueError, match=r"path.json is damaged"):
             am.solve_path(rough, path, store=tmp_path)
         (tmp_path / "path.json").unlink()
-        with pytest.raises(ValueError, match="holds no load path"):
+        with pytest.raises(ValueError, match="holds no steps"):
             am.solve_path(rough, path, store=tmp_path)
         file = tmp_path / "file"
         file.write_text("x")
@@ -437,7 +437,7 @@ class TestStore:
         for name, path in paths.items():
             am.solve_path(rough, path, store=tmp_path / name)
         kept = (tmp_path / "a" / "step_0001.npz").read_bytes()
-        for wrong, message in ((tmp_path / "b" / "step_0001.npz", "belongs to another load path"),
+        for wrong, message in ((tmp_path / "b" / "step_0001.npz", "belongs to another computation"),
                                (tmp_path / "a" / "step_0002.npz", "holds step 2, not step 1")):
             (tmp_path / "a" / "step_0001.npz").write_bytes(wrong.read_bytes())
             with pytest.raises(ValueError, match=rf"step_0001\.npz {message}"):
@@ -462,7 +462,7 @@ class TestStore:
 
     def test_what_was_saved_is_no_store(self, rough, cycle, tmp_path):
         cycle.save(tmp_path)
-        with pytest.raises(ValueError, match="was written by PathResult"):
+        with pytest.raises(ValueError, match="was written by save"):
             am.solve_path(rough, CYCLE, FINE, store=tmp_path)
 
 
