@@ -81,7 +81,7 @@ def _status(path: Path) -> os.stat_result | None:
 
 def _check_place(path: Path, target: Path, status: os.stat_result | None) -> None:
     if status is None and not target.parent.is_dir():
-        raise FileNotFoundError(errno.ENOENT, f"there is no folder {os.fspath(target.parent)!r}: make it first")
+        raise FileNotFoundError(errno.ENOENT, f"the folder {os.fspath(target.parent)!r} does not exist")
     if status is not None and not os.access(target, os.W_OK):
         raise PermissionError(errno.EACCES, "the file is write-protected")
 

@@ -44,7 +44,7 @@ def kernel(function: Callable | None = None, *, cache: bool = True, **options: A
     if function is None:
         return lambda function: kernel(function, cache=cache, **options)
     compiled = numba.njit(**{"no_cfunc_wrapper": True, "error_model": "numpy"} | options)(function)
-    if cache and isinstance(compiled, CPUDispatcher):  # numba may be told to compile nothing
+    if cache and isinstance(compiled, CPUDispatcher):  # NUMBA_DISABLE_JIT compiles nothing
         compiled._cache = _cache_of(function)
     return compiled
 
@@ -124,7 +124,7 @@ def _temporary_folder() -> str:
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """A view that nobody writes to: kernels are compiled once for those, and once more for arrays that one may."""
+    """A view that cannot be written: kernels are compiled separately for those and for other arrays."""
     view = array.view()
     view.flags.writeable = False
     return view
@@ -165,7 +165,7 @@ class _Blas:
 
     def _found(self) -> list[Any]:
         """The libraries loaded by now: looked for again (some ms) when modules were imported since."""
-        # imported late, inside the block, it would bring a BLAS of its own that nobody limits
+        # imported inside the block it would bring another BLAS without a limit
         import scipy.linalg  # noqa: F401
         from threadpoolctl import ThreadpoolController
 

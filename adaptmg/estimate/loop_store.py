@@ -1,9 +1,9 @@
 """LoopStore: the finished steps of an adaptive loop in a folder, so that a killed loop goes on with the same numbers.
 
 Each step is one file of a :class:`adaptmg.solver.step_store.StepStore`: the result with its mesh, the history of a
-bisected mesh, the estimate, the meshes that the step put between levels, and by number the meshes of its levels; with a
-load path the folder ``path_0003`` next to it. Limits (tolerance, nodes, seconds) are not part of the fingerprint: a loop
-may go on under others.
+bisected mesh, the estimate, the meshes that the step put between levels, and by number the meshes of its levels; with
+a load path the folder ``path_0003`` next to it. Limits (tolerance, nodes, seconds) are not part of the fingerprint: a
+loop may go on under others.
 """
 
 from __future__ import annotations

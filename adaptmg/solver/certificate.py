@@ -120,7 +120,7 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
         lines = (found.equilibrium(), found.prescribed(), *found.normal(), *found.tangential(), *found.states(),
                  found.balance())
     if found.idle:
-        # nothing is relative to forces that are rounding: what they leave is told in N alone
+        # forces that are rounding are no scale: what they leave is reported in N alone
         lines = tuple(replace(line, relative=0.0)
                       if not line.unit or (line.unit != "m" and line.largest <= found.rounding) else line
                       for line in lines)
@@ -149,11 +149,11 @@ class Condition:
     """One condition: by how much it is violated."""
 
     name: str
-    largest: float  # at one node, and over all: the Euclidean norm, of energies the sum
-    total: float  # at one node, and over all: the Euclidean norm, of energies the sum
+    largest: float  # at one node
+    total: float  # over all: the Euclidean norm, of energies the sum
     unit: str  # of both; empty for a number
     relative: float
-    rounding: float = 0.0  # as much of relative as rounding of the terms summed explains
+    rounding: float = 0.0  # the part of relative that rounding explains
 
 
 class Evidence:
@@ -245,7 +245,7 @@ class Evidence:
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Penetration, tension, complementarity."""
         pulling = np.einsum("nd,nd->n", self.unexplained[self.nodes], self.normals) - self.pressure
-        # each in its own scale: a force of rounding times a gap of a thousand displacements is no work of contact
+        # each in its scale: a force of rounding times a gap of a thousand displacements is no work of contact
         both = np.minimum(_shares(self.pressure, self.force), _shares(self.gap, self.length))
         complementarity = Condition("complementarity", float(both.max(initial=0.0)), _norm(both), "", _norm(both),
                                     _over(self.rounding, self.force) + 16 * _EPSILON)
@@ -284,7 +284,7 @@ class Evidence:
         """
         problem, coupling = self.problem, self.problem.coupling
         status, change, unlawful = self._frozen()
-        # a copy: what is unexplained is told by other lines too
+        # a copy: other lines report what is unexplained too
         forces = self.unexplained.copy() if coupling is None else coupling.relative_forces(self.unexplained.reshape(-1))
         forces = forces.reshape(self.u.shape)
         forces[problem.contact.nodes] += unlawful

@@ -32,7 +32,7 @@ from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 
 __all__ = ["FrozenStatus", "Tally", "add_forces", "residual_energy"]
 
-#: steps at least and share of the energy that may be missing, up to so many nodes and beyond
+#: least steps and share of the energy that may be missing, up to the first number of nodes and beyond
 _SMALL, _FEW, _MANY = 20_000, (3, 0.15), (2, 0.3)
 #: steps at most, without and with Coulomb friction, which needs all directions
 _MOST, _MOST_COULOMB = 40, 16

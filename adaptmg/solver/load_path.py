@@ -1,16 +1,10 @@
 r"""solve_path: quasi-static load histories, step by step.
 
 Friction acts on increments: at step k the slip is :math:`u_t^k - u_t^{k-1}`, against the displacement of the step
-before (implicit Euler; no time occurs). Every step is a contact problem of its own with other loads, prescribed values
-and slip references; matrices and transfers stay. What comes back is a sequence of Results, with the factors of their
-steps.
-
-PathWalk: what is posed at each step of a load path, what is known of the steps before, and how methods go on.
-
-The truncated multigrid keeps its set-up (:mod:`adaptmg.solver.load_steps`). With FullMultigrid each step
-has a nested start of the increment, unless the displacement extrapolated in the loads leaves far less: under
-proportional loading that is the solution. All other methods start from the better of the displacement of the step
-before and the extrapolated one; a FullMultigrid with another correction goes on as a Multigrid.
+before (implicit Euler; no time occurs). Every step is a contact problem with other loads, prescribed values and slip
+references; matrices and transfers stay. The truncated multigrid keeps its set-up (:mod:`adaptmg.solver.load_steps`);
+all other methods start from the better of the displacement of the step before and the one extrapolated in the loads,
+which under proportional loading is the solution. A FullMultigrid with another correction goes on as a Multigrid.
 """
 
 from __future__ import annotations
@@ -51,7 +45,7 @@ from adaptmg.solver.truncated import lifted_load
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["PathResult", "PathWalk", "StepNotConverged", "solve_path", "step_solver"]
+__all__ = ["PathResult", "PathLoop", "StepNotConverged", "solve_path", "step_solver"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathResult(Sequence[Result]):
@@ -178,7 +172,7 @@ def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[st
 
 
 def _stored(k: int, result: Result) -> StepContent:
-    """A step as it is kept: the first has the mesh of all."""
+    """A step for the store: the first has the mesh of all."""
     return StepContent(result if k == 0 else replace(result, mesh=None))
 
 
@@ -224,13 +218,13 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         A bare DiscreteProblem is a hierarchy of one level; its loads have no names, so that ``path`` has ``default``
         alone.
     path : LoadPath
-    solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or one's own, optional
+    solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
         The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a step;
         "discretisation" sets it once, in the first step. Multigrid with :class:`adaptmg.Truncated` is set up once.
     start : (n_nodes, dim) array or Result, optional
         Displacement against which the first step slips, m. Default: the unloaded, undeformed bodies.
     store : path, optional
-        A folder where every finished step is kept at once. A path that was interrupted goes on there; a folder with
+        A folder where every finished step is kept immediately. A path that was interrupted goes on there; a folder with
         steps of another problem, hierarchy, path or solver is refused. A user-defined solver is compared by its code
         and the values that it reads.
     depends : mapping of str to value, optional
@@ -260,31 +254,31 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     checks.flag("throw", throw)
     checks.optional_callable("callback", callback, "the number and Result of a step")
     checks.optional_callable("progress", progress, "the number of a step and a row of its history")
-    walk = PathWalk(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
-    mark = {} if store is None else walk.fingerprint(depends)
-    kept = None if store is None else StepStore.resumed(store, _HEAD, _head(walk.factors, len(path), mark))
+    loop = PathLoop(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
+    mark = {} if store is None else loop.fingerprint(depends)
+    kept = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark))
     results = [] if kept is None else list(_results(kept, len(path)))
     for k, result in enumerate(results):
-        walk.replay(k, result)
+        loop.replay(k, result)
     if len(results) < len(path):
-        warn_of_large_friction(walk.examiner)
+        warn_of_large_friction(loop.examiner)
     for k in range(len(results), len(path)):
-        result = walk.step(k, progress)
+        result = loop.step(k, progress)
         results.append(result)
         if not result.status.ok:
-            partial_result = PathResult(tuple(results), walk.factors, mark, len(path))
+            partial_result = PathResult(tuple(results), loop.factors, mark, len(path))
             if throw:
-                raise StepNotConverged(result, k, walk.described(k), partial_result)
+                raise StepNotConverged(result, k, loop.described(k), partial_result)
             return partial_result
         if kept is not None:
             kept.put(k, _stored(k, result))
         if callback is not None:
             callback(k, result)
-    return PathResult(tuple(results), walk.factors, mark, len(path))
+    return PathResult(tuple(results), loop.factors, mark, len(path))
 
 
 def step_solver(solver: Solver) -> StepSolver:
-    """The way through the steps for a solver."""
+    """How a solver goes through the steps."""
     if not isinstance(solver, Multigrid):
         return _Restarted(solver, solver)
     kept = own(solver.correction, "load_steps")
@@ -297,7 +291,7 @@ def step_solver(solver: Solver) -> StepSolver:
 
 
 class _Restarted:
-    """A solver that is run anew for every step: ``first`` without a start, ``later`` with one."""
+    """A solver that is run again for every step: ``first`` without a start, ``later`` with one."""
 
     def __init__(self, first: Solver, later: Solver) -> None:
         self.first, self.later = first, later
@@ -309,22 +303,22 @@ class _Restarted:
         return self.later.run(hierarchy, run, start.reshape(examiner.discrete.n_nodes, -1)), None
 
     def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> None:
-        """Nothing is kept."""
+        """Nothing to take over."""
 
 
 _LOG = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
-class _Known:
+class _Recent:
     """The displacement of a step on the finest level, and the forces that led there (n_dofs,), None if unknown."""
 
     displacement: np.ndarray
     forces: np.ndarray | None
 
 
-class PathWalk:
-    """The way along a path."""
+class PathLoop:
+    """The steps of a path."""
 
     def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None) -> None:
         self.grids, self.path, self.solver, self.start = grids, path, solver, start
@@ -337,7 +331,7 @@ class PathWalk:
         self.method = step_solver(solver)
         begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
         self.past = past_of(grids, begin, start is not None)
-        self.known = [_Known(begin, np.zeros_like(begin) if start is None else None)]
+        self.recent = [_Recent(begin, np.zeros_like(begin) if start is None else None)]
 
     def fingerprint(self, depends: Mapping[str, Any] | None) -> dict[str, Any]:
         """What the steps depend on."""
@@ -379,7 +373,7 @@ class PathWalk:
         return result
 
     def replay(self, k: int, result: Result) -> None:
-        """Take over a step that is known already."""
+        """Take over a finished step from a store."""
         grids = self._posed(k)
         if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
             raise ValueError(f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
@@ -421,11 +415,11 @@ class PathWalk:
         return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))
 
     def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
-        """What the next step wants to know."""
+        """Keep what the next step starts from."""
         discrete = grids.finest.discrete
         # from the result, as a path that goes on from its store has it
         displacement = discrete.relative(result.displacement).reshape(-1)
-        self.known = [*self.known[-1:], _Known(displacement, forces)]
+        self.recent = [*self.recent[-1:], _Recent(displacement, forces)]
         if coarse is not None:
             levels = [*coarse, displacement]
         elif grids.discretised:
@@ -436,8 +430,8 @@ class PathWalk:
 
     def _extrapolated(self, forces: np.ndarray) -> np.ndarray:
         """The displacement for new forces if all goes on as between the last two steps, least squares in the forces."""
-        before, last = self.known[0], self.known[-1]
-        if len(self.known) < 2 or before.forces is None:
+        before, last = self.recent[0], self.recent[-1]
+        if len(self.recent) < 2 or before.forces is None:
             return last.displacement
         change = last.forces - before.forces
         # not through BLAS, whose threads cost more than they gain
@@ -449,7 +443,7 @@ class PathWalk:
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
-    """The problem, if its loads can be told apart on every level."""
+    """The problem, if its loads have names on every level."""
     known = all(level.mesh is not None for level in grids.levels if level.discrete is not None)
     return grids.problem if known else None
 

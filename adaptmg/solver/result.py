@@ -1,9 +1,4 @@
-"""Result: what :func:`adaptmg.solve` returns; it probes, sums forces, saves itself and comes back without pickle.
-
-What solvers, problems and versions are called in results, tables and pictures.
-
-NotConverged: the exception that carries the result.
-"""
+"""Result: what :func:`adaptmg.solve` returns, and NotConverged, the exception that carries it."""
 
 from __future__ import annotations
 
@@ -139,7 +134,7 @@ class Result:
         Parameters
         ----------
         problem : DiscreteProblem, optional
-            Check against it anew. Default: what was found when the problem was solved.
+            Check against it again. Default: the certificate of the solve.
         bound : bool
             The energy error by a sparse factorisation; needs ``problem``.
 

@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.status import Status
-
-if TYPE_CHECKING:
-    from adaptmg.solver.result import Result
 
 __all__ = ["damage", "read_arrays", "read_result", "write_result"]
 
@@ -60,7 +57,20 @@ _DAMAGES = (ValueError, TypeError, KeyError, IndexError, EOFError, OSError, Over
             SyntaxError, AttributeError, zipfile.BadZipFile, zlib.error, struct.error)
 
 
-def write_result(path: str | os.PathLike[str], result: Result, part_of: Mapping[str, Any] | None = None,
+class Saved(Protocol):
+    """What is written of a :class:`adaptmg.Result`, next to the fields in ``_TEXT``."""
+
+    displacement: np.ndarray
+    reaction: np.ndarray
+    contact: ContactResult
+    status: Status
+    history: dict[str, np.ndarray]
+    mesh: MeshArrays | None
+    stress_data: StressData | None
+    checked: Certificate | None
+
+
+def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[str, Any] | None = None,
                  more: Mapping[str, np.ndarray] | None = None) -> None:
     """Write a result, whole or not at all; a step of a store says in ``part_of`` what it belongs to."""
     target = checks.file_path("path", path)

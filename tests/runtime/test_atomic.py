@@ -100,7 +100,7 @@ def test_what_is_in_the_way_is_named(tmp_path, monkeypatch):
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(IsADirectoryError, match="folder"):
         write_bytes(tmp_path / "folder", b"")
-    with pytest.raises(FileNotFoundError, match=r"there is no folder '.*nowhere'"):
+    with pytest.raises(FileNotFoundError, match=r"the folder '.*nowhere' does not exist"):
         write_bytes(tmp_path / "nowhere" / "file", b"")
     with pytest.raises(NotADirectoryError):
         write_bytes(tmp_path / "file" / "below", b"")
