@@ -114,13 +114,6 @@ def test_what_is_in_the_way_is_named(tmp_path, monkeypatch):
     assert names(tmp_path) == ["a", "file", "folder"]
 
 
-@POSIX
-def test_a_tilde_is_the_home_directory(tmp_path, monkeypatch):
-    monkeypatch.setenv("HOME", str(tmp_path))
-    write_bytes("~/file", b"1")
-    assert names(tmp_path) == ["file"]
-
-
 @pytest.mark.parametrize("failing", ["replace", "fsync"])
 def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, failing):
     (tmp_path / "a").write_bytes(b"old")
