@@ -12,8 +12,8 @@ Condensation: with the contact dofs c and all others i,
 
 The matrix :math:`M = A + \Sigma`, :math:`\Sigma` the diagonal of A at the contact dofs and zero elsewhere, is
 factorised as L U with the contact dofs last; elimination leaves :math:`L_{cc} U_{cc} = S + \Sigma` on them.
-(:math:`\Sigma` makes M regular where only contact holds the body.) Solves with :math:`A_{ii}` are solves with M whose right-hand side at c is
-chosen so that :math:`w_c` comes out as required.
+(:math:`\Sigma` makes M regular where only contact holds the body.) Solves with :math:`A_{ii}` are solves with M whose
+right-hand side at c is chosen so that :math:`w_c` comes out as required.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ from adaptmg.solver.truncated import lifted_load
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["PathResult", "PathLoop", "StepNotConverged", "solve_path", "step_solver"]
+__all__ = ["PathLoop", "PathResult", "StepNotConverged", "solve_path", "step_solver"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathResult(Sequence[Result]):

@@ -131,8 +131,8 @@ class Result:
     def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
         """Return by how much each condition of contact is violated, by code that shares nothing with the solvers.
 
-        Default: the certificate of the solve. With ``problem`` it is computed again; ``bound``, which needs ``problem``,
-        takes the energy error from a sparse factorisation.
+        Default: the certificate of the solve. With ``problem`` it is computed again; ``bound``, which needs
+        ``problem``, takes the energy error from a sparse factorisation.
         """
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
