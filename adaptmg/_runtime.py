@@ -22,13 +22,16 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache, wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, NullCache
 from numba.core.registry import CPUDispatcher
+
+if TYPE_CHECKING:
+    from threadpoolctl import LibController, ThreadpoolController
 
 __all__ = ["OnDemand", "inner_kernel", "kernel", "made_on_demand", "one_blas_thread", "read_only", "remembered",
            "seeded"]
@@ -36,7 +39,7 @@ __all__ = ["OnDemand", "inner_kernel", "kernel", "made_on_demand", "one_blas_thr
 _LOG = logging.getLogger(__name__)
 
 
-def kernel(function: Callable | None = None, *, cache: bool = True, **options: Any) -> Any:
+def kernel(function: Callable | None = None, *, cache: bool = True, **options: object) -> Any:
     """Compile a function that Python calls; ``options`` are those of ``numba.njit``.
 
     Division by zero is as in numpy: a test before each division would take time, here and in the compilation.
@@ -49,7 +52,7 @@ def kernel(function: Callable | None = None, *, cache: bool = True, **options: A
     return compiled
 
 
-def inner_kernel(function: Callable | None = None, **options: Any) -> Any:
+def inner_kernel(function: Callable | None = None, **options: object) -> Any:
     """Compile a function that only kernels call; a call from Python is a TypeError."""
     if function is None:
         return lambda function: inner_kernel(function, **options)
@@ -62,7 +65,7 @@ def inner_kernel(function: Callable | None = None, **options: Any) -> Any:
 class _Inner(CPUDispatcher):
     """A kernel without a way in from Python: numba would jump to an invalid address."""
 
-    def __call__(self, *arguments: Any, **named: Any) -> None:
+    def __call__(self, *arguments: object, **named: object) -> None:
         name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
         raise TypeError(f"{name} is called by compiled code alone (inner_kernel): compile it with kernel, or call its "
                         ".py_func")
@@ -90,15 +93,15 @@ class _Cache(FunctionCache):
                      self._py_func.__qualname__, self.cache_path, done, type(error).__name__, error)
 
 
-def _cache_of(function: Callable) -> Any:
+def _cache_of(function: Callable) -> FunctionCache | NullCache:
     try:
         return _Cache(function)
     except RuntimeError:  # numba finds no folder that can be written
         before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _temporary_folder()
         try:
-            return _Cache(function) if numba.config.CACHE_DIR else numba.core.caching.NullCache()
+            return _Cache(function) if numba.config.CACHE_DIR else NullCache()
         except RuntimeError:
-            return numba.core.caching.NullCache()
+            return NullCache()
         finally:
             numba.config.CACHE_DIR = before
 
@@ -134,14 +137,14 @@ class _Blas:
     """The BLAS libraries of the process, and how many are inside :func:`one_blas_thread`."""
 
     def __init__(self) -> None:
-        self.controller: Any = None
+        self.controller: ThreadpoolController | None = None
         self.modules = -1
         self.renew()
 
     def renew(self) -> None:
         """Nobody is inside."""
         self.lock, self.inside = threading.RLock(), 0
-        self.before: list[tuple[Any, int]] = []
+        self.before: list[tuple[LibController, int]] = []
         self.here = threading.local()
 
     def enter(self) -> None:
@@ -163,7 +166,7 @@ class _Blas:
             if self.inside == 0:
                 _give_back(self.before)
 
-    def _found(self) -> list[Any]:
+    def _found(self) -> list[LibController]:
         """The libraries loaded by now: looked for again (some ms) when modules were imported since."""
         # imported inside the block it would bring another BLAS without a limit
         import scipy.linalg  # noqa: F401
@@ -174,23 +177,23 @@ class _Blas:
         return [library for library in self.controller.lib_controllers if library.user_api == "blas"]
 
 
-def _by_thread(library: Any) -> bool:
+def _by_thread(library: LibController) -> bool:
     return getattr(library, "threading_layer", "") == "openmp"
 
 
-def _limit(libraries: list[Any]) -> list[tuple[Any, int]]:
+def _limit(libraries: list[LibController]) -> list[tuple[LibController, int]]:
     before = [(library, library.get_num_threads()) for library in libraries]
     for library, _ in before:
         _set(library, 1)
     return before
 
 
-def _give_back(before: list[tuple[Any, int]]) -> None:
+def _give_back(before: list[tuple[LibController, int]]) -> None:
     for library, threads in before:
         _set(library, threads)
 
 
-def _set(library: Any, threads: int) -> None:
+def _set(library: LibController, threads: int) -> None:
     """Set the number, whichever thread of Python set it before."""
     # threadpoolctl 3.7 and later obey, in silence, only the thread that was first to set it
     release = getattr(library, "clear_controlling_thread", lambda force: None)
@@ -244,7 +247,7 @@ def seeded() -> Iterator[None]:
 class OnDemand:
     """What a field is given in place of its value."""
 
-    make: Callable[[Any], Any]  # of the object that has the field; returns the value
+    make: Callable[[Any], object]  # of the object that has the field; returns the value
 
 
 def made_on_demand(name: str, doc: str) -> property:
@@ -253,13 +256,13 @@ def made_on_demand(name: str, doc: str) -> property:
     The field keeps its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`.
     ``dataclasses.replace`` reads it: say what the new value is, where it depends on what is replaced.
     """
-    def value(owner: Any) -> Any:
+    def value(owner: object) -> Any:
         held = owner.__dict__[name]
         if isinstance(held, OnDemand):
             held = owner.__dict__[name] = held.make(owner)
         return held
 
-    def keep(owner: Any, given: Any) -> None:
+    def keep(owner: object, given: object) -> None:
         owner.__dict__[name] = given
 
     return property(value, keep, doc=doc)

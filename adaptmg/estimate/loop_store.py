@@ -12,6 +12,7 @@ import os
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ class StoredStep:
 class LoopStore:
     """A folder with finished steps."""
 
-    def __init__(self, folder: str | os.PathLike[str], mark: Mapping[str, Any]) -> None:
+    def __init__(self, folder: str | os.PathLike[str], mark: Mapping[str, object]) -> None:
         self.store = StepStore.resumed(folder, "loop.json", {"fingerprint": dict(mark)})
 
     def put(self, number: int, step: StoredStep) -> None:
@@ -71,7 +72,7 @@ class LoopStore:
         """The finished steps, from the first on."""
         return [self._step(number, content) for number, content in enumerate(self.store.steps())]
 
-    def _path(self, number: int) -> Any:
+    def _path(self, number: int) -> Path:
         return self.store.folder / f"path_{number:04d}"
 
     def _step(self, number: int, content: StepContent) -> StoredStep:
@@ -96,14 +97,14 @@ _KINDS = {kind.__name__: kind for kind in (Estimate, GoalEstimate)}
 _ARRAYS = ("values", "errors", "residuals")
 
 
-def _plain_estimate(estimate: Estimate) -> dict[str, Any]:
+def _plain_estimate(estimate: Estimate) -> dict[str, object]:
     """All fields but ``squares``, as JSON has them."""
     kind = type(estimate) if type(estimate) in _KINDS.values() else Estimate
     return {"kind": kind.__name__} | {part.name: _plain(getattr(estimate, part.name)) for part in fields(kind)
                                       if part.name != "squares"}
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -121,8 +122,8 @@ def _estimate(squares: np.ndarray, text: Mapping[str, Any]) -> Estimate:
     return kind(squares=squares, **values)
 
 
-def loop_fingerprint(start: Hierarchy, options: Mapping[str, Any], load_path: LoadPath | None = None,
-                     depends: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path: LoadPath | None = None,
+                     depends: Mapping[str, object] | None = None) -> dict[str, object]:
     """The fingerprint of a loop that begins with a hierarchy, with its options by name: indicator, mark, engine, ..."""
     loads = [load_steps(start.problem, level.mesh, level.discrete.coupling) for level in start.levels]
     factors = {} if load_path is None else load_path.resolved(start.problem)

@@ -38,20 +38,19 @@ class Certificate:
     ----------
     lines : tuple of Condition
         'equilibrium' (of free dofs, under the claimed contact forces), 'prescribed values', 'penetration', 'tension',
-        'complementarity' (the smaller of pressure and gap, each in its own scale), 'friction bound', 'slip direction'
-        (the work of friction on its bound and opposite to the slip, less that of the claimed friction),
-        'slip along the force' (weighted by force, over the actual ones), 'open, touching' (forces at nodes said to be
-        open), 'touching, open' (gaps at nodes said to touch), 'slip, sticking' (slip at nodes said to stick), 'balance'
-        (sum of loads and all reactions).
+        'complementarity' (the smaller of pressure and gap, each in its scale), 'friction bound', 'slip direction'
+        (the work of friction on its bound and opposite to the slip, less that of the claimed friction), 'slip along
+        the force' (weighted by force), 'open, touching' (forces at open nodes), 'touching, open' (gaps at touching
+        nodes), 'slip, sticking' (slip at sticking nodes), 'balance' (sum of loads and all reactions).
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: rather too small
         than too large. With ``bound=True`` by a factorisation: exact for this status.
     energy_rounding : float
-        As much of it as rounding explains.
+        The part of it that rounding explains.
     exact_energy : bool
-        Whether it was made by a factorisation.
+        Whether a factorisation was made.
     force, displacement, energy_norm : float
-        What the lines are relative to: N, m, and sqrt(u'Au) (sqrt(N m)); in 2D per metre of thickness.
+        The scales of the lines: N, m, and sqrt(u'Au) (sqrt(N m)); in 2D per metre of thickness.
     """
 
     lines: tuple[Condition, ...]
@@ -89,7 +88,7 @@ class Certificate:
             found.append("energy error")
         return tuple(found)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Numbers and strings alone, for files."""
         return asdict(self)
 

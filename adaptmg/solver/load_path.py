@@ -14,7 +14,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class PathResult(Sequence[Result]):
     Attributes
     ----------
     results : tuple of Result
-        Of the steps done; where a step did not converge it is the last one.
+        The finished steps; where a step did not converge it is the last one.
     factors : dict of str to (n_steps,) array
         Factors of all steps of the path, by the name of the load; "default" where loads have no names.
     fingerprint : dict
@@ -65,7 +65,7 @@ class PathResult(Sequence[Result]):
 
     results: tuple[Result, ...]
     factors: Mapping[str, np.ndarray]
-    fingerprint: Mapping[str, Any] = field(default_factory=dict)
+    fingerprint: Mapping[str, object] = field(default_factory=dict)
     n_steps: int = 0
 
     @property
@@ -101,15 +101,11 @@ class PathResult(Sequence[Result]):
         return "\n".join(lines)
 
     def table(self) -> pandas.DataFrame:
-        """One row a step.
+        """Return one row a step.
 
-        Returns
-        -------
-        pandas.DataFrame
-            step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural, relative);
-            open, slip and stick (contact nodes); force_x, force_y, force_z: resultant of all contact forces on the
-            contact boundaries, N (2D: N/m); pressure: the largest contact pressure, Pa; slip_size: the largest slip of
-            the step at a node in contact, m.
+        step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural, relative); open, slip
+        and stick (contact nodes); force_x, force_y, force_z: resultant of the contact forces, N (2D: N/m); pressure:
+        the largest contact pressure, Pa; slip_size: the largest slip of the step at a node in contact, m.
         """
         import pandas
 
@@ -126,13 +122,7 @@ class PathResult(Sequence[Result]):
         return pandas.DataFrame(rows)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write a file a step, and the factors; the mesh goes into the first.
-
-        Raises
-        ------
-        ValueError
-            If the folder holds another path already.
-        """
+        """Write a file a step, and the factors; ValueError if the folder holds another path already."""
         target = checks.file_path("folder", folder)
         if (target / _HEAD).exists():
             raise ValueError(f"{target} holds a load path already: give another folder, or remove it")
@@ -148,10 +138,7 @@ class PathResult(Sequence[Result]):
     def load(cls, folder: str | os.PathLike[str]) -> PathResult:
         """Read what :meth:`save` wrote, or the steps that :func:`adaptmg.solve_path` has stored so far.
 
-        Raises
-        ------
-        ValueError
-            If the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
+        ValueError if the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
         """
         store = StepStore.read(checks.file_path("folder", folder), _HEAD)
         with damage(store.file):
@@ -164,8 +151,8 @@ class PathResult(Sequence[Result]):
 _HEAD = "path.json"
 
 
-def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[str, Any],
-          norms: Sequence[float] = ()) -> dict[str, Any]:
+def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[str, object],
+          norms: Sequence[float] = ()) -> dict[str, object]:
     """What the steps of a path share."""
     return {"steps": steps, "factors": {name: list(map(float, values)) for name, values in factors.items()},
             "norms": list(norms), "fingerprint": dict(fingerprint)}
@@ -200,14 +187,14 @@ class StepNotConverged(NotConverged):
         self.args = (f"step {step} of {partial.n_steps} ({described}): {self.args[0]} Smaller load steps help where "
                      "the contact status changes much; the steps before it are in .partial.",)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.result, self.step, self.described, self.partial)
 
 
 @one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
                start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
-               depends: Mapping[str, Any] | None = None, throw: bool = True,
+               depends: Mapping[str, object] | None = None, throw: bool = True,
                callback: Callable[[int, Result], None] | None = None,
                progress: Callable[[int, dict[str, float]], None] | None = None) -> PathResult:
     """Solve a contact problem along a load path on the finest level of a hierarchy.
@@ -333,7 +320,7 @@ class PathLoop:
         self.past = past_of(grids, begin, start is not None)
         self.recent = [_Recent(begin, np.zeros_like(begin) if start is None else None)]
 
-    def fingerprint(self, depends: Mapping[str, Any] | None) -> dict[str, Any]:
+    def fingerprint(self, depends: Mapping[str, object] | None) -> dict[str, object]:
         """What the steps depend on."""
         return fingerprint(self.grids, self.loads, self.factors, len(self.path), {"solver": self.solver}, self.start,
                            depends)

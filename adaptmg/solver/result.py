@@ -6,7 +6,6 @@ import importlib.metadata
 import os
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -306,6 +305,6 @@ class NotConverged(RuntimeError):
                          f"{contradicted} The last iterate is in the exception's .result; throw=False returns "
                          "it instead.")
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # exceptions are rebuilt from .args, which is the text here: a process that is handed one back must not fail
         return type(self), (self.result,)

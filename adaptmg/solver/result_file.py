@@ -35,7 +35,7 @@ Arrays = dict[str, np.ndarray]
 
 _FORMAT = 1
 #: fields of a Result in the JSON text by kind: a type, [of entries], {str: of values} or a tuple; of them optional ones
-_TEXT: dict[str, Any] = {
+_TEXT: dict[str, object] = {
     "problem_name": str, "solver_name": str, "cycles": int, "work_units": float, "residual": float, "rtol": float,
     "error_estimate": float, "rate": float, "start_work_units": float, "timings": {str: float},
     "path": [(int, str, int)], "levels": [{str: float}], "versions": {str: str}, "supports": {str: str}}
@@ -70,7 +70,7 @@ class Saved(Protocol):
     checked: Certificate | None
 
 
-def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[str, Any] | None = None,
+def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[str, object] | None = None,
                  more: Mapping[str, np.ndarray] | None = None) -> None:
     """Write a result, whole or not at all; a step of a store says in ``part_of`` what it belongs to."""
     target = checks.file_path("path", path)
@@ -97,7 +97,7 @@ def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[s
     write_bytes(target, buffer.getvalue())
 
 
-def _plain(name: str, value: Any) -> Any:
+def _plain(name: str, value: object) -> object:
     """A value as JSON has it; numpy numbers, which a user-defined solver may leave, become Python's."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
@@ -177,20 +177,21 @@ def _fields(text: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
     columns = {name.removeprefix("history."): array for name, array in arrays.items() if name.startswith("history.")}
     if any(values.ndim != 1 for values in columns.values()) or len({len(v) for v in columns.values()}) > 1:
         raise ValueError("the columns of history differ in length")
+    objects = {}
     for group, cls in (("contact", ContactResult), ("mesh", MeshArrays), ("stress", StressData)):
         own = {name: labels[name] for name, of in _LABELS.items() if of == group and of in found}
-        groups[group] = cls(**groups[group], **own) if group in found else None
+        objects[group] = cls(**groups[group], **own) if group in found else None
     if labels["masters"] and len(labels["masters"]) != len(labels["names"]):
         raise ValueError(f"there are {len(labels['names'])} names and {len(labels['masters'])} masters")
     # later steps of a load path are kept without their mesh
     unknown = set(fields["supports"]) - set(labels["boundaries"]) if "mesh" in found else ()
     if unknown:
         raise ValueError(f"supports names boundaries that the mesh does not have: {checks.shown(sorted(unknown))}")
-    return fields | groups.pop("") | {"contact": groups["contact"], "mesh": groups["mesh"], "history": columns,
-                                      "stress_data": groups["stress"]}
+    return fields | groups[""] | {"contact": objects["contact"], "mesh": objects["mesh"], "history": columns,
+                                  "stress_data": objects["stress"]}
 
 
-def _groups(arrays: Arrays, found: set[str], labels: Mapping[str, tuple[str, ...]], finite: bool) -> dict[str, Any]:
+def _groups(arrays: Arrays, found: set[str], labels: Mapping[str, tuple[str, ...]], finite: bool) -> dict[str, Arrays]:
     """The arrays by group and name; their kinds, lengths and what they point to are checked."""
     nodes, dim = arrays["displacement"].shape
     if dim not in (2, 3):
@@ -201,7 +202,7 @@ def _groups(arrays: Arrays, found: set[str], labels: Mapping[str, tuple[str, ...
     ends = {"contact.node": nodes, "contact.master_node": nodes, "mesh.elements": nodes, "mesh.facets": nodes,
             "contact.boundary": pairs, "contact.master_boundary": pairs, "contact.state": 3, "stress.kind": 3,
             "mesh.facet_labels": boundaries, "mesh.element_body": bodies}
-    groups: dict[str, Any] = {"": {}, "contact": {}, "mesh": {}, "stress": {}}
+    groups: dict[str, Arrays] = {"": {}, "contact": {}, "mesh": {}, "stress": {}}
     for name, letters in _SHAPES.items():
         group, _, field = name.rpartition(".")
         if group and group not in found:
@@ -222,7 +223,7 @@ def _groups(arrays: Arrays, found: set[str], labels: Mapping[str, tuple[str, ...
     return groups
 
 
-def _checked(name: str, value: Any, kind: Any) -> Any:
+def _checked(name: str, value: object, kind: object) -> Any:
     """A value of the JSON text of a kind, see ``_TEXT``."""
     if isinstance(kind, dict):
         items = checks.instance(name, value, dict).items()

@@ -53,12 +53,13 @@ class StepContent:
 class StepStore:
     """A folder of steps under a head."""
 
-    def __init__(self, folder: Path, name: str, head: Mapping[str, Any]) -> None:
-        self.folder, self.file, self.head = folder, folder / name, dict(head)
+    def __init__(self, folder: Path, name: str, head: Mapping[str, object]) -> None:
+        self.folder, self.file = folder, folder / name
+        self.head: dict[str, Any] = dict(head)
         self.key = _hash(self.head)
 
     @classmethod
-    def resumed(cls, folder: str | os.PathLike[str], name: str, head: Mapping[str, Any]) -> StepStore:
+    def resumed(cls, folder: str | os.PathLike[str], name: str, head: Mapping[str, object]) -> StepStore:
         """Open the store in a folder, or make it; ValueError if it holds steps of another computation."""
         store = cls(checks.file_path("store", folder), name, head)
         if store.folder.exists() and not store.folder.is_dir():
@@ -140,17 +141,17 @@ class StepStore:
     def _step_file(self, number: int) -> Path:
         return self.folder / f"step_{number:04d}.npz"
 
-    def _key_of(self, text: Mapping[str, Any]) -> str:
+    def _key_of(self, text: Mapping[str, object]) -> str:
         return _hash({"head": self.key, "text": text}) if text else self.key
 
 
-def _hash(content: Mapping[str, Any]) -> str:
+def _hash(content: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Mapping[str, np.ndarray], steps: int,
-                parts: Mapping[str, Any], start: np.ndarray | None = None, depends: Mapping[str, Any] | None = None
-                ) -> dict[str, Any]:
+                parts: Mapping[str, object], start: np.ndarray | None = None,
+                depends: Mapping[str, object] | None = None) -> dict[str, object]:
     """What the steps depend on, as plain values by the names that messages give them."""
     depends = checks.instance("depends", {} if depends is None else depends, Mapping, "a mapping of names to values")
     finest, contact = grids.finest.discrete, grids.finest.discrete.contact
@@ -176,12 +177,12 @@ def _sums(values: np.ndarray) -> list[float]:
             float(np.einsum("i,i->", flat, np.cos(np.arange(flat.size))))]
 
 
-def differences(stored: Mapping[str, Any], requested: Mapping[str, Any]) -> list[str]:
+def differences(stored: Mapping[str, object], requested: Mapping[str, object]) -> list[str]:
     """Names under which two fingerprints differ, numbers by more than rounding."""
     return [name for name in {**requested, **stored} if not _same(stored.get(name, ...), requested.get(name, ...))]
 
 
-def _same(a: Any, b: Any) -> bool:
+def _same(a: object, b: object) -> bool:
     """Whether nested plain values agree, numbers to rounding."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_same(a[name], b[name]) for name in a)
