@@ -161,12 +161,10 @@ class _Newton:
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
         self.cycles, self.held, self._hold_first = 0, False, start is None
         self._factor, self._repeats = self.FACTOR, 0
-        self._seen: set[bytes] = set()  # states of the steps before, and the last of them
-        self._last = b""
+        self._seen, self._last = set[bytes](), b""  # states of the steps before, and the last of them
         # springs, what they tie the contact nodes to, its residual, and the steps since
         self._spring, self._stiffness, self._tries = 0.0, self.SPRING, 0
-        self._centre: np.ndarray | None = None
-        self._size = np.inf
+        self._centre, self._size = None, np.inf
 
     def start(self) -> None:
         """Nothing: the start is measured."""
@@ -385,10 +383,9 @@ class LinearSteps(Protocol):
         """The residual (n_contact, dim) at contact nodes that decides their status, from that at all dofs."""
 
     def solve(self, equations: Linearised, spring: float) -> np.ndarray:
-        """The change (n_dofs,) for the residual last given to :meth:`contact_residual`.
+        """The change (n_dofs,) for the last residual, with springs at contact relative to the diagonal.
 
-        ``spring``: of springs at the contact dofs, relative to the diagonal. LinAlgError if the equations are singular
-        or, without springs, an iterative linear solver does not converge.
+        LinAlgError if the equations are singular or, without springs, an iterative linear solver does not converge.
         """
 
 
@@ -538,11 +535,7 @@ def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None
 
 
 def glued_system(discrete: DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray]:
-    """Return matrix, load and near-nullspace of the linear problem in which all contact dofs are fixed.
-
-    It is the yardstick of the comparison with algebraic multigrid: the same body, mesh and supports without the
-    nonlinearity of contact.
-    """
+    """Return matrix, load and near-nullspace with all contact dofs fixed: the yardstick for algebraic multigrid."""
     local = local_system(discrete)
     free = np.flatnonzero(local.system.contact_of < 0)
     if not len(free):
