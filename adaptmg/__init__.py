@@ -9,15 +9,11 @@ import importlib
 import sys
 from typing import Any
 
-from adaptmg import _files as files
-
 __version__ = "0.1.0"
 
 if sys.flags.optimize > 1:
     raise ImportError("adaptmg cannot run under 'python -OO' (PYTHONOPTIMIZE=2), which removes the docstrings that "
                       "pyamg and the command line read: use 'python -O'")
-
-files.install()
 
 _SUBMODULES = ("cases", "discrete", "estimate", "export", "mesh", "multigrid", "plot", "problem", "smoother",
                "solver", "study", "transfer")

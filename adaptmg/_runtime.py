@@ -1,88 +1,150 @@
-"""What every layer stands on: files written whole, compiled kernels and their cache, threads, values made on demand.
+"""What every layer stands on: compiled kernels and their cache, BLAS threads, random numbers, values made on demand.
 
-How kernels are compiled: once per machine, kept on disk, with no more ways in than are used.
+Kernels are compiled once per machine. numba keeps them next to the source or in the home directory; where neither can
+be written they go to a folder of this user for temporary files, and a damaged or full cache costs a compilation, not
+the run. numba builds a way in from Python and one from C for each function: the second is never used, and the first
+only for functions that Python calls, so the first solve on a machine compiles a tenth less without them.
 
-numba builds, beside a function, a way in from Python and one from C. The latter nobody takes, the former only
-functions that Python calls: without them the first solve on a machine compiles a tenth less.
-
-One BLAS thread around what the package does, and a fixed seed around libraries that draw random numbers.
-
-Sums over two BLAS threads differ in the last digits from those over one, and small dense factorisations lose more to
-starting threads than they gain. The number of BLAS threads belongs to the whole process: the first to enter sets it,
-the last to leave gives it back, whichever thread they are in.
-
-OnDemand: a field of a frozen dataclass whose value is made when it is first read.
-
-remembered: what a function of one immutable object returned is kept as long as the object lives.
+BLAS runs on one thread inside the package: sums over two threads differ in the last digits, and small dense
+factorisations lose more to starting threads than they gain.
 """
 
 from __future__ import annotations
 
+import logging
 import os
+import stat
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import wraps
-from typing import Any, TypeVar
+from functools import lru_cache, wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakKeyDictionary
 
+import numba
 import numpy as np
-from numba import njit
+from numba.core.caching import FunctionCache, NullCache
 from numba.core.registry import CPUDispatcher
+
+if TYPE_CHECKING:
+    from threadpoolctl import LibController, ThreadpoolController
 
 __all__ = ["OnDemand", "inner_kernel", "kernel", "made_on_demand", "one_blas_thread", "read_only", "remembered",
            "seeded"]
 
-def kernel(function: Callable | None = None, **options: Any) -> Any:
+_LOG = logging.getLogger(__name__)
+
+
+def kernel(function: Callable | None = None, *, cache: bool = True, **options: object) -> Any:
     """Compile a function that Python calls; ``options`` are those of ``numba.njit``.
 
-    Divided by zero is as in numpy: tests before each division would take time, here and in what is compiled.
+    Division by zero is as in numpy: a test before each division would take time, here and in the compilation.
     """
-    compiling = njit(**{"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy"} | options)
-    return compiling if function is None else compiling(function)
+    if function is None:
+        return lambda function: kernel(function, cache=cache, **options)
+    compiled = numba.njit(**{"no_cfunc_wrapper": True, "error_model": "numpy"} | options)(function)
+    if cache and isinstance(compiled, CPUDispatcher):  # NUMBA_DISABLE_JIT compiles nothing
+        compiled._cache = _cache_of(function)
+    return compiled
 
 
-def inner_kernel(function: Callable | None = None, **options: Any) -> Any:
+def inner_kernel(function: Callable | None = None, **options: object) -> Any:
     """Compile a function that only kernels call; a call from Python is a TypeError."""
-    def inner(function: Callable) -> Any:
-        compiled = kernel(function, no_cpython_wrapper=True, **options)
-        if isinstance(compiled, CPUDispatcher):  # not where numba is told to compile nothing
-            compiled.__class__ = _Inner
-        return compiled
-
-    return inner if function is None else inner(function)
-
-
-def read_only(array: np.ndarray) -> np.ndarray:
-    """A view that nobody writes to: kernels are compiled once for those, and once more for arrays that one may."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
+    if function is None:
+        return lambda function: inner_kernel(function, **options)
+    compiled = kernel(function, no_cpython_wrapper=True, **options)
+    if isinstance(compiled, CPUDispatcher):
+        compiled.__class__ = _Inner
+    return compiled
 
 
 class _Inner(CPUDispatcher):
-    """Compiled without a way in from Python: numba would jump to an address that is none."""
+    """A kernel without a way in from Python: numba would jump to an invalid address."""
 
-    def __call__(self, *arguments: Any, **named: Any) -> None:
+    def __call__(self, *arguments: object, **named: object) -> None:
         name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
         raise TypeError(f"{name} is called by compiled code alone (inner_kernel): compile it with kernel, or call its "
                         ".py_func")
+
+
+class _Cache(FunctionCache):
+    """numba's cache of a kernel, whose failures are logged and cost a compilation."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:
+            self._warn("read", error)
+            with suppress(OSError):  # a new index takes what is compiled now
+                os.unlink(self._cache_file._index_path)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except Exception as error:
+            self._warn("written", error)
+
+    def _warn(self, done: str, error: Exception) -> None:
+        _LOG.warning("the cache of the kernel %s in %s cannot be %s (%s: %s): the kernel is compiled again",
+                     self._py_func.__qualname__, self.cache_path, done, type(error).__name__, error)
+
+
+def _cache_of(function: Callable) -> FunctionCache | NullCache:
+    try:
+        return _Cache(function)
+    except RuntimeError:  # numba finds no folder that can be written
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _temporary_folder()
+        try:
+            return _Cache(function) if numba.config.CACHE_DIR else NullCache()
+        except RuntimeError:
+            return NullCache()
+        finally:
+            numba.config.CACHE_DIR = before
+
+
+@lru_cache(maxsize=1)
+def _temporary_folder() -> str:
+    """A folder that this user alone can write, since compiled code is run from it; "" if there is none."""
+    try:
+        folder = Path(tempfile.gettempdir(), f"adaptmg-kernels-{os.getuid() if hasattr(os, 'getuid') else 'user'}")
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+        if not stat.S_ISDIR(status.st_mode) or (hasattr(os, "getuid") and (status.st_uid, status.st_mode & 0o077) != (
+                os.getuid(), 0)):
+            folder = Path(tempfile.mkdtemp(prefix="adaptmg-kernels-"))
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        _LOG.warning("compiled kernels are not kept, as nothing can be written (%s): set NUMBA_CACHE_DIR to a folder "
+                     "that can", error)
+        return ""
+    _LOG.warning("compiled kernels are kept in %s, as neither the package nor the home directory can be written: set "
+                 "NUMBA_CACHE_DIR to keep them elsewhere", folder)
+    return str(folder)
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """A view that cannot be written: kernels are compiled separately for those and for other arrays."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 class _Blas:
     """The BLAS libraries of the process, and how many are inside :func:`one_blas_thread`."""
 
     def __init__(self) -> None:
-        self.controller: Any = None
+        self.controller: ThreadpoolController | None = None
         self.modules = -1
         self.renew()
 
     def renew(self) -> None:
         """Nobody is inside."""
         self.lock, self.inside = threading.RLock(), 0
-        self.before: list[tuple[Any, int]] = []
+        self.before: list[tuple[LibController, int]] = []
         self.here = threading.local()
 
     def enter(self) -> None:
@@ -104,9 +166,9 @@ class _Blas:
             if self.inside == 0:
                 _give_back(self.before)
 
-    def _found(self) -> list[Any]:
+    def _found(self) -> list[LibController]:
         """The libraries loaded by now: looked for again (some ms) when modules were imported since."""
-        # imported late, inside the block, it would bring a BLAS of its own that nobody limits
+        # imported inside the block it would bring another BLAS without a limit
         import scipy.linalg  # noqa: F401
         from threadpoolctl import ThreadpoolController
 
@@ -115,23 +177,23 @@ class _Blas:
         return [library for library in self.controller.lib_controllers if library.user_api == "blas"]
 
 
-def _by_thread(library: Any) -> bool:
+def _by_thread(library: LibController) -> bool:
     return getattr(library, "threading_layer", "") == "openmp"
 
 
-def _limit(libraries: list[Any]) -> list[tuple[Any, int]]:
+def _limit(libraries: list[LibController]) -> list[tuple[LibController, int]]:
     before = [(library, library.get_num_threads()) for library in libraries]
     for library, _ in before:
         _set(library, 1)
     return before
 
 
-def _give_back(before: list[tuple[Any, int]]) -> None:
+def _give_back(before: list[tuple[LibController, int]]) -> None:
     for library, threads in before:
         _set(library, threads)
 
 
-def _set(library: Any, threads: int) -> None:
+def _set(library: LibController, threads: int) -> None:
     """Set the number, whichever thread of Python set it before."""
     # threadpoolctl 3.7 and later obey, in silence, only the thread that was first to set it
     release = getattr(library, "clear_controlling_thread", lambda force: None)
@@ -185,7 +247,7 @@ def seeded() -> Iterator[None]:
 class OnDemand:
     """What a field is given in place of its value."""
 
-    make: Callable[[Any], Any]  # of the object that has the field; returns the value
+    make: Callable[[Any], object]  # of the object that has the field; returns the value
 
 
 def made_on_demand(name: str, doc: str) -> property:
@@ -194,13 +256,13 @@ def made_on_demand(name: str, doc: str) -> property:
     The field keeps its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`.
     ``dataclasses.replace`` reads it: say what the new value is, where it depends on what is replaced.
     """
-    def value(owner: Any) -> Any:
+    def value(owner: object) -> Any:
         held = owner.__dict__[name]
         if isinstance(held, OnDemand):
             held = owner.__dict__[name] = held.make(owner)
         return held
 
-    def keep(owner: Any, given: Any) -> None:
+    def keep(owner: object, given: object) -> None:
         owner.__dict__[name] = given
 
     return property(value, keep, doc=doc)

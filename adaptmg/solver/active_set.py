@@ -1,7 +1,5 @@
 r"""ActiveSet: the semismooth Newton method, with direct or algebraic multigrid solves.
 
-The linearised contact conditions: one step of the semismooth Newton method at the contact nodes.
-
 With q = b - A w (minus the force on the body), the slip :math:`\tau` and factors :math:`c_n, c_t > 0` (N/m)
 the contact conditions are the equations (P. Alart, A. Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991,
 doi:10.1016/0045-7825(91)90022-X)
@@ -20,17 +18,9 @@ A node is active where :math:`z_n > 0`, sticks where :math:`|z_t| \le B > 0` and
           \qquad \kappa = \frac{c_t B}{|z_t| - B} \ge 0.
 
 This is the derivative itself, solved for :math:`\delta q_t`; :math:`\kappa\Pi` tends to the slip Hessian
-:math:`(B/|\tau|)\,\Pi`. Without the Coulomb term :math:`\mu z A_n` the matrix is symmetric and positive definite.
-
-How the equations of a Newton step are solved: on the sparse matrix, or condensed to the contact nodes.
-
-Both solve for a change of all unknowns whose right-hand side is the residual of the full sparse matrix, so that every
-step of the active set method is a step of iterative refinement too.
-
-The glued problem: all contact dofs fixed where they are, a linear problem that every linear solver can be timed on.
-
-It is the yardstick of the comparison with algebraic multigrid: the same body, mesh and supports without the
-nonlinearity of contact.
+:math:`(B/|\tau|)\,\Pi`. Without the Coulomb term :math:`\mu z A_n` the matrix is symmetric and positive definite. The
+linear equations are solved on the sparse matrix, or condensed to the contact nodes; their right-hand side is the
+residual of the full matrix, so every step is a step of iterative refinement too.
 """
 
 from __future__ import annotations
@@ -48,14 +38,13 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.residuals import natural_residual, residual
 from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, local_system
-from adaptmg.solver.factorisation import Condensed, condense
+from adaptmg.solver.factorisation import condense
 from adaptmg.solver.iterate import IterateTest, iterate
 from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.transfer.galerkin import without_fixed
 
-__all__ = ["ActiveSet", "CondensedSteps", "Linearised", "SparseSteps", "Steps", "glued_system", "hold_all", "linearise",
-           "local_near_nullspace"]
+__all__ = ["ActiveSet", "CondensedSteps", "SparseSteps", "glued_system", "linearise", "local_near_nullspace"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -66,7 +55,7 @@ class ActiveSet:
 
     Parameters
     ----------
-    linear : Direct, AMG or one's own
+    linear : Direct, AMG or user-defined
         Solver of the linear steps.
     condensed : bool, optional
         Take the steps on the Schur complement of the contact dofs, with one factorisation in all. Default: with
@@ -76,27 +65,23 @@ class ActiveSet:
         the error of the iterate before it, and, times 10, for the relative natural residual.
     max_steps : int
         Newton steps at most.
-    linear_rtol : float
-        Relative residual to which an iterative linear solver solves each step.
     nested_start : bool
         Solve on the coarser levels first, each from the solution of the level below.
 
     Notes
     -----
     Without a start all nodes touch and, under friction, stick: a state that is not singular where the problem is well
-    posed. If a later one is (a body that only contact holds and that has lost it), the iteration goes back to that
-    state. If a status comes back, the iteration may be cycling: the step is halved, and gaps weigh less against forces.
-    If either happens again, springs tie the contact nodes to the last iterate that is trusted (a proximal point
-    method): each problem with springs is solved until its residual is a tenth of that of its centre, which then moves
-    to its solution. The springs become weaker with every problem that is solved and stiffer with every other one, and
-    nothing is left of them at the end.
+    posed. If a later one is (a body that loses contact), the iteration goes back to that state. If a status comes back,
+    the iteration may be cycling: the step is halved, and gaps weigh less against forces. If either happens again,
+    springs tie the contact nodes to the last trusted iterate (a proximal point method): each problem with springs is
+    solved until its residual is a tenth of that of its centre, which then moves to its solution. The springs become
+    weaker with every problem that is solved and stiffer with every other one; at the end none are left.
     """
 
     linear: LinearSolver = field(default_factory=Direct)
     condensed: bool | None = None
     rtol: float = 1e-10
     max_steps: int = 200
-    linear_rtol: float = 1e-2
     nested_start: bool = False
 
     def __post_init__(self) -> None:
@@ -106,17 +91,16 @@ class ActiveSet:
         for name in ("condensed", "nested_start"):
             checks.flag(name, getattr(self, name))
         if self.condensed and not isinstance(self.linear, Direct):
-            raise ValueError("condensed=True factorises the interior directly: leave linear at Direct(), "
-                             "or say condensed=False")
-        for name in ("rtol", "linear_rtol"):
-            object.__setattr__(self, name, checks.tolerance(name, getattr(self, name)))
+            raise ValueError("condensed=True needs linear=Direct(), got another linear solver")
+        object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         checks.integer("max_steps", self.max_steps, 1)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level; see :class:`adaptmg.solver.record.Solver`."""
-        if self.nested_start and start is None:
+        nested = self.nested_start and start is None
+        if nested:
             hierarchy.need_discretised("the nested start of ActiveSet")
-        first = 0 if self.nested_start and start is None else len(hierarchy) - 1
+        first = 0 if nested else len(hierarchy) - 1
         for number in range(first, len(hierarchy)):
             level, finest = hierarchy[number], number == len(hierarchy) - 1
             if start is not None and number > first:
@@ -124,14 +108,14 @@ class ActiveSet:
                 run.visit(number, "start")
             with run.phase("setup"):
                 local = local_system(level.discrete)
-            steps = _NewtonSteps(self, local, run, number, None if start is None else local.to_local(start))
+            newton = _Newton(self, local, run, number, None if start is None else local.to_local(start))
             stop = _NewtonTest(local, self.rtol, self.max_steps, run if finest else None,
                                displacement=local.to_cartesian if finest else None)
             if finest:
                 run.start_work_units = run.work_units
-            status = iterate(steps, stop, run if finest else None)
-            start = local.to_cartesian(steps.unknowns)
-        return Outcome(start, status, steps.cycles, self.rtol, stop.error_estimate, stop.rate)
+            status = iterate(newton, stop, run if finest else None)
+            start = local.to_cartesian(newton.unknowns)
+        return Outcome(start, status, newton.cycles, self.rtol, stop.error_estimate, stop.rate)
 
 
 class _NewtonTest(IterateTest):
@@ -141,7 +125,7 @@ class _NewtonTest(IterateTest):
     """
 
     stalled, settled = False, False
-    #: times a step that the error may be as long as the status changes
+    #: factor on the last step while the status changes
     UNSETTLED = 10.0
 
     def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
@@ -156,68 +140,122 @@ class _NewtonTest(IterateTest):
         self.met = self._small_enough()
 
 
-class _NewtonSteps:
+class _Newton:
     """The Newton steps on one level; see :class:`~adaptmg.solver.iterate.Iteration`."""
 
-    #: springs, relative to the diagonal: the first ones, the stiffest, those that count as none; the factors by which
-    #: they become weaker and stiffer; to what a problem with them reduces the residual, and in how many steps
+    #: springs relative to the diagonal: the first, the stiffest, and the weakest that count; factors by which they
+    #: become weaker and stiffer; the factor by which a problem with springs reduces the residual, and its most steps
     SPRING, STIFFEST, NONE, WEAKER, STIFFER, REDUCED, TRIES = 1e-2, 1e2, 1e-6, 0.5, 10.0, 0.1, 5
-    #: repeated states before springs are set
-    PATIENCE = 3
-    #: every so many steps the iteration is taken to repeat itself
-    LONG = 15
+    #: repeated states before springs are set, and steps after which the iteration counts as repeating itself: in 3D the
+    #: direction of a slip may go round while no status comes back
+    PATIENCE, LONG = 3, 15
     #: augmentation c over the diagonal of the matrix; it weighs gaps against forces where a status is decided: small
-    #: values change fewer nodes at a time. It is not reduced below the second, lest rounding decide.
+    #: values change fewer nodes at a time. Below the second, rounding would decide.
     FACTOR, SMALLEST_FACTOR = 0.1, 1e-4
 
     def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int,
                  start: np.ndarray | None) -> None:
         self.options, self.local, self.run, self.level = options, local, run, level
-        self.methods: Steps = (CondensedSteps(local, run) if options.condensed
-                               else SparseSteps(local, options.linear, run))
+        self.equations_of: LinearSteps = (CondensedSteps(local, run) if options.condensed
+                                          else SparseSteps(local, options.linear, run))
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
         self.cycles, self.held, self._hold_first = 0, False, start is None
-        self._factor, self._repeats, self._last = self.FACTOR, 0, b""
-        self._seen: set[bytes] = set()
-        self._forces, self._equations = np.empty(0), None
+        self._factor, self._repeats = self.FACTOR, 0
+        self._seen, self._last = set[bytes](), b""  # states of the steps before, and the last of them
         # springs, what they tie the contact nodes to, its residual, and the steps since
-        self._spring, self._stiffness, self._centre, self._size, self._tries = 0.0, self.SPRING, None, np.inf, 0
+        self._spring, self._stiffness, self._tries = 0.0, self.SPRING, 0
+        self._centre, self._size = None, np.inf
 
     def start(self) -> None:
         """Nothing: the start is measured."""
 
-    def measure(self, stop: IterateTest) -> None:
+    def measure(self, stop: _NewtonTest) -> None:
         """Residual, and the contact status that it decides."""
-        defect = residual(self.local.system, self.local.load, self.unknowns)
-        self.run.count(1, self.local.system.nonzeros)
-        tied = defect if self._centre is None else self._tied(defect)
+        residual = self._residual()
+        tied = residual if self._centre is None else self._tied(residual)
         self._decide(tied, hold=self._hold_first and self.cycles == 0)
         # with springs a short step does not bound the error
         stop.settled = not self._spring and self._equations.key == self._last
-        stop.take(self.unknowns, defect)
+        stop.take(self.unknowns, residual)
 
-    def _decide(self, defect: np.ndarray, hold: bool = False) -> None:
-        self._forces = self.methods.contact_residual(defect)
-        self._equations = self._linearised(self._factor, hold)
+    def row(self, stop: _NewtonTest) -> dict[str, float]:
+        """See :class:`~adaptmg.solver.iterate.Iteration`."""
+        active = self._equations.active
+        return {"active": int(active.sum()), "slip": int((active & self._equations.slip).sum()), **stop.measures()}
 
-    def _tied(self, defect: np.ndarray) -> np.ndarray:
+    def step(self, stop: _NewtonTest) -> Status | None:
+        """A step, shorter where a status comes back; with springs where it does so again."""
+        key = self._equations.key
+        repeated = (key in self._seen and key != self._last) or self.cycles % self.LONG == self.LONG - 1
+        if self._centre is not None:
+            stiffen = repeated or self._tries >= self.TRIES
+        else:
+            if repeated:
+                self._repeats += 1
+                self._factor = min(self._factor, max(0.1 * self._factor, self.SMALLEST_FACTOR))
+                _LOG.info("step %d: the contact status comes back (%d times)", self.cycles, self._repeats)
+            stiffen = repeated and self._repeats > self.PATIENCE
+        if stiffen:
+            self._stiffen()
+        if self._stiffness > self.STIFFEST:
+            return Status.CYCLING
+        change = self._change()
+        self._last = self._equations.key
+        self._seen.add(self._last)
+        self.unknowns = self.unknowns + (0.5 if repeated and not stiffen else 1.0) * change
+        self.cycles += 1
+        self._tries += 1
+        self.run.visit(self.level, "solve")
+        return None
+
+    def _residual(self) -> np.ndarray:
+        self.run.count(1, self.local.system.nonzeros)
+        return residual(self.local.system, self.local.load, self.unknowns)
+
+    def _decide(self, residual: np.ndarray, hold: bool = False) -> None:
+        """The contact status that a residual decides, and its equations."""
+        self._forces = self.equations_of.contact_residual(residual)
+        self._linearise(self._factor, hold)
+
+    def _linearise(self, factor: float, hold: bool) -> None:
+        system, contact = self.local.system, self.local.contact
+        at_contact = self.unknowns.reshape(-1, system.dim)[system.nodes]
+        self.held = self.held or hold
+        self._equations = hold_all(contact, at_contact, self._forces) if hold else linearise(
+            contact, at_contact, self._forces, self.equations_of.stiffness, factor)
+
+    def _change(self) -> np.ndarray:
+        """The change of a step; where it is singular, from the safe state, then with springs."""
+        while True:
+            try:
+                return self.equations_of.solve(self._equations, self._spring)
+            except np.linalg.LinAlgError as error:
+                _LOG.info("step %d: %s", self.cycles, error)
+                if self._stiffness > self.STIFFEST:
+                    raise
+            if self.held:
+                self._stiffen()
+            else:
+                self._linearise(0.0, hold=True)
+
+    def _tied(self, residual: np.ndarray) -> np.ndarray:
         """The residual with springs; where it is small enough their centre moves to the present iterate."""
-        tied, system = defect.copy(), self.local.system
+        tied, system = residual.copy(), self.local.system
         pull = (self.unknowns - self._centre).reshape(-1, system.dim)[system.nodes]
-        tied.reshape(-1, system.dim)[system.nodes] -= self._spring * self.methods.stiffness * pull
+        tied.reshape(-1, system.dim)[system.nodes] -= self._spring * self.equations_of.stiffness * pull
         if not self._tries or self._natural(tied) > self.REDUCED * self._size:
             return tied
         self._stiffness *= self.WEAKER
-        self._tie(defect, self._stiffness if self._stiffness > self.NONE else 0.0)
-        return defect
+        self._tie(residual, self._stiffness if self._stiffness > self.NONE else 0.0)
+        return residual
 
-    def _natural(self, defect: np.ndarray) -> float:
-        vector = natural_residual(self.local.system, self.local.contact, self.local.load, self.unknowns, defect)
+    def _natural(self, residual: np.ndarray) -> float:
+        vector = natural_residual(self.local.system, self.local.contact, self.local.load, self.unknowns, residual)
         return float(np.linalg.norm(vector))
 
-    def _tie(self, defect: np.ndarray, spring: float) -> None:
-        """Springs to the present iterate with the residual ``defect``."""
-        self._centre, self._size = self.unknowns, self._natural(defect)
+    def _tie(self, residual: np.ndarray, spring: float) -> None:
+        """Springs to the present iterate, whose residual is ``residual``."""
+        self._centre, self._size = self.unknowns, self._natural(residual)
         self._spring, self._tries, self._factor, self._last = spring, 0, self.FACTOR, b""
         self._seen.clear()
 
@@ -228,64 +266,9 @@ class _NewtonSteps:
             # without any, those that were the last
             self._stiffness = max(self._stiffness, self.NONE) * (self.STIFFER if self._spring else 1.0)
         _LOG.info("step %d: springs of %.1e at contact", self.cycles, self._stiffness)
-        defect = residual(self.local.system, self.local.load, self.unknowns)
-        self.run.count(1, self.local.system.nonzeros)
-        self._tie(defect, self._stiffness)
-        self._decide(defect)
-
-    def row(self, stop: IterateTest) -> dict[str, float]:
-        """See :class:`~adaptmg.solver.iterate.Iteration`."""
-        active = self._equations.active
-        return {"active": int(active.sum()), "slip": int((active & self._equations.slip).sum()), **stop.measures()}
-
-    def step(self, stop: IterateTest) -> Status | None:
-        """A step, shorter where a status comes back; with springs where it does so again."""
-        key = self._equations.key
-        # in 3D the direction of a slip may go round while no status comes back
-        repeated = (key in self._seen and key != self._last) or self.cycles % self.LONG == self.LONG - 1
-        if self._centre is not None:
-            if repeated or self._tries >= self.TRIES:
-                self._stiffen()
-                repeated = False
-        elif repeated:
-            self._repeats += 1
-            self._factor = min(self._factor, max(0.1 * self._factor, self.SMALLEST_FACTOR))
-            _LOG.info("step %d: the contact status comes back (%d times); halving the step", self.cycles, self._repeats)
-            if self._repeats > self.PATIENCE:
-                self._stiffen()
-                repeated = False
-        if self._stiffness > self.STIFFEST:
-            return Status.CYCLING
-        change = self._solved()
-        self._last = self._equations.key
-        self._seen.add(self._last)
-        self.unknowns = self.unknowns + (0.5 if repeated else 1.0) * change
-        self.cycles += 1
-        self._tries += 1
-        self.run.visit(self.level, "solve")
-        return None
-
-    def _linearised(self, factor: float, hold: bool) -> Linearised:
-        system, contact = self.local.system, self.local.contact
-        at_contact = self.unknowns.reshape(-1, system.dim)[system.nodes]
-        if hold:
-            self.held = True
-            return hold_all(contact, at_contact, self._forces)
-        return linearise(contact, at_contact, self._forces, self.methods.stiffness, factor)
-
-    def _solved(self) -> np.ndarray:
-        """The change of a step; where it is singular, from the safe state, then with springs."""
-        while True:
-            try:
-                return self.methods.solve(self._equations, self.options.linear_rtol, self._spring)
-            except np.linalg.LinAlgError as error:
-                _LOG.info("step %d: %s", self.cycles, error)
-                if self._stiffness > self.STIFFEST:
-                    raise
-            if self.held:
-                self._stiffen()
-            else:
-                self._equations = self._linearised(0.0, hold=True)
+        residual = self._residual()
+        self._tie(residual, self._stiffness)
+        self._decide(residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,7 +372,7 @@ def _equations(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray
     return Linearised(active, slip, direction, coupling, curvature, force, prescribed, change)
 
 
-class Steps(Protocol):
+class LinearSteps(Protocol):
     """Takes the linear steps of one problem."""
 
     @property
@@ -399,67 +382,37 @@ class Steps(Protocol):
     def contact_residual(self, residual: np.ndarray) -> np.ndarray:
         """The residual (n_contact, dim) at contact nodes that decides their status, from that at all dofs."""
 
-    def solve(self, equations: Linearised, rtol: float, spring: float) -> np.ndarray:
-        """The change (n_dofs,) for the residual last given to :meth:`contact_residual`.
+    def solve(self, equations: Linearised, spring: float) -> np.ndarray:
+        """The change (n_dofs,) for the last residual, with springs at contact relative to the diagonal.
 
-        Parameters
-        ----------
-        equations : Linearised
-        rtol : float
-            Of an iterative linear solver.
-        spring : float
-            Springs of this stiffness, relative to the diagonal, at the contact dofs.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the equations are singular or, without springs, an iterative solver does not reach ``rtol``.
+        LinAlgError if the equations are singular or, without springs, an iterative linear solver does not converge.
         """
 
 
-def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None) -> np.ndarray:
-    """Rigid-body modes (n_dofs, k) in local components, zero at fixed dofs.
-
-    Translations where the problem has no ``near_nullspace``.
-    """
-    problem: DiscreteProblem = local.discrete
-    modes = problem.near_nullspace
-    if modes is None:
-        modes = np.tile(np.eye(problem.dim), (problem.n_nodes, 1))
-    modes = np.column_stack([rotate(mode, local.frames, local.system.nodes) for mode in modes.T])
-    modes[local.system.fixed if released is None else local.system.fixed | released] = 0.0
-    return modes
-
-
-@dataclass(eq=False)
 class CondensedSteps:
     """Steps on the dense Schur complement; one sparse factorisation serves them all."""
-
-    local: LocalProblem
-    run: Run
-    condensed: Condensed = field(init=False)
-    _particular: np.ndarray = field(init=False)
 
     #: reciprocal condition number below which the equations count as singular
     SINGULAR = 1e-13
 
-    def __post_init__(self) -> None:
-        with self.run.phase("factorise"):
-            self.condensed = condense(self.local)
+    def __init__(self, local: LocalProblem, run: Run) -> None:
+        self.local, self.run = local, run
+        with run.phase("factorise"):
+            self.condensed = condense(local)
 
     @property
     def stiffness(self) -> np.ndarray:
-        """See :class:`Steps`."""
+        """See :class:`LinearSteps`."""
         return self.condensed.matrix.diagonal().reshape(-1, self.local.system.dim)
 
     def contact_residual(self, residual: np.ndarray) -> np.ndarray:
-        """The residual with the interior in equilibrium; see :class:`Steps`."""
+        """The residual with the interior in equilibrium."""
         with self.run.phase("solve"):
             self._particular, force = self.condensed.reduce(residual)
         return force.reshape(-1, self.local.system.dim)
 
-    def solve(self, equations: Linearised, rtol: float, spring: float) -> np.ndarray:
-        """See :class:`Steps`."""
+    def solve(self, equations: Linearised, spring: float) -> np.ndarray:
+        """See :class:`LinearSteps`."""
         with self.run.phase("solve"):
             n, dim = equations.force.shape
             matrix = self.condensed.matrix.copy()
@@ -489,110 +442,105 @@ class CondensedSteps:
         return linalg.lapack.dgetrs(factors, pivots, rhs)[0]
 
 
-@dataclass(eq=False)
 class SparseSteps:
     """Steps on the sparse matrix, of which only rows (and eliminated columns) of contact nodes change."""
 
-    local: LocalProblem
-    linear: LinearSolver
-    run: Run
-    _matrix: sparse.bsr_array = field(init=False)
-    _rows: np.ndarray = field(init=False)
-    _residual: np.ndarray = field(init=False)
-    _prepared: Prepared | None = field(default=None, init=False)
-    _prepared_for: tuple[bytes, float] | None = field(default=None, init=False)
+    #: relative residual to which an iterative linear solver solves each step
+    RTOL = 1e-2
 
-    def __post_init__(self) -> None:
-        self._matrix = self.local.system.matrix
-        self._rows = np.repeat(np.arange(self.local.system.n_nodes), np.diff(self._matrix.indptr))
+    def __init__(self, local: LocalProblem, linear: LinearSolver, run: Run) -> None:
+        self.local, self.linear, self.run = local, linear, run
+        self._matrix = local.system.matrix
+        self._contact = local.system.contact_of[np.repeat(np.arange(local.system.n_nodes),
+                                                          np.diff(self._matrix.indptr))]  # of each block's row, or -1
+        self._prepared: Prepared | None = None
+        self._prepared_for: tuple[bytes, float] | None = None
 
     @property
     def stiffness(self) -> np.ndarray:
-        """See :class:`Steps`."""
+        """See :class:`LinearSteps`."""
         system = self.local.system
         return self._matrix.diagonal().reshape(-1, system.dim)[system.nodes]
 
     def contact_residual(self, residual: np.ndarray) -> np.ndarray:
-        """The rows of the contact nodes; see :class:`Steps`."""
         self._residual = residual
         return residual.reshape(-1, self.local.system.dim)[self.local.system.nodes]
 
-    def solve(self, equations: Linearised, rtol: float, spring: float) -> np.ndarray:
-        """See :class:`Steps`."""
+    def solve(self, equations: Linearised, spring: float) -> np.ndarray:
+        """See :class:`LinearSteps`."""
         system = self.local.system
-        prescribed = np.zeros((system.n_nodes, system.dim), dtype=bool)
-        prescribed[system.nodes] = equations.prescribed
+        released = np.zeros((system.n_nodes, system.dim), dtype=bool)
+        released[system.nodes] = equations.prescribed
         change = np.zeros((system.n_nodes, system.dim))
         change[system.nodes] = equations.change
         rhs = self._residual.reshape(-1, system.dim).copy()
         rhs[system.nodes] = equations.force
-        rhs, change = rhs.reshape(-1), change.reshape(-1)
+        released, rhs, change = released.reshape(-1), rhs.reshape(-1), change.reshape(-1)
         with self.run.phase("setup"):
-            matrix = self._contact_rows(equations, spring, coupled=True)
+            matrix = self._contact_rows(equations, spring)
             if change.any():
                 rhs -= matrix @ change
                 self.run.count(1, system.nonzeros)
-            rhs[prescribed.reshape(-1)] = 0.0
-        self._prepare(equations, matrix, prescribed, spring)
+            rhs[released] = 0.0
+        self._prepare(equations, matrix, released, spring)
         with self.run.phase("solve"):
-            solution = solution_of(self.linear, self._prepared, rhs, rtol)
+            solution = solution_of(self.linear, self._prepared, rhs, self.RTOL)
         self.run.count(solution.passes, system.nonzeros)
         if not solution.converged and not isinstance(self.linear, Direct):
             message = (f"{self.linear!r} stopped after {solution.iterations} iterations at a relative residual of "
-                       f"{solution.residual:.1e}, wanted {rtol:.1e}: raise max_iterations, or take Direct()")
+                       f"{solution.residual:.1e}, not {self.RTOL:.0e}: raise max_iterations, or take Direct()")
             if not spring:
                 raise np.linalg.LinAlgError(message)
             _LOG.warning(message)
         return solution.unknowns + change
 
-    def _prepare(self, equations: Linearised, matrix: sparse.bsr_array, prescribed: np.ndarray, spring: float) -> None:
+    def _prepare(self, equations: Linearised, matrix: sparse.bsr_array, released: np.ndarray, spring: float) -> None:
         """Set up the linear solver, unless the matrix is the one of the last step."""
         key = (equations.key, spring)
         if equations.same_matrix and key == self._prepared_for:
             return
-        phase = "factorise" if isinstance(self.linear, Direct) else "setup"
-        with self.run.phase(phase):
-            released = prescribed.reshape(-1)
-            eliminated = without_fixed(matrix, released, copy=False)
-            symmetric, basis = equations.symmetric, None
-            if not symmetric:
+        with self.run.phase("factorise" if isinstance(self.linear, Direct) else "setup"):
+            eliminated, basis = without_fixed(matrix, released, copy=False), None
+            if not equations.symmetric:
                 basis = without_fixed(self._contact_rows(equations, spring, coupled=False), released, copy=False)
             modes = local_near_nullspace(self.local, released)
-            self._prepared = self.linear.setup(eliminated, modes, symmetric=symmetric, preconditioner=basis,
+            self._prepared = self.linear.setup(eliminated, modes, symmetric=equations.symmetric, preconditioner=basis,
                                                previous=self._prepared)
         self._prepared_for = key
 
-    def _contact_rows(self, equations: Linearised, spring: float, coupled: bool) -> sparse.bsr_array:
+    def _contact_rows(self, equations: Linearised, spring: float, coupled: bool = True) -> sparse.bsr_array:
         """The matrix with Coulomb coupling (if ``coupled``), curvature and springs in the rows of contact nodes."""
-        system = self.local.system
-        data = self._matrix.data.copy()
-        contact = system.contact_of[self._rows]
+        system, data = self.local.system, self._matrix.data.copy()
+        rows = np.flatnonzero(self._contact >= 0)
+        diagonal = rows[system.nodes[self._contact[rows]] == self._matrix.indices[rows]]
+        node = self._contact[diagonal]
         if spring:
-            at = np.flatnonzero((contact >= 0) & (self._rows == self._matrix.indices))
-            data[at] += spring * self.stiffness[contact[at]][:, :, None] * np.eye(system.dim)
+            data[diagonal] += spring * self.stiffness[node][:, :, None] * np.eye(system.dim)
         if coupled and not equations.symmetric:
-            at = np.flatnonzero(contact >= 0)
-            pull = (equations.coupling[:, None] * equations.direction)[contact[at]]
-            data[at, 1:] -= pull[:, :, None] * data[at, :1]
-        at = np.flatnonzero((contact >= 0) & (self._rows == self._matrix.indices))
-        node = contact[at]
-        data[at, 1:, 1:] += equations.curvature[node]
+            pull = (equations.coupling[:, None] * equations.direction)[self._contact[rows]]
+            data[rows, 1:] -= pull[:, :, None] * data[rows, :1]
+        data[diagonal, 1:, 1:] += equations.curvature[node]
         return sparse.bsr_array((data, self._matrix.indices, self._matrix.indptr), shape=self._matrix.shape)
 
 
+def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None) -> np.ndarray:
+    """Rigid-body modes (n_dofs, k) in local components, zero at fixed dofs; without ``near_nullspace`` translations."""
+    problem = local.discrete
+    modes = problem.near_nullspace
+    if modes is None:
+        modes = np.tile(np.eye(problem.dim), (problem.n_nodes, 1))
+    modes = np.column_stack([rotate(mode, local.frames, local.system.nodes) for mode in modes.T])
+    modes[local.system.fixed if released is None else local.system.fixed | released] = 0.0
+    return modes
+
+
 def glued_system(discrete: DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray]:
-    """The linear system with all contact dofs fixed."""
-    system, load, modes, _ = _glued(discrete)
-    return system, load, modes
-
-
-def _glued(discrete: DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray, np.ndarray]:
+    """Return matrix, load and near-nullspace with all contact dofs fixed: the yardstick for algebraic multigrid."""
     local = local_system(discrete)
-    dim = discrete.dim
-    kept = np.flatnonzero(local.system.contact_of < 0)
-    if not len(kept):
-        raise ValueError("every node is a contact node: nothing is left of the glued problem")
-    dofs = (dim * kept[:, None] + np.arange(dim)).reshape(-1)
+    free = np.flatnonzero(local.system.contact_of < 0)
+    if not len(free):
+        raise ValueError("every node is a contact node: the glued problem is empty")
+    dofs = (discrete.dim * free[:, None] + np.arange(discrete.dim)).reshape(-1)
     matrix = sparse.csr_array(local.system.matrix)[dofs][:, dofs]
-    matrix = sparse.bsr_array(matrix, blocksize=(dim, dim)).sorted_indices()
-    return matrix, local.load[dofs], local_near_nullspace(local)[dofs], dofs
+    matrix = sparse.bsr_array(matrix, blocksize=(discrete.dim, discrete.dim)).sorted_indices()
+    return matrix, local.load[dofs], local_near_nullspace(local)[dofs]

@@ -1,8 +1,8 @@
-r"""Aggregates: groups of neighbouring nodes whose rigid motions show what is smooth in an error, on folded bodies too.
+r"""Aggregates: groups of neighbouring nodes whose rigid motions represent what is smooth in an error.
 
-They follow the graph of the matrix, not space: two arms that nearly touch have none in common, nor have two bodies, nor
-the slave nodes (whose displacement is relative) and the rest. With B the rigid motions of each aggregate about its
-centre, each node projected onto what a contact status lets move, the coarse matrix is :math:`B^T (A + S) B`.
+They follow the graph of the matrix, not space: two arms that nearly touch share none, nor do two bodies, nor the slave
+nodes (whose displacement is relative) and the rest. With B the rigid motions of each aggregate about its centre, each
+node projected onto what a contact status lets move, the coarse matrix is :math:`B^T (A + S) B`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, time
 
 __all__ = ["Aggregates", "CoarseMatrix"]
 
-#: nodes of an aggregate and its depth in the graph, by dimension; of more than so many nodes the number of aggregates,
-#: which bounds the cost of the coarse matrix
+#: nodes of an aggregate and its depth in the graph, by dimension; beyond the number of nodes in the
+#: middle the number of aggregates, which bounds the cost of the coarse matrix
 _SIZE, _MANY, _MOST = {2: (64, 4), 3: (80, 3)}, 100_000, {2: 1800, 3: 500}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8

@@ -39,20 +39,19 @@ class Certificate:
     ----------
     lines : tuple of Condition
         'equilibrium' (of free dofs, under the claimed contact forces), 'prescribed values', 'penetration', 'tension',
-        'complementarity' (the smaller of pressure and gap, each in its own scale), 'friction bound', 'slip direction'
-        (the work of friction on its bound and opposite to the slip, less that of the claimed friction),
-        'slip along the force' (weighted by force, over the actual ones), 'open, touching' (forces at nodes said to be
-        open), 'touching, open' (gaps at nodes said to touch), 'slip, sticking' (slip at nodes said to stick), 'balance'
-        (sum of loads and all reactions).
+        'complementarity' (the smaller of pressure and gap, each in its scale), 'friction bound', 'slip direction'
+        (the work of friction on its bound and opposite to the slip, less that of the claimed friction), 'slip along
+        the force' (weighted by force), 'open, touching' (forces at open nodes), 'touching, open' (gaps at touching
+        nodes), 'slip, sticking' (slip at sticking nodes), 'balance' (sum of loads and all reactions).
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: rather too small
         than too large. With ``bound=True`` by a factorisation: exact for this status.
     energy_rounding : float
-        As much of it as rounding explains.
+        The part of it that rounding explains.
     exact_energy : bool
-        Whether it was made by a factorisation.
+        Whether a factorisation was made.
     force, displacement, energy_norm : float
-        What the lines are relative to: N, m, and sqrt(u'Au) (sqrt(N m)); in 2D per metre of thickness.
+        The scales of the lines: N, m, and sqrt(u'Au) (sqrt(N m)); in 2D per metre of thickness.
     """
 
     lines: tuple[Condition, ...]
@@ -90,7 +89,7 @@ class Certificate:
             found.append("energy error")
         return tuple(found)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Numbers and strings alone, for files."""
         return asdict(self)
 
@@ -121,7 +120,7 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
         lines = (found.equilibrium(), found.prescribed(), *found.normal(), *found.tangential(), *found.states(),
                  found.balance())
     if found.idle:
-        # nothing is relative to forces that are rounding: what they leave is told in N alone
+        # forces that are rounding are no scale: what they leave is reported in N alone
         lines = tuple(replace(line, relative=0.0)
                       if not line.unit or (line.unit != "m" and line.largest <= found.rounding) else line
                       for line in lines)
@@ -150,11 +149,11 @@ class Condition:
     """One condition: by how much it is violated."""
 
     name: str
-    largest: float  # at one node, and over all: the Euclidean norm, of energies the sum
-    total: float  # at one node, and over all: the Euclidean norm, of energies the sum
+    largest: float  # at one node
+    total: float  # over all: the Euclidean norm, of energies the sum
     unit: str  # of both; empty for a number
     relative: float
-    rounding: float = 0.0  # as much of relative as rounding of the terms summed explains
+    rounding: float = 0.0  # the part of relative that rounding explains
 
 
 class Evidence:
@@ -242,7 +241,7 @@ class Evidence:
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Penetration, tension, complementarity."""
         pulling = np.einsum("nd,nd->n", self.unexplained[self.nodes], self.normals) - self.pressure
-        # each in its own scale: a force of rounding times a gap of a thousand displacements is no work of contact
+        # each in its scale: a force of rounding times a gap of a thousand displacements is no work of contact
         both = np.minimum(_shares(self.pressure, self.force), _shares(self.gap, self.length))
         complementarity = Condition("complementarity", float(both.max(initial=0.0)), _norm(both), "", _norm(both),
                                     _over(self.rounding, self.force) + 16 * _EPSILON)
@@ -281,7 +280,7 @@ class Evidence:
         """
         problem = self.problem
         status, change, unlawful = self._frozen()
-        # a copy: what is unexplained is told by other lines too
+        # a copy: other lines report what is unexplained too
         forces = problem.relative_forces(self.unexplained.reshape(-1).copy()).reshape(self.u.shape)
         forces[problem.contact.nodes] += unlawful
         matrix = problem.matrix

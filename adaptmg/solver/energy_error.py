@@ -32,7 +32,7 @@ from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 
 __all__ = ["FrozenStatus", "Tally", "add_forces", "residual_energy"]
 
-#: steps at least and share of the energy that may be missing, up to so many nodes and beyond
+#: least steps and share of the energy that may be missing, up to the first number of nodes and beyond
 _SMALL, _FEW, _MANY = 20_000, (3, 0.15), (2, 0.3)
 #: steps at most, without and with Coulomb friction, which needs all directions
 _MOST, _MOST_COULOMB = 40, 16
@@ -45,10 +45,10 @@ class FrozenStatus:
     """The displacements that keep a contact status."""
 
     held: np.ndarray  # (m,) int: nodes that may not move freely: in supports, and in contact
-    kept: np.ndarray  # (m, dim, dim)
-    nodes: np.ndarray  # (n_contact,) int
+    kept: np.ndarray  # (m, dim, dim): projections there onto what may move
+    nodes: np.ndarray  # (n_contact,) int: contact nodes
     stiffening: np.ndarray  # (n_contact, dim, dim): of friction that turns with the slip (3D), N/m
-    dragged: np.ndarray  # (n_contact, dim, dim)
+    dragged: np.ndarray  # (n_contact, dim, dim): of friction that grows with the pressure (Coulomb)
 
     def project(self, vector: np.ndarray) -> None:
         """Leave of a vector (n_nodes, dim) the part that may move, in place."""
@@ -159,7 +159,7 @@ class _Preconditioner:
         diagonal, inverse = np.zeros((n, dim, dim)), np.empty((n, dim, dim))
         _inverses(self._zero, matrix.indptr, matrix.indices, matrix.data, diagonal, inverse)
         diagonal[status.nodes] += status.stiffening
-        # a small stiffness of what is projected away is none
+        # what is projected away has no stiffness
         inverse[status.held] = np.linalg.pinv(status.kept @ diagonal[status.held] @ status.kept, rcond=1e-12,
                                               hermitian=True)
         number = np.full(n, -1, dtype=np.int32)

@@ -1,20 +1,14 @@
-r"""Examiner: what a displacement is, whatever method it comes from.
+r"""Examiner: residual, reactions, contact quantities and certificate of a displacement, whatever method it comes from.
 
-Residual, reactions, contact quantities and certificate on the finest level, from the matrix as it was given: one
-product with it, and rotations at the contact nodes alone. The last displacement examined is remembered, since a method
-that asks before it stops returns the same one.
-
-Sizes: what errors and residuals refer to, the energy of the displacement and the forces that act.
-
-Unknowns count from the prescribed values: with :math:`\bar u` these, zero elsewhere, :math:`u = w + \bar u`. The jump
-:math:`\bar u` has an energy that grows as the mesh is refined, and so have :math:`\|w\|_A` and
-:math:`|A\bar u|`, to which nothing may be related. The displacement itself has
+One product with the matrix as it was given, and rotations at the contact nodes alone. Sizes are what errors and
+residuals refer to: the energy of the displacement and the forces that act. Unknowns count from the prescribed values
+:math:`\bar u` (zero elsewhere), :math:`u = w + \bar u`; the energy of :math:`\bar u`, and so :math:`\|w\|_A` and
+:math:`|A\bar u|`, grows as the mesh is refined, and nothing may be related to it. The displacement itself has
 
 .. math:: \|u\|_A^2 = w^T(\bar b - r) + 2\,w^T A\bar u + \bar u^T A\bar u,
 
-:math:`\bar b = b - A\bar u` the load of the unknowns and r their residual: no pass over the matrix. The forces are the
-loads, the contact forces, and where displacements are prescribed the reactions :math:`(A u - b)` of the supports, for
-which the rows of the matrix at fixed dofs are kept.
+with the load :math:`\bar b = b - A\bar u` of the unknowns and their residual r: no pass over the matrix. The forces are
+the loads, the contact forces, and where displacements are prescribed the reactions :math:`A u - b` of the supports.
 """
 
 from __future__ import annotations
@@ -46,10 +40,10 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """What was found."""
+    """A displacement and what follows from it."""
 
-    displacement: np.ndarray  # (n_nodes, dim)s: of the bodies, m and N
-    reaction: np.ndarray  # (n_nodes, dim)s: of the bodies, m and N
+    displacement: np.ndarray  # (n_nodes, dim): of the bodies, m
+    reaction: np.ndarray  # (n_nodes, dim): on the bodies, N
     contact: ContactResult
     residual: float  # natural, relative to the forces that act
     checked: Certificate
@@ -68,7 +62,7 @@ class Examiner:
         self._aggregates: Aggregates | None = None
 
     def at_step(self, discrete: DiscreteProblem) -> Examiner:
-        """For the same bodies under other data (a load step)."""
+        """The examiner of the same bodies under other data (a load step)."""
         result = copy.copy(self)
         result.discrete, result._last = discrete, None
         result.contact, _ = local_contact(discrete)
@@ -93,9 +87,9 @@ class Examiner:
     def _values(self, solved: np.ndarray) -> np.ndarray:
         return self._at_contact(self.discrete.from_prescribed(solved))
 
-    def _residual(self, solved: np.ndarray, defect: np.ndarray) -> float:
+    def _residual(self, solved: np.ndarray, residual: np.ndarray) -> float:
         discrete = self.discrete
-        free = np.where(discrete.fixed, 0.0, defect)
+        free = np.where(discrete.fixed, 0.0, residual)
         at_contact = self._at_contact(free)
         natural = natural_at_nodes(self.contact, self.blocks, self._values(solved), at_contact)
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
@@ -114,15 +108,15 @@ class Examiner:
             return self._last[1]
         discrete = self.discrete
         images = discrete.matrix @ solved
-        defect = discrete.load - images
-        reaction = discrete.physical_forces(-defect)
+        residual = discrete.load - images
+        reaction = discrete.physical_forces(-residual)
         nodal = solved.reshape(discrete.n_nodes, discrete.dim)
         displacement = discrete.physical(nodal)
         contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
-                                 -self._at_contact(defect))
+                                 -self._at_contact(residual))
         if self._aggregates is None:
             self._aggregates = Aggregates(discrete)
-        found = Examined(displacement, reaction.reshape(nodal.shape), contact, self._residual(solved, defect),
+        found = Examined(displacement, reaction.reshape(nodal.shape), contact, self._residual(solved, residual),
                          certify(discrete, displacement, contact, images=images, aggregates=self._aggregates))
         self._last = solved, found
         return found
@@ -202,7 +196,7 @@ def _on_followed(discrete: DiscreteProblem, boundary: np.ndarray, rows: sparse.c
     return key // n, key % n, total
 
 
-#: a natural residual of so many times the terms it sums cannot be bettered
+#: a natural residual below this share of the terms it sums is rounding
 ROUNDING = 8 * np.finfo(float).eps
 
 
@@ -226,7 +220,7 @@ def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> flo
 class Sizes:
     """Of the iterates of one problem."""
 
-    #: forces below so many times the rounding of a residual are none
+    #: forces below this multiple of the rounding of a residual are rounding
     IDLE = 1e3
 
     def __init__(self, problem: DiscreteProblem, frames: np.ndarray | None = None) -> None:

@@ -1,16 +1,10 @@
 r"""solve_path: quasi-static load histories, step by step.
 
 Friction acts on increments: at step k the slip is :math:`u_t^k - u_t^{k-1}`, against the displacement of the step
-before (implicit Euler; no time occurs). Every step is a contact problem of its own with other loads, prescribed values
-and slip references; matrices and transfers stay. What comes back is a sequence of Results, with the factors of their
-steps.
-
-PathWalk: what is posed at each step of a load path, what is known of the steps before, and how methods go on.
-
-The truncated multigrid keeps its set-up (:mod:`adaptmg.solver.load_steps`). With FullMultigrid each step
-has a nested start of the increment, unless the displacement extrapolated in the loads leaves far less: under
-proportional loading that is the solution. All other methods start from the better of the displacement of the step
-before and the extrapolated one; a FullMultigrid with another correction goes on as a Multigrid.
+before (implicit Euler; no time occurs). Every step is a contact problem with other loads, prescribed values and slip
+references; matrices and transfers stay. The truncated multigrid keeps its set-up (:mod:`adaptmg.solver.load_steps`);
+all other methods start from the better of the displacement of the step before and the one extrapolated in the loads,
+which under proportional loading is the solution. A FullMultigrid with another correction goes on as a Multigrid.
 """
 
 from __future__ import annotations
@@ -20,11 +14,13 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
+from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._files import make_folder
 from adaptmg._runtime import one_blas_thread
 from adaptmg.discrete.load_steps import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.problem import DiscreteProblem
@@ -33,20 +29,20 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.smoother.system import OPEN, SLIP, STICK
-from adaptmg.solver import step_store
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, coarse_displacements, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result
+from adaptmg.solver.result_file import damage
 from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, result_of, solver_argument
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
-from adaptmg.solver.step_store import PathStore, fingerprint
+from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
 
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["PathResult", "PathWalk", "StepNotConverged", "solve_path", "step_solver"]
+__all__ = ["PathLoop", "PathResult", "StepNotConverged", "solve_path", "step_solver"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathResult(Sequence[Result]):
@@ -55,7 +51,7 @@ class PathResult(Sequence[Result]):
     Attributes
     ----------
     results : tuple of Result
-        Of the steps done; where a step did not converge it is the last one.
+        The finished steps; where a step did not converge it is the last one.
     factors : dict of str to (n_steps,) array
         Factors of all steps of the path, by the name of the load; "default" where loads have no names.
     fingerprint : dict
@@ -66,7 +62,7 @@ class PathResult(Sequence[Result]):
 
     results: tuple[Result, ...]
     factors: Mapping[str, np.ndarray]
-    fingerprint: Mapping[str, Any] = field(default_factory=dict)
+    fingerprint: Mapping[str, object] = field(default_factory=dict)
     n_steps: int = 0
 
     @property
@@ -102,15 +98,11 @@ class PathResult(Sequence[Result]):
         return "\n".join(lines)
 
     def table(self) -> pandas.DataFrame:
-        """One row a step.
+        """Return one row a step.
 
-        Returns
-        -------
-        pandas.DataFrame
-            step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural, relative);
-            open, slip and stick (contact nodes); force_x, force_y, force_z: resultant of all contact forces on the
-            contact boundaries, N (2D: N/m); pressure: the largest contact pressure, Pa; slip_size: the largest slip of
-            the step at a node in contact, m.
+        step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural, relative); open, slip
+        and stick (contact nodes); force_x, force_y, force_z: resultant of the contact forces, N (2D: N/m); pressure:
+        the largest contact pressure, Pa; slip_size: the largest slip of the step at a node in contact, m.
         """
         import pandas
 
@@ -127,26 +119,54 @@ class PathResult(Sequence[Result]):
         return pandas.DataFrame(rows)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write a file a step, and the factors; the mesh goes into the first.
-
-        Raises
-        ------
-        ValueError
-            If the folder holds another path already.
-        """
-        step_store.write(checks.file_path("folder", folder), self.results, self.factors, self.n_steps, self.fingerprint)
+        """Write a file a step, and the factors; ValueError if the folder holds another path already."""
+        target = checks.file_path("folder", folder)
+        if (target / _HEAD).exists():
+            raise ValueError(f"{target} holds a load path already: give another folder, or remove it")
+        make_folder("folder", target)
+        # the norms distinguish paths of the same factors
+        norms = [float(np.linalg.norm(result.displacement)) for result in self.results]
+        store = StepStore(target, _HEAD, _head(self.factors, self.n_steps, self.fingerprint, norms))
+        for k, result in enumerate(self.results):
+            store.put(k, _stored(k, result))
+        store.write_head()
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> PathResult:
         """Read what :meth:`save` wrote, or the steps that :func:`adaptmg.solve_path` has stored so far.
 
-        Raises
-        ------
-        ValueError
-            If the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
+        ValueError if the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
         """
-        head, results = step_store.read(checks.file_path("folder", folder))
-        return cls(results, head.factors, head.fingerprint, head.steps)
+        store = StepStore.read(checks.file_path("folder", folder), _HEAD)
+        with damage(store.file):
+            steps = checks.integer("steps", store.head["steps"])
+            factors = {name: check_arrays.vector(f"factors[{name!r}]", values, steps)
+                       for name, values in checks.instance("factors", store.head["factors"], dict).items()}
+        return cls(_results(store, steps), factors, store.head["fingerprint"], steps)
+
+
+_HEAD = "path.json"
+
+
+def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[str, object],
+          norms: Sequence[float] = ()) -> dict[str, object]:
+    """What the steps of a path share."""
+    return {"steps": steps, "factors": {name: list(map(float, values)) for name, values in factors.items()},
+            "norms": list(norms), "fingerprint": dict(fingerprint)}
+
+
+def _stored(k: int, result: Result) -> StepContent:
+    """A step for the store: the first has the mesh of all."""
+    return StepContent(result if k == 0 else replace(result, mesh=None))
+
+
+def _results(store: StepStore, steps: int) -> tuple[Result, ...]:
+    """The finished steps of a path."""
+    results = [step.result for step in store.steps()]
+    if len(results) > steps:
+        raise ValueError(f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
+                         "remove it")
+    return tuple(replace(result, mesh=results[0].mesh) for result in results)
 
 
 def _counts(result: Result) -> dict[str, int]:
@@ -164,14 +184,14 @@ class StepNotConverged(NotConverged):
         self.args = (f"step {step} of {partial.n_steps} ({described}): {self.args[0]} Smaller load steps help where "
                      "the contact status changes much; the steps before it are in .partial.",)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.result, self.step, self.described, self.partial)
 
 
 @one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
                start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
-               depends: Mapping[str, Any] | None = None, throw: bool = True,
+               depends: Mapping[str, object] | None = None, throw: bool = True,
                callback: Callable[[int, Result], None] | None = None,
                progress: Callable[[int, dict[str, float]], None] | None = None) -> PathResult:
     """Solve a contact problem along a load path on the finest level of a hierarchy.
@@ -182,13 +202,13 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         A bare DiscreteProblem is a hierarchy of one level; its loads have no names, so that ``path`` has ``default``
         alone.
     path : LoadPath
-    solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or one's own, optional
+    solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
         The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a step;
         "discretisation" sets it once, in the first step. Multigrid with :class:`adaptmg.Truncated` is set up once.
     start : (n_nodes, dim) array or Result, optional
         Displacement against which the first step slips, m. Default: the unloaded, undeformed bodies.
     store : path, optional
-        A folder where every finished step is kept at once. A path that was interrupted goes on there; a folder with
+        A folder where every finished step is kept immediately. A path that was interrupted goes on there; a folder with
         steps of another problem, hierarchy, path or solver is refused. A user-defined solver is compared by its code
         and the values that it reads.
     depends : mapping of str to value, optional
@@ -218,31 +238,31 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     checks.flag("throw", throw)
     checks.optional_callable("callback", callback, "the number and Result of a step")
     checks.optional_callable("progress", progress, "the number of a step and a row of its history")
-    walk = PathWalk(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
-    mark = {} if store is None else walk.fingerprint(depends)
-    kept = None if store is None else PathStore(store, walk.factors, len(path), mark)
-    results = [] if kept is None else kept.results
+    loop = PathLoop(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
+    mark = {} if store is None else loop.fingerprint(depends)
+    kept = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark))
+    results = [] if kept is None else list(_results(kept, len(path)))
     for k, result in enumerate(results):
-        walk.replay(k, result)
+        loop.replay(k, result)
     if len(results) < len(path):
-        warn_of_large_friction(walk.examiner)
+        warn_of_large_friction(loop.examiner)
     for k in range(len(results), len(path)):
-        result = walk.step(k, progress)
+        result = loop.step(k, progress)
         results.append(result)
         if not result.status.ok:
-            partial_result = PathResult(tuple(results), walk.factors, mark, len(path))
+            partial_result = PathResult(tuple(results), loop.factors, mark, len(path))
             if throw:
-                raise StepNotConverged(result, k, walk.described(k), partial_result)
+                raise StepNotConverged(result, k, loop.described(k), partial_result)
             return partial_result
         if kept is not None:
-            kept.put(k, result)
+            kept.put(k, _stored(k, result))
         if callback is not None:
             callback(k, result)
-    return PathResult(tuple(results), walk.factors, mark, len(path))
+    return PathResult(tuple(results), loop.factors, mark, len(path))
 
 
 def step_solver(solver: Solver) -> StepSolver:
-    """The way through the steps for a solver."""
+    """How a solver goes through the steps."""
     if not isinstance(solver, Multigrid):
         return _Restarted(solver, solver)
     if solver.truncated is not None:
@@ -254,7 +274,7 @@ def step_solver(solver: Solver) -> StepSolver:
 
 
 class _Restarted:
-    """A solver that is run anew for every step: ``first`` without a start, ``later`` with one."""
+    """A solver that is run again for every step: ``first`` without a start, ``later`` with one."""
 
     def __init__(self, first: Solver, later: Solver) -> None:
         self.first, self.later = first, later
@@ -266,22 +286,22 @@ class _Restarted:
         return self.later.run(hierarchy, run, start.reshape(examiner.discrete.n_nodes, -1)), None
 
     def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> None:
-        """Nothing is kept."""
+        """Nothing to take over."""
 
 
 _LOG = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
-class _Known:
+class _Recent:
     """The displacement of a step on the finest level, and the forces that led there (n_dofs,), None if unknown."""
 
     displacement: np.ndarray
     forces: np.ndarray | None
 
 
-class PathWalk:
-    """The way along a path."""
+class PathLoop:
+    """The steps of a path."""
 
     def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None) -> None:
         self.grids, self.path, self.solver, self.start = grids, path, solver, start
@@ -294,9 +314,9 @@ class PathWalk:
         self.method = step_solver(solver)
         begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
         self.past = past_of(grids, begin, start is not None)
-        self.known = [_Known(begin, np.zeros_like(begin) if start is None else None)]
+        self.recent = [_Recent(begin, np.zeros_like(begin) if start is None else None)]
 
-    def fingerprint(self, depends: Mapping[str, Any] | None) -> dict[str, Any]:
+    def fingerprint(self, depends: Mapping[str, object] | None) -> dict[str, object]:
         """What the steps depend on."""
         return fingerprint(self.grids, self.loads, self.factors, len(self.path), {"solver": self.solver}, self.start,
                            depends)
@@ -336,7 +356,7 @@ class PathWalk:
         return result
 
     def replay(self, k: int, result: Result) -> None:
-        """Take over a step that is known already."""
+        """Take over a finished step from a store."""
         grids = self._posed(k)
         if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
             raise ValueError(f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
@@ -378,11 +398,11 @@ class PathWalk:
         return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))
 
     def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
-        """What the next step wants to know."""
+        """Keep what the next step starts from."""
         discrete = grids.finest.discrete
         # from the result, as a path that goes on from its store has it
         displacement = discrete.relative(result.displacement).reshape(-1)
-        self.known = [*self.known[-1:], _Known(displacement, forces)]
+        self.recent = [*self.recent[-1:], _Recent(displacement, forces)]
         if coarse is not None:
             levels = [*coarse, displacement]
         elif grids.discretised:
@@ -393,8 +413,8 @@ class PathWalk:
 
     def _extrapolated(self, forces: np.ndarray) -> np.ndarray:
         """The displacement for new forces if all goes on as between the last two steps, least squares in the forces."""
-        before, last = self.known[0], self.known[-1]
-        if len(self.known) < 2 or before.forces is None:
+        before, last = self.recent[0], self.recent[-1]
+        if len(self.recent) < 2 or before.forces is None:
             return last.displacement
         change = last.forces - before.forces
         # not through BLAS, whose threads cost more than they gain
@@ -406,7 +426,7 @@ class PathWalk:
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
-    """The problem, if its loads can be told apart on every level."""
+    """The problem, if its loads have names on every level."""
     known = all(level.mesh is not None for level in grids.levels if level.discrete is not None)
     return grids.problem if known else None
 

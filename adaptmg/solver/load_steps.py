@@ -1,13 +1,11 @@
-r"""Past: what is known before a load step, on every level; and the protocol of what goes from step to step.
-
-KeptMultigrid: the truncated multigrid through load steps, set up once.
+r"""KeptMultigrid: the truncated multigrid through load steps, set up once; what each step starts from.
 
 Matrices, transfers, and the lists by which the contact status changes coarse matrices stay; loads, gaps and slip
-references change. The nested start of a step carries only what the step changes: level l solves its own step from
+references change. The nested start of a step carries only what the step changes: level l solves its step from
 
 .. math:: u_l^{k-1} + P\,(u_{l-1}^k - u_{l-1}^{k-1}),
 
-with its own history :math:`u_l^0, u_l^1, \dots` and slips measured against that. The error of such a start is the
+with its history :math:`u_l^0, u_l^1, \dots` and slips measured against that. The error of such a start is the
 discretisation error of the increment, not of the whole displacement; it finds nodes that stick, and slips that turn
 round when a load is taken back, where the interpolation of the whole displacement would let every node slip.
 """

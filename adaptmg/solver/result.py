@@ -1,9 +1,4 @@
-"""Result: what :func:`adaptmg.solve` returns; it probes, sums forces, saves itself and comes back without pickle.
-
-What solvers, problems and versions are called in results, tables and pictures.
-
-NotConverged: the exception that carries the result.
-"""
+"""Result: what :func:`adaptmg.solve` returns, and NotConverged, the exception that carries it."""
 
 from __future__ import annotations
 
@@ -11,7 +6,6 @@ import importlib.metadata
 import os
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -45,12 +39,10 @@ class Result:
     cycles : int
         Cycles, sweeps or Newton steps on the finest level.
     work_units : float
-        Passes over matrices weighted by nonzeros over those of the finest. What is counted is matrix read, not
-        operations: the half sweeps of Truncated use each entry twice in a pass, the sweeps of SingleGrid once.
+        Passes over matrices, weighted by their nonzeros over those of the finest.
     residual : float
-        Natural residual |D (prox_D(u - D^-1 (A u - b)) - u)| of this displacement, over
-        the largest of loads, contact forces and (with prescribed displacements) reactions, Euclidean norms of nodal
-        forces.
+        Natural residual |D (prox_D(u - D^-1 (A u - b)) - u)|, over the largest Euclidean norm of loads, contact forces
+        and (with prescribed displacements) reactions.
     error_estimate : float
         Estimated ||u - u_h||_A / ||u_h||_A against the exact discrete solution: the larger of what the solver and the
         certificate find.
@@ -58,10 +50,10 @@ class Result:
         Asymptotic convergence rate per cycle (geometric mean of the last cycles); NaN if unknown, and where the active
         set method took over (``fallback``).
     rtol : float
-        What was asked for.
+        The requested tolerance.
     history : dict of str to (n,) array
-        By name: cycle, work_units, seconds, and what the solver recorded: residual (natural, relative), change (since
-        the check before, relative, A-norm), error_estimate, true_error (with a reference; relative, A-norm).
+        cycle, work_units, seconds, and what the solver recorded: residual (natural, relative), change (since the check
+        before, relative, A-norm), error_estimate, true_error (with a reference; relative, A-norm).
     timings : dict of str to float
         Seconds by phase.
     path : list of (level, action, times)
@@ -76,10 +68,12 @@ class Result:
         Finest mesh (without its NGSolve source after loading).
     start_work_units : float
         The part of ``work_units`` spent before the first cycle on the finest level (nested start).
+    versions : dict of str to str
+        Versions of adaptmg and of the libraries that numbers depend on.
     stress_data : StressData or None
         Material constants and initial strains, for :meth:`stresses`; None for a bare DiscreteProblem.
     checked : Certificate or None
-        What :meth:`certificate` returns.
+        The certificate of the solve.
     supports : dict of str to str
         By boundary the components that supports hold, such as "xy"; empty for a bare DiscreteProblem.
     """
@@ -141,18 +135,10 @@ class Result:
                 f"{self.timings.get('certificate', 0.0):.2g} s")
 
     def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
-        """By how much each condition of the contact problem is violated, by code that shares nothing with the solvers.
+        """Return by how much each condition of contact is violated, by code that shares nothing with the solvers.
 
-        Parameters
-        ----------
-        problem : DiscreteProblem, optional
-            Check against it anew. Default: what was found when the problem was solved.
-        bound : bool
-            The energy error by a sparse factorisation; needs ``problem``.
-
-        Returns
-        -------
-        Certificate
+        Default: the certificate of the solve. With ``problem`` it is computed again; ``bound``, which needs
+        ``problem``, takes the energy error from a sparse factorisation.
         """
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
@@ -163,23 +149,7 @@ class Result:
         return self.checked
 
     def probe(self, points: np.ndarray) -> np.ndarray:
-        """Displacement at points.
-
-        Parameters
-        ----------
-        points : (n, dim) array-like
-            m.
-
-        Returns
-        -------
-        (n, dim) array
-            m.
-
-        Raises
-        ------
-        ValueError
-            Without a mesh, or where a point lies outside it.
-        """
+        """Return the displacement (n, dim) at points (n, dim), m; ValueError outside the mesh, or without one."""
         from adaptmg.transfer import PointLocator
 
         if self.mesh is None:
@@ -196,49 +166,32 @@ class Result:
         return np.einsum("nk,nkd->nd", found.weights, corners)
 
     def stresses(self) -> np.ndarray:
-        """Cauchy stress, constant on each element (but for the mean hoop stress of axisymmetric bodies).
+        """Return the Cauchy stress (n_elements, 6), Pa, tension positive: xx, yy, zz, xy, yz, xz.
 
-        Returns
-        -------
-        (n_elements, 6) array
-            Pa, tension positive: xx, yy, zz, xy, yz, xz. In 2D zz is the stress through the thickness (0 in plane
-            stress), yz and xz are 0; in axisymmetry x is r, y the axis and zz the hoop stress.
-
-        Raises
-        ------
-        ValueError
-            Without a mesh or materials, as of a bare DiscreteProblem.
+        It is constant on each element (of axisymmetric bodies the mean hoop stress). In 2D zz is the stress through the
+        thickness, yz and xz are 0; in axisymmetry x is r, y the axis and zz the hoop stress. ValueError without a mesh
+        or materials.
         """
         return self._stress_tensors()[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
 
     def von_mises(self) -> np.ndarray:
-        """Von Mises stress of each element (n_elements,), Pa; errors as of :meth:`stresses`."""
+        """Return the von Mises stress (n_elements,), Pa."""
         return von_mises(self._stress_tensors())
 
     def _stress_tensors(self) -> np.ndarray:
         if self.mesh is None or self.stress_data is None:
-            raise ValueError("this result knows no materials to compute stresses from (it comes from a bare "
-                             "DiscreteProblem): solve on a Hierarchy of a ContactProblem, or give it mesh and "
-                             "stress_data=StressData.of(mesh, material) with dataclasses.replace")
+            raise ValueError("this result has no materials to compute stresses from (it comes from a bare "
+                             "DiscreteProblem): replace its mesh and stress_data=StressData.of(mesh, material)")
         return self.stress_data.tensors(self.mesh, self.displacement)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
-        """Force and moment exerted on the body through a boundary.
+        """Return the force (N) and moment (N m; 2D: per metre) exerted on the body through a boundary.
 
-        Parameters
-        ----------
-        boundary : str
-            'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its contact
-            forces), or any other boundary (reactions of its supports).
-        about : (dim,) array-like, optional
-            Point of the moment, m; default the origin.
-
-        Returns
-        -------
-        Resultant
-            N and N m (2D: per metre). Forces on slave and master of a pair balance to rounding; their moments do on
-            surfaces that lie on each other, and else up to the lever between the two discrete surfaces: 1e-8 to 1e-4 of
-            force times size on curved ones. The mortar transmits each force across the gap without regard to its arm.
+        ``boundary``: 'contact' for all contact boundaries (of pairs the slaves), one of them or a master (its contact
+        forces), or any other (reactions of its supports); ``about`` (dim,): the point of the moment, m, default the
+        origin. Forces on slave and master of a pair balance to rounding, their moments up to the lever between the two
+        discrete surfaces (1e-8 to 1e-4 of force times size on curved ones): the mortar transmits each force across the
+        gap without regard to its arm.
         """
         nodes, forces = self._forces_on(boundary)
         if self.mesh is None:
@@ -296,15 +249,7 @@ class Result:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
         """Read what :meth:`save` wrote; ValueError, which names the file, if it is something else or damaged."""
-        return loaded(path)[0]
-
-
-def loaded(path: str | os.PathLike[str]) -> tuple[Result, dict[str, Any]]:
-    """The result in a file, and of which load path it is a part (empty if of none)."""
-    fields, part_of = read_result(path)
-    stress = fields["stress_data"]
-    return Result(**{**fields, "contact": ContactResult(**fields["contact"]),
-                     "stress_data": None if stress is None else StressData(**stress)}), part_of
+        return cls(**read_result(path)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,6 +307,6 @@ class NotConverged(RuntimeError):
                          f"{contradicted} The last iterate is in the exception's .result; throw=False returns "
                          "it instead.")
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # exceptions are rebuilt from .args, which is the text here: a process that is handed one back must not fail
         return type(self), (self.result,)

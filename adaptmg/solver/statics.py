@@ -1,25 +1,19 @@
-r"""Rigid-body statics: can contact hold the motions that the supports leave free?
+r"""Rigid-body statics: can contact hold the motions that the supports leave free, and is friction too large?
 
 Rigid motions m of a body that vanish at its fixed dofs cost no energy. A solution exists only if admissible contact
 forces balance the load on each of them,
 
 .. math:: \sum_i (-p_i n_i + t_i)\cdot m(x_i) + b\cdot m = 0,\qquad p_i \ge 0,\quad |t_i| \le s_i + \mu_i p_i,
 
-a linear programme in the forces with one row per free motion (at most six). In 2D the friction cone is exact; in 3D it
-is replaced by a circumscribed regular polygon of 16 sides, so that the condition is necessary but not sufficient. The
-Tresca part of the polygon is a sum of eight segments, the Coulomb part a cone over its corners: every inequality is
-then a bound on one variable, which keeps thousands of contact nodes quick. By duality the multipliers of the least
-unbalanced force are a motion that nothing holds.
+a linear programme in the forces with one row per free motion. In 2D the friction cone is exact; in 3D it is replaced by
+a circumscribed regular polygon of 16 sides (the condition is necessary, not sufficient): the Tresca part is a sum of
+eight segments, the Coulomb part a cone over the corners, so that every inequality bounds one variable. The
+multipliers of the least unbalanced force are a motion that nothing holds.
 
-Critical friction: an estimate of the coefficient from which on a contact problem may have several solutions.
-
-Where one node touches alone, with C the compliance of the body at that node and :math:`K = C^{-1}`, pressing in the
-normal direction and slipping balance in one way only if
-
-.. math:: \mu\,|K_{nt}| < K_{tt} .
-
-Beyond, open, slip and stick may all be equilibria of the same load (A. Klarbring, Ingenieur-Archiv 60, 1990,
-doi:10.1007/BF00541909). With several nodes in contact the bound is another one; this is an estimate, not a criterion.
+Where one node touches alone, with C the compliance of the body at that node and :math:`K = C^{-1}`, pressing and
+slipping balance in one way only if :math:`\mu\,|K_{nt}| < K_{tt}`. Beyond, open, slip and stick may all be equilibria
+of the same load (A. Klarbring, Ingenieur-Archiv 60, 1990, doi:10.1007/BF00541909). This is an estimate: with several
+nodes in contact the bound is another one.
 """
 
 from __future__ import annotations
@@ -62,7 +56,7 @@ def check_statics(problem: DiscreteProblem) -> None:
     n_bodies, body_of = connected_components(graph, directed=True, connection="weak")
     stiff = problem.matrix @ problem.near_nullspace
     bodies = np.split(np.argsort(body_of, kind="stable"), np.cumsum(np.bincount(body_of))[:-1])
-    # a single node is no elastic body: only its own diagonal block can hold it
+    # a single node is not an elastic body: only its diagonal block can hold it
     for nodes in (nodes for nodes in bodies if len(nodes) > 1):
         motions = _free_motions(problem, stiff, nodes)
         if motions.shape[1]:
@@ -104,7 +98,7 @@ class _Body:
         return [(f"the body of node {self.nodes[0]} ({len(self.nodes)} nodes)" if self.several else "", self.nodes)]
 
     def describe(self, coefficients: np.ndarray) -> str:
-        """The motion with these coefficients, in words."""
+        """The motion with these coefficients as text."""
         problem = self.problem
         relative = np.zeros((problem.n_nodes, problem.dim))
         relative[self.nodes] = (self.motions @ coefficients).reshape(len(self.nodes), -1)
@@ -287,7 +281,7 @@ def _plainest(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray
 
 
 def _describe_turn(points: np.ndarray, field: np.ndarray) -> str:
-    """A rigid motion (n, dim) of points (n, dim), not a translation, in words."""
+    """A rigid motion (n, dim) of points (n, dim), not a translation, as text."""
     dim = points.shape[1]
     centre = points.mean(axis=0)
     size = np.abs(points - centre).max()

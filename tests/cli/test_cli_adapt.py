@@ -48,7 +48,7 @@ def test_files_are_written_and_a_store_is_gone_on_from(command, tmp_path):
     names = {file.name for file in (tmp_path / "out").iterdir()}
     assert {"adaptation.png", "result.npz", "result.vtu"} <= names
     code, _, err = command(*SMALL, *store, "--theta", "0.3")
-    assert code == 2 and "another loop: value of mark differs" in err
+    assert code == 2 and "another run: value of mark differs" in err
 
 
 def test_a_mesh_that_is_not_solved_ends_with_code_1(command, monkeypatch):

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,19 +24,17 @@ COARSE, NODES = 8e-3, 500
 CHILD = """
 import os, signal, sys
 import adaptmg as am
-from adaptmg.estimate import loop_store as store
-from adaptmg.solver import result_file
-folder, engine, at = sys.argv[1], eval(sys.argv[2]), int(sys.argv[3])
+from adaptmg.solver import result_file, step_store
+folder, at = sys.argv[1], int(sys.argv[2])
 written = 0
-def counted(path, content, write=store.write_bytes):
+def counted(path, content, write=step_store.write_bytes):
     global written
     written += 1
     if written == at:
         os.kill(os.getpid(), signal.SIGKILL)
     write(path, content)
-store.write_bytes = result_file.write_bytes = counted
-problem = am.cases.upset_block(law=am.Coulomb(0.5))
-for step in am.adapt(problem, 8e-3, engine=engine, max_nodes=500, store=folder):
+step_store.write_bytes = result_file.write_bytes = counted
+for step in am.adapt(am.cases.upset_block(law=am.Coulomb(0.5)), 8e-3, engine=am.Bisect(), max_nodes=500, store=folder):
     print(step.number, flush=True)
 """
 
@@ -72,11 +71,32 @@ def test_a_loop_that_is_broken_off_goes_on_with_the_same_numbers(tmp_path, whole
     assert found[-1].outcome.startswith("max_nodes")
 
 
-@pytest.mark.parametrize("engine", [am.Remesh(refinements=0), am.Bisect(coarsen=0.05)])
-def test_every_engine_goes_on_with_the_same_numbers(tmp_path, engine):
-    once = numbers_of(list(loop(None, engine, max_nodes=300)))
-    list(itertools.islice(loop(tmp_path, engine, max_nodes=300), 2))
-    assert numbers_of(list(loop(tmp_path, engine, max_nodes=300))) == once
+def levels(**options: object):
+    problem = upset()
+    return am.adapt(problem, am.Hierarchy.uniform(problem, (2, 3, 6)), engine=am.Bisect(), max_nodes=200, **options)
+
+
+def goal(**options: object):
+    return am.adapt(upset(), 10e-3, am.Goal(am.Displacement((0.0, 0.02), "x")), engine=am.Bisect(), max_nodes=90,
+                    **options)
+
+
+def path(**options: object):
+    return am.adapt(am.cases.greco_bar(), 10e-3, engine=am.Bisect(), max_nodes=90, adapt_on="worst",
+                    load_path=am.LoadPath({"left": [0.5, 1.0]}, default=1.0), **options)
+
+
+@pytest.mark.parametrize("run, done", [
+    (partial(loop, engine=am.Remesh(refinements=0), max_nodes=300), 2),
+    (partial(loop, engine=am.Bisect(coarsen=0.05), max_nodes=300), 2), (levels, 2), (goal, 1), (path, 1)],
+    ids=["remesh", "coarsen", "levels", "goal", "path"])
+def test_every_kind_of_loop_goes_on_with_the_same_numbers(tmp_path, run, done):
+    once = list(run(store=None))
+    list(itertools.islice(run(store=tmp_path), done))
+    again = list(run(store=tmp_path))
+    assert numbers_of(again) == numbers_of(once)
+    assert [repr(step.estimate) for step in again] == [repr(step.estimate) for step in once]
+    assert [step.path and len(step.path) for step in again] == [step.path and len(step.path) for step in once]
 
 
 def test_a_finished_loop_is_read_not_made_again(kept, whole, monkeypatch):
@@ -87,61 +107,18 @@ def test_a_finished_loop_is_read_not_made_again(kept, whole, monkeypatch):
     assert found[1].hierarchy[0] is found[0].hierarchy[0]
 
 
-@pytest.mark.parametrize("at", [2, 6])
-def test_a_loop_killed_while_it_writes_goes_on_with_the_same_numbers(tmp_path, whole, at):
-    child = [sys.executable, "-c", CHILD, str(tmp_path), "am.Bisect()", str(at)]
-    assert subprocess.run(child, capture_output=True).returncode == -signal.SIGKILL
-    assert numbers_of(list(loop(tmp_path))) == whole
-
-
-def test_a_loop_killed_from_outside_goes_on_with_the_same_numbers(tmp_path, whole):
-    child = subprocess.Popen([sys.executable, "-c", CHILD, str(tmp_path), "am.Bisect()", "-1"],
-                             stdout=subprocess.PIPE, text=True)
-    with child:
+@pytest.mark.parametrize("at", [1, 3, None])
+def test_a_killed_loop_goes_on_with_the_same_numbers(tmp_path, whole, at):
+    """Killed while it writes the head or the second step, or from outside."""
+    child = subprocess.Popen([sys.executable, "-c", CHILD, str(tmp_path), str(at or -1)], stdout=subprocess.PIPE,
+                             text=True)
+    if at is None:
         assert child.stdout.readline() == "0\n"
         time.sleep(0.02)
         child.kill()
+    child.communicate()
+    assert child.returncode == -signal.SIGKILL
     assert numbers_of(list(loop(tmp_path))) == whole
-
-
-def test_levels_that_were_put_between_or_given_at_the_start_come_back(tmp_path):
-    problem = upset()
-
-    def run(store):
-        return am.adapt(problem, am.Hierarchy.uniform(problem, (2, 3, 6)), engine=am.Bisect(), max_nodes=200,
-                        store=store)
-
-    once = numbers_of(list(run(None)))
-    list(itertools.islice(run(tmp_path), 2))
-    assert numbers_of(list(run(tmp_path))) == once
-
-
-def test_goals_come_back_with_all_they_say(tmp_path):
-    problem, goal = upset(), am.Goal(am.Displacement((0.0, 0.02), "x"))
-
-    def run(**options):
-        return am.adapt(problem, 10e-3, goal, engine=am.Bisect(), max_nodes=90, **options)
-
-    once = list(run())
-    next(run(store=tmp_path))
-    again = list(run(store=tmp_path))
-    assert numbers_of(again) == numbers_of(once)
-    assert [repr(step.estimate) for step in again] == [repr(step.estimate) for step in once]
-    assert again[0].estimate.corrected == pytest.approx(once[0].estimate.corrected, abs=0)
-
-
-def test_a_load_path_is_kept(tmp_path):
-    problem, path = am.cases.greco_bar(), am.LoadPath({"left": [0.5, 1.0]}, default=1.0)
-
-    def run(**options):
-        return am.adapt(problem, 10e-3, engine=am.Bisect(), load_path=path, adapt_on="worst", max_nodes=90,
-                        **options)
-
-    once = list(run())
-    next(run(store=tmp_path))
-    again = list(run(store=tmp_path))
-    assert numbers_of(again) == numbers_of(once)
-    assert [len(step.path) for step in again] == [2] * len(once)
 
 
 def test_limits_may_change(copied, whole):
@@ -157,7 +134,7 @@ def test_limits_may_change(copied, whole):
     ("path", {"load_path": am.LoadPath({}, default=[0.5, 1.0])})])
 def test_a_store_of_something_else_is_refused(kept, what, options):
     given = {"problem": upset(), "start": COARSE, "engine": am.Bisect(), "max_nodes": NODES, "store": kept} | options
-    with pytest.raises(ValueError, match=f"another loop.*{what}"):
+    with pytest.raises(ValueError, match=f"another run.*{what}"):
         am.adapt(**given)
 
 
@@ -184,9 +161,9 @@ def test_laws_and_parts_of_the_user_are_compared_by_value(tmp_path):
 
     once = list(run())
     assert numbers_of(list(run())) == numbers_of(once)
-    with pytest.raises(ValueError, match=r"another loop: .*bump"):
+    with pytest.raises(ValueError, match=r"another run: .*bump"):
         run(bump=-0.3)
-    with pytest.raises(ValueError, match="another loop: value of mark differs"):
+    with pytest.raises(ValueError, match="another run: value of mark differs"):
         run(share=0.4)
     with pytest.raises(TypeError, match=r"value of mark, which cannot be compared .*depends=\{'mark': \.\.\.\}"):
         run(share=np.random.default_rng(0))
@@ -200,54 +177,35 @@ def test_what_cannot_be_compared_is_named_by_depends(tmp_path):
                         store=tmp_path, depends={"mark": version})
 
     assert numbers_of(list(run(1))) == numbers_of(list(run(1)))
-    with pytest.raises(ValueError, match="another loop: depends mark differs"):
+    with pytest.raises(ValueError, match="another run: depends mark differs"):
         run(2)
 
 
-def test_a_damaged_file_is_named_with_what_to_do(copied):
-    file = copied / "estimate_0001.npz"
-    file.write_bytes(file.read_bytes()[:-10])
-    with pytest.raises(ValueError, match=r"step_0001.*remove it"):
+
+
+def rewritten(file: Path, **changes: object) -> None:
+    """Another text in the file of a step."""
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    meta = json.loads(arrays.pop("meta").tobytes())
+    meta["part_of"] |= {"text": meta["part_of"]["text"] | changes}
+    np.savez(file, **arrays, meta=np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8))
+
+
+@pytest.mark.parametrize("change, message", [
+    (lambda file: file.write_bytes(file.read_bytes()[:-10]), "is damaged"),
+    (lambda file: rewritten(file, levels=[[1, -1], [0, -1]]), "another computation"),
+    (lambda file: rewritten(file, numbers={}), "another computation"),
+    (lambda file: shutil.copy(file.with_name("step_0000.npz"), file), "another computation|holds step 0"),
+    (lambda file: am.Result.load(file).save(file), "another computation")])
+def test_a_damaged_or_foreign_step_is_named_and_can_be_made_again(copied, whole, change, message):
+    change(copied / "step_0001.npz")
+    with pytest.raises(ValueError, match=rf"step_0001\.npz.*({message}).*remove it"):
         list(loop(copied))
-    for old in copied.glob("step_*.json"):
-        if old.name >= "step_0001.json":
-            old.unlink()
-    assert list(loop(copied))[-1].outcome
-
-
-@pytest.mark.parametrize("text", [b"", b"[]", b"{}", b"\xff", b'{"levels": [], "files": {}}'])
-def test_a_step_that_says_nothing_is_damaged(copied, text):
-    (copied / "step_0001.json").write_bytes(text)
-    with pytest.raises(ValueError, match="damaged"):
-        list(loop(copied))
-
-
-@pytest.mark.parametrize("changes", [
-    {"levels": [[0, 3], [1, -1]]}, {"levels": [[1, -1], [0, -1]]}, {"levels": "x"}, {"files": {}}, {"step": 0},
-    {"total_seconds": float("nan")}, {"timings": {"solve": "long"}}, {"extra": "0"}, {"key": 3}])
-def test_a_step_that_was_changed_is_damaged(copied, changes):
-    file = copied / "step_0001.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
-    with pytest.raises(ValueError, match=r"step_0001\.json is damaged .*remove it"):
-        list(loop(copied))
-
-
-@pytest.mark.parametrize("changes", [{"fingerprint": [1]}, {"fingerprint": None}, {"key": []}, {"more": float("nan")}])
-def test_a_head_that_was_changed_is_damaged(copied, changes):
-    head = json.loads((copied / "loop.json").read_text())
-    (copied / "loop.json").write_text(json.dumps(head | changes))
-    with pytest.raises(ValueError, match=r"loop\.json is damaged"):
-        loop(copied)
-
-
-def test_steps_of_another_loop_or_in_another_order_are_refused(kept, copied, tmp_path):
-    list(itertools.islice(loop(tmp_path / "other", max_nodes=60, mark=am.Doerfler(0.4)), 1))
-    shutil.copy(tmp_path / "other" / "step_0000.json", copied)
-    with pytest.raises(ValueError, match=r"step_0000\.json belongs to another loop"):
-        list(loop(copied))
-    shutil.copy(kept / "step_0001.json", copied / "step_0000.json")
-    with pytest.raises(ValueError, match=r"step_0000\.json belongs to another loop or step"):
-        list(loop(copied))
+    for file in copied.glob("step_*"):
+        if file.name >= "step_0001":
+            file.unlink()
+    assert numbers_of(list(loop(copied))) == whole
 
 
 def test_a_full_disk_is_said_with_the_file(tmp_path, monkeypatch):
@@ -265,21 +223,28 @@ def test_a_full_disk_is_said_with_the_file(tmp_path, monkeypatch):
     assert len(list(loop(tmp_path))) > 1
 
 
-def test_a_missing_step_is_told(copied):
-    (copied / "step_0001.json").unlink()
-    with pytest.raises(ValueError, match="missing"):
-        list(loop(copied))
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"fingerprint": [1]}, r"loop\.json is damaged"), ({"fingerprint": None}, r"loop\.json is damaged"),
+    ({"key": []}, r"loop\.json is damaged"), ({"more": float("nan")}, r"loop\.json is damaged"),
+    ({"format": 2}, "another version")])
+def test_a_changed_head_is_refused(copied, changes, message):
+    head = json.loads((copied / "loop.json").read_text())
+    (copied / "loop.json").write_text(json.dumps(head | changes))
+    with pytest.raises(ValueError, match=message):
+        loop(copied)
 
 
 def test_folders_of_something_else_are_refused(copied, tmp_path):
-    head = json.loads((copied / "loop.json").read_text())
-    (copied / "loop.json").write_text(json.dumps(head | {"format": 99}))
-    with pytest.raises(ValueError, match="another version"):
-        loop(copied)
+    list(itertools.islice(loop(tmp_path / "other", max_nodes=60, mark=am.Doerfler(0.4)), 1))
+    shutil.copy(tmp_path / "other" / "step_0000.npz", copied)
+    with pytest.raises(ValueError, match=r"step_0000\.npz belongs to another computation"):
+        list(loop(copied))
+    (copied / "step_0000.npz").unlink()
+    with pytest.raises(ValueError, match="missing"):
+        list(loop(copied))
     (copied / "loop.json").unlink()
-    with pytest.raises(ValueError, match="something else"):
+    with pytest.raises(ValueError, match=r"holds no steps: there is no loop\.json"):
         loop(copied)
-    file = tmp_path / "file"
-    file.write_text("")
+    (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="folder"):
-        loop(file)
+        loop(tmp_path / "file")

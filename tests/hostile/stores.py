@@ -13,7 +13,6 @@ import numpy as np
 from hostile_table import Hostile, each
 
 import adaptmg as am
-from adaptmg.solver import step_store as path_files
 from adaptmg.study import store as study_store
 from adaptmg.study.record import Record
 
@@ -34,7 +33,7 @@ def files(mark: str, mesh_of: int) -> dict[str, bytes]:
 
     found = results() if mesh_of == 2 else [result_on(square(mesh_of))] * STEPS
     folder = Path(f"made-{mark}")
-    path_files.write(folder, found, FACTORS, STEPS, {"problem": mark})
+    am.PathResult(tuple(found), FACTORS, {"problem": mark}, STEPS).save(folder)
     am.PathResult.load(folder)
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 

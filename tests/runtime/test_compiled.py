@@ -1,13 +1,15 @@
-"""How kernels are compiled: what has no way in from Python says so, before and after it is compiled."""
+"""Kernels without a way in from Python, and values that are remembered as long as their object lives."""
 
 from __future__ import annotations
 
+import gc
 import pickle
+import weakref
 
 import numpy as np
 import pytest
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._runtime import inner_kernel, kernel, remembered
 
 
 @inner_kernel(cache=False)
@@ -52,3 +54,34 @@ def test_a_division_by_zero_is_as_in_numpy():
         return a / b
 
     assert over(1.0, 0.0) == np.inf
+
+
+class Thing:
+    pass
+
+
+def test_a_value_is_computed_once_an_object_and_does_not_keep_it_alive():
+    calls = []
+    function = remembered(lambda thing: calls.append(id(thing)))
+    one, other = Thing(), Thing()
+    assert [function(one), function(one), function(other)] == [None] * 3
+    assert calls == [id(one), id(other)]
+    gone = weakref.ref(one)
+    del one
+    gc.collect()
+    assert gone() is None
+
+
+def test_exceptions_are_not_remembered():
+    calls = []
+
+    @remembered
+    def fails(thing):
+        calls.append(thing)
+        raise ValueError("no")
+
+    thing = Thing()
+    for _ in range(2):
+        with pytest.raises(ValueError, match="no"):
+            fails(thing)
+    assert len(calls) == 2

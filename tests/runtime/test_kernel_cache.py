@@ -62,13 +62,7 @@ def test_kernels_run_where_nothing_can_be_written_at_all(package):
     assert "compiled kernels are not kept" in said and said.count("\n") == 1
 
 
-def test_the_same_with_numba_loaded_before(package):
-    folder, run = package
-    said = run("import numba; import tempfile; tempfile.tempdir = '/dev/null'\n", **_nothing_writable(folder))
-    assert "compiled kernels are not kept" in said
-
-
-def test_a_damaged_cache_is_made_anew(package):
+def test_a_damaged_cache_is_compiled_again(package):
     folder, run = package
     cache = folder / "__pycache__"
     run()
@@ -80,26 +74,15 @@ def test_a_damaged_cache_is_made_anew(package):
         damaged = [file for file in files if file.suffix == suffix]
         for k, file in enumerate(files):
             file.write_bytes(damages[k % 3](whole[file]) if file in damaged else whole[file])
-        assert run().count("compiled anew") >= len(damaged) / 2  # what is inlined is not asked for by itself
-    assert run() == "", "what was made anew is kept"
+        assert run().count("cannot be read") >= len(damaged) / 2  # what is inlined is not asked for by itself
+    assert run() == "", "what is compiled again is kept"
 
 
 def test_a_cache_that_cannot_be_written_is_left_out(package):
     _, run = package
-    full = ("from adaptmg import _files as kernel_cache\nimport numba.core.caching as c\n"
+    full = ("import numba.core.caching as c\n"
             "def full(*a): raise OSError(28, 'No space left on device')\n"
             "c.IndexDataCacheFile._save_data = full\n")
     said = run(full)
-    assert "No space left on device" in said and "compiled again in the next process" in said
+    assert "No space left on device" in said and "cannot be written" in said
     assert run() == ""
-
-
-def test_kernels_of_others_are_left_as_they_are():
-    code = ("import adaptmg, numba.core.caching as c\n"
-            "class Other:\n    _py_func = len\n    cache_path = '/dev/null/adaptmg-kernels'\n"
-            "def fails(*a): raise OSError('as before')\n"
-            "from adaptmg._files import _tolerant\n"
-            "try:\n    _tolerant(fails, '', '')(Other())\nexcept OSError as error:\n    print(error)\n"
-            "print(c.CacheImpl._locator_classes[-1].from_function(len, '/elsewhere/mine.py'))\n")
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout == "as before\nNone\n", done.stderr

@@ -35,12 +35,8 @@ def uniform():
     return am.Hierarchy.uniform(am.cases.greco_bar(), (8, 16, 32))
 
 
-def graded():
-    return am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), contact_ratio=4)
-
-
-def transferred():
-    return am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), contact_ratio=2, transfer=am.L2())
+def graded(**options):
+    return am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), **options)
 
 
 def two_bodies():
@@ -53,7 +49,7 @@ def block():
 
 CASES = {"nested start": (uniform, am.FullMultigrid()), "graded": (graded, am.FullMultigrid()),
          "graded, monotone": (graded, am.FullMultigrid(correction=am.Monotone(), rtol=1e-4)),
-         "L2": (transferred, am.Multigrid()), "active set": (graded, am.ActiveSet()),
+         "L2": (lambda: graded(transfer=am.L2()), am.Multigrid()), "active set": (graded, am.ActiveSet()),
          "active set, pyamg": (uniform, AMG_STEPS), "two bodies": (two_bodies, am.FullMultigrid()),
          "two bodies, active set": (two_bodies, am.ActiveSet()), "3D": (block, am.FullMultigrid()),
          "3D, active set": (block, am.ActiveSet()),
@@ -71,13 +67,10 @@ def in_a_child(threads):
 
 
 def test_bitwise_the_same_run_to_run_and_for_one_and_two_blas_threads():
-    children = [in_a_child(1), in_a_child(2), in_a_child(2)]
-    found = [json.loads(child.communicate()[0]) for child in children]
-    assert [child.returncode for child in children] == [0, 0, 0]
-    one, two, again = found
-    assert set(one) == set(CASES)
-    assert two == one
-    assert again == one
+    children = [in_a_child(1), in_a_child(2)]
+    one, two = (json.loads(child.communicate()[0]) for child in children)
+    assert [child.returncode for child in children] == [0, 0]
+    assert set(one) == set(CASES) and two == one
 
 
 def test_two_threads_that_solve_at_once_find_what_one_after_the_other_finds():
@@ -91,33 +84,24 @@ def test_two_threads_that_solve_at_once_find_what_one_after_the_other_finds():
         for k in range(first, len(names), 2):
             found[k] = outcome(grids[k], CASES[names[k]][1])
 
-    def both():
-        workers = [threading.Thread(target=work, args=(first,)) for first in (0, 1)]
-        for worker in workers:
-            worker.start()
-        for worker in workers:
-            worker.join(timeout=120)
-    both()
+    workers = [threading.Thread(target=work, args=(first,)) for first in (0, 1)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(timeout=120)
     assert found == alone
 
 
-@pytest.mark.parametrize("make", [lambda: am.solve(uniform(), AMG_STEPS),
-                                  lambda: am.Hierarchy.algebraic(uniform().finest.discrete)],
-                         ids=["active set", "aggregation"])
-def test_the_global_random_numbers_are_left_alone(make):
+def test_the_global_random_numbers_are_left_alone():
     np.random.seed(11)  # noqa: NPY002
     expected = np.random.rand(3)  # noqa: NPY002
     np.random.seed(11)  # noqa: NPY002
-    make()
-    assert np.array_equal(np.random.rand(3), expected)  # noqa: NPY002
-
-
-def test_random_numbers_come_back_after_an_error():
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    am.solve(uniform(), AMG_STEPS)
+    am.Hierarchy.algebraic(uniform().finest.discrete)
     with pytest.raises(KeyError), seeded():
         np.random.rand(1000)  # noqa: NPY002
         raise KeyError
-    assert np.array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+    assert np.array_equal(np.random.rand(3), expected)  # noqa: NPY002
 
 
 def blas_threads():
@@ -133,66 +117,65 @@ def two_threads():
 
 
 @pytest.mark.usefixtures("two_threads")
-class TestOneBlasThread:
-    def test_inside_and_after(self):
+def test_one_blas_thread_inside_and_as_many_as_before_after_it():
+    with one_blas_thread():
         with one_blas_thread():
-            assert set(blas_threads()) == {1}
-            with one_blas_thread():
-                pass
-            assert set(blas_threads()) == {1}
-        assert set(blas_threads()) == {2}
-
-    def test_after_an_error(self):
-        with pytest.raises(ValueError, match="lost"), one_blas_thread():
-            raise ValueError("lost")
-        assert set(blas_threads()) == {2}
-
-    def test_the_last_thread_to_leave_gives_it_back(self):
-        inside, leave = threading.Event(), threading.Event()
-
-        def other():
-            with one_blas_thread():
-                inside.set()
-                leave.wait(10)
-        worker = threading.Thread(target=other)
-        with one_blas_thread():
-            worker.start()
-            assert inside.wait(10)
+            pass
         assert set(blas_threads()) == {1}
-        leave.set()
-        worker.join()
-        assert set(blas_threads()) == {2}
+    assert set(blas_threads()) == {2}
+    with pytest.raises(ValueError, match="gone"), one_blas_thread():
+        raise ValueError("gone")
+    assert set(blas_threads()) == {2}
 
-    def test_as_a_decorator(self):
-        @one_blas_thread()
-        def threads(k):
-            """Says how many."""
-            return blas_threads() if k == 0 else threads(k - 1)
-        assert set(threads(2)) == {1} and threads.__doc__ == "Says how many."
-        assert set(blas_threads()) == {2}
+    @one_blas_thread()
+    def threads(k):
+        return blas_threads() if k == 0 else threads(k - 1)
 
-    def test_in_what_is_done_here(self):
-        seen = []
+    assert set(threads(2)) == {1} and set(blas_threads()) == {2}
 
-        class Asks:
-            def run(self, hierarchy, run, start):
-                seen.extend(blas_threads())
-                return am.ActiveSet().run(hierarchy, run, start)
-        am.solve(uniform(), Asks())
-        am.solve_path(uniform(), am.LoadPath(default=[1.0]), Asks())
 
-        class AsksToo(am.Interpolation):
-            def build(self, coarse, fine):
-                seen.extend(blas_threads())
-                return super().build(coarse, fine)
-        am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), transfer=AsksToo())
+@pytest.mark.usefixtures("two_threads")
+def test_the_last_thread_to_leave_gives_it_back():
+    inside, leave = threading.Event(), threading.Event()
 
-        def limit(points):
+    def other():
+        with one_blas_thread():
+            inside.set()
+            leave.wait(10)
+
+    worker = threading.Thread(target=other)
+    with one_blas_thread():
+        worker.start()
+        assert inside.wait(10)
+    assert set(blas_threads()) == {1}
+    leave.set()
+    worker.join()
+    assert set(blas_threads()) == {2}
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_user_defined_parts_see_one_thread():
+    seen = []
+
+    class Asks(am.Interpolation):
+        def run(self, hierarchy, run, start):
             seen.extend(blas_threads())
-            return np.full(len(points), 1e7)
-        problem = replace(am.cases.greco_bar(), law=am.Tresca(limit), reference={})
-        am.discretise(problem, am.mesh.structured(problem.domain, 4))
-        assert len(seen) >= 4 * len(blas_threads()) and set(seen) == {1}
+            return am.ActiveSet().run(hierarchy, run, start)
+
+        def build(self, coarse, fine):
+            seen.extend(blas_threads())
+            return super().build(coarse, fine)
+
+    def limit(points):
+        seen.extend(blas_threads())
+        return np.full(len(points), 1e7)
+
+    am.solve(uniform(), Asks())
+    am.solve_path(uniform(), am.LoadPath(default=[1.0]), Asks())
+    am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), transfer=Asks())
+    problem = replace(am.cases.greco_bar(), law=am.Tresca(limit), reference={})
+    am.discretise(problem, am.mesh.structured(problem.domain, 4))
+    assert len(seen) >= 4 * len(blas_threads()) and set(seen) == {1}
 
 
 def test_a_fork_inside_is_free_again():

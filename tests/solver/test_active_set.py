@@ -1,14 +1,14 @@
-"""The active set method: its solutions meet the contact conditions and are those of other methods."""
+"""The active set method: its steps are those of Newton, few, from any start; that they are right: tests/agreement."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
 import pytest
 from scipy import sparse
-from smoother_problems import dual_solution, network
+from smoother_problems import network
 
 import adaptmg as am
 from adaptmg.discrete.problem import DiscreteProblem
@@ -20,24 +20,16 @@ from adaptmg.solver.linear import LinearSolution
 from adaptmg.solver.record import Run
 
 CASES = {
-    "bar, friction .2": lambda: am.cases.greco_bar(law=am.Coulomb(0.2)),
     "bar, friction 1": lambda: am.cases.greco_bar(law=am.Coulomb(1.0)),
-    "bar, friction 2": lambda: am.cases.greco_bar(law=am.Coulomb(2.0)),
     "bar, Tresca": lambda: am.cases.greco_bar(law=am.Tresca(4e7)),
     "curved, frictionless": lambda: am.cases.curved_obstacle(),
-    "curved, friction .5": lambda: am.cases.curved_obstacle(law=am.Coulomb(0.5)),
     "block, friction 1": lambda: am.cases.greco_block(law=am.Coulomb(1.0), plane_strain=False),
-    "block, Tresca": lambda: am.cases.greco_block(law=am.Tresca(4e7), plane_strain=False),
 }
-
-
-def divisions(name: str) -> tuple[int, ...]:
-    return (2, 4) if name.startswith("block") else (4, 8, 16)
 
 
 @cache
 def grids(name: str) -> am.Hierarchy:
-    return am.Hierarchy.uniform(CASES[name](), divisions(name))
+    return am.Hierarchy.uniform(CASES[name](), (2, 4) if name.startswith("block") else (4, 8, 16))
 
 
 @cache
@@ -58,94 +50,15 @@ def floating(law: am.Coulomb | am.Tresca = am.Coulomb(0.5)) -> DiscreteProblem: 
     return am.discretise(problem, structured(domain, 8))
 
 
-# -- the contact conditions ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_solution_meets_the_contact_conditions(name):
-    result, discrete = solved(name), grids(name).finest.discrete
-    c = result.contact
-    length, force = np.abs(result.displacement).max(), c.force_n.max()
-    assert result.residual < 1e-12
-    assert (c.gap >= -1e-12 * length).all()
-    assert (c.force_n >= 0).all()
-    assert np.abs(c.gap * c.force_n).max() < 1e-10 * length * force
-    # the bound of the law, and force against slip
-    size, slip = np.linalg.norm(c.force_t, axis=1), np.linalg.norm(c.slip, axis=1)
-    limit, friction = discrete.law.bounds(len(c))
-    bound = limit + friction * c.force_n
-    assert (size <= bound + 1e-10 * force).all()
-    moving = slip > 1e-10 * length
-    assert np.abs(size - bound)[moving].max(initial=0) < 1e-10 * force
-    assert np.abs(np.sum(c.force_t * c.slip, axis=1) + bound * slip)[moving].max(initial=0) < 1e-10 * force * length
-    # equilibrium elsewhere
-    free = ~discrete.fixed.reshape(result.displacement.shape)
-    free[c.node] = False
-    assert np.abs(result.reaction[free]).max() < 1e-11 * force
-
-
-def test_the_cases_have_all_states():
-    for name in CASES:
-        wanted = {am.OPEN, am.SLIP} if "frictionless" in name else {am.SLIP, am.STICK}
-        assert wanted <= set(solved(name).contact.state), name
-    assert am.OPEN in solved("bar, friction 1").contact.state
-
-
-def test_frictionless_bar_is_the_patch_test():
-    problem = am.cases.greco_bar(law=am.Frictionless())
-    result = am.solve(am.Hierarchy.uniform(problem, (4,)), am.ActiveSet())
-    exact = problem.reference["values"]["exact"]["A"]
-    assert result.probe([problem.reference["points"]["A"]])[0, 0] == pytest.approx(exact, rel=1e-12)
-    assert result.contact.pressure == pytest.approx(5e7, rel=1e-10)
-
-
-# -- the solutions of other methods --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
-@pytest.mark.parametrize("dim", [2, 3])
-def test_solution_is_that_of_the_dual_problem(dim, law):
-    local = network(dim, law, fixed_tangent=True)
-    result = am.solve(local.discrete, am.ActiveSet())
-    assert closeness(result, local.to_cartesian(dual_solution(local))) < 1e-9
-    assert result.residual < 1e-13
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_solution_is_that_of_gauss_seidel(name):
-    coarse = grids(name)[1].discrete
-    swept = am.solve(coarse, am.SingleGrid(rtol=1e-11))
-    assert closeness(am.solve(coarse, am.ActiveSet()), swept.displacement) < 1e-9
-
-
-@pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("solver", [am.ActiveSet(condensed=False), am.ActiveSet(linear=am.AMG()),
-                                    am.ActiveSet(linear=am.AMG(), linear_rtol=1e-6),
-                                    am.ActiveSet(nested_start=True)], ids=["sparse", "amg", "amg, exact", "nested"])
-def test_linear_solvers_agree(name, solver):
-    result = am.solve(grids(name), solver)
-    assert closeness(result, solved(name).displacement) < 1e-9
-    assert np.array_equal(result.contact.state, solved(name).contact.state)
-
-
 @pytest.mark.parametrize("name", ["bar, friction 1", "block, friction 1", "bar, Tresca"])
 def test_solution_does_not_depend_on_the_start(name):
-    shape = solved(name).displacement.shape
+    expected = solved(name).displacement
     for seed in range(3):
-        start = 1e-5 * np.random.default_rng(seed).normal(size=shape)
-        assert closeness(am.solve(grids(name), am.ActiveSet(), start=start), solved(name).displacement) < 1e-10
-
-
-def test_prescribed_displacements_are_kept():
-    problem = am.cases.greco_bar()
-    problem = replace(problem, supports=(am.Support("right", x=1e-5),), reference={})
-    for solver in (am.ActiveSet(), am.ActiveSet(linear=am.AMG())):
-        result = am.solve(am.Hierarchy.uniform(problem, (8,)), solver)
-        assert (result.displacement[result.mesh.boundary_nodes("right"), 0] == 1e-5).all()
-        assert result.residual < 1e-9
-
-
-# -- how it gets there ---------------------------------------------------------------------------------------------
+        start = 1e-5 * np.random.default_rng(seed).normal(size=expected.shape)
+        assert closeness(am.solve(grids(name), am.ActiveSet(), start=start), expected) < 1e-10
+    for start in (solved(name), expected):
+        again = am.solve(grids(name), am.ActiveSet(), start=start)
+        assert again.cycles == 1 and closeness(again, expected) < 1e-13
 
 
 @pytest.mark.parametrize(("friction", "most"), [(0.2, 6), (1.0, 10), (2.0, 10)])
@@ -160,21 +73,15 @@ def test_steps_are_few_and_fewer_from_coarser_grids(friction, most):
 
 
 def test_work_of_direct_steps_is_a_residual_each():
-    name = "bar, friction 1"
-    result = solved(name)
-    assert result.work_units == pytest.approx(result.cycles + 1)
-    assert result.timings["factorise"] > 0
+    result = solved("bar, friction 1")
+    assert result.work_units == pytest.approx(result.cycles + 1) and result.timings["factorise"] > 0
     assert list(result.history["cycle"]) == list(range(result.cycles + 1))
     assert result.history["active"][-1] == np.count_nonzero(result.contact.state != am.OPEN)
     assert result.history["slip"][-1] == np.count_nonzero(result.contact.state == am.SLIP)
-
-
-def test_a_solution_as_start_is_confirmed_in_one_step():
-    name = "block, friction 1"
-    for start in (solved(name), solved(name).displacement):
-        again = am.solve(grids(name), am.ActiveSet(), start=start)
-        assert again.cycles == 1
-        assert closeness(again, solved(name).displacement) < 1e-13
+    # while the status changes many steps may be left
+    change, estimate = (result.history[name][1:] for name in ("change", "error_estimate"))
+    changing = (np.diff(result.history["active"]) != 0) | (np.diff(result.history["slip"]) != 0)
+    assert changing.any() and (estimate[changing] >= 9.99 * change[changing]).all()
 
 
 @pytest.mark.parametrize("solver", [am.ActiveSet(rtol=1e-4), am.ActiveSet(linear=am.AMG(), rtol=1e-5)],
@@ -233,13 +140,13 @@ def test_a_step_is_newtons(dim, law):
                                   steps.stiffness, 0.1)
             if isinstance(steps, CondensedSteps):
                 # its right-hand side is that of an interior in equilibrium: take such a point
-                unknowns = unknowns + steps.solve(equations, 1e-12, 0.0)
+                unknowns = unknowns + steps.solve(equations, 0.0)
                 defect = residual(local.system, local.load, unknowns)
                 steps.contact_residual(defect)
                 equations = linearise(local.contact, unknowns.reshape(-1, dim)[at], defect.reshape(-1, dim)[at],
                                       steps.stiffness, 0.1)
             states |= set(zip(equations.active.tolist(), equations.slip.tolist(), strict=True))
-            step = steps.solve(equations, 1e-12, 0.0)
+            step = steps.solve(equations, 0.0)
             before = alart_curnier(local, unknowns, steps.stiffness, 0.1)
             errors = []
             for length in (1e-3, 1e-4):
@@ -300,18 +207,16 @@ def test_near_nullspace_without_coordinates_are_translations():
 # -- failures ------------------------------------------------------------------------------------------------------
 
 
-def test_too_few_steps_are_said():
+def test_too_few_steps_are_reported():
     with pytest.raises(am.NotConverged, match="LIMIT after 1 cycles") as caught:
         am.solve(grids("bar, friction 1"), am.ActiveSet(max_steps=1))
     result = caught.value.result
-    assert result.status is am.Status.LIMIT
-    assert result.residual > 1e-3
-    assert am.solve(grids("bar, friction 1"), am.ActiveSet(max_steps=1), throw=False).cycles == 1
+    assert result.status is am.Status.LIMIT and result.residual > 1e-3 and result.cycles == 1
 
 
-def test_a_linear_solver_that_does_not_converge_spoils_no_result(caplog):
-    hopeless = am.ActiveSet(linear=am.AMG(max_iterations=1), linear_rtol=1e-8, max_steps=5)
-    result = am.solve(grids("bar, Tresca"), hopeless, throw=False)
+def test_a_linear_solver_that_does_not_converge_spoils_no_result(caplog, monkeypatch):
+    monkeypatch.setattr(SparseSteps, "RTOL", 1e-8)
+    result = am.solve(grids("bar, Tresca"), am.ActiveSet(linear=am.AMG(max_iterations=1), max_steps=5), throw=False)
     assert not result.status.ok
     assert "raise max_iterations" in caplog.text
 
@@ -326,10 +231,9 @@ def test_friction_beyond_uniqueness_ends_with_a_word():
 @pytest.mark.parametrize(("wrong", "error", "words"), [
     ({"rtol": 0.0}, ValueError, "rtol must be > 0"), ({"rtol": np.nan}, ValueError, "rtol"),
     ({"max_steps": 0}, ValueError, "max_steps must be >= 1"),
-    ({"linear_rtol": 1.0}, ValueError, "linear_rtol must be > 0 and < 1"),
     ({"linear": "direct"}, TypeError, "linear must be"),
     ({"nested_start": 1}, TypeError, "nested_start must be True or False"),
-    ({"linear": am.AMG(), "condensed": True}, ValueError, "condensed=True factorises")])
+    ({"linear": am.AMG(), "condensed": True}, ValueError, "condensed=True needs")])
 def test_wrong_options_are_refused(wrong, error, words):
     with pytest.raises(error, match=words):
         am.ActiveSet(**wrong)

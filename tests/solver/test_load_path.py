@@ -20,6 +20,7 @@ FINE = am.FullMultigrid(rtol=1e-11)
 EXACT = am.ActiveSet(rtol=1e-12)
 #: side pressure on, and off again, under constant pressure on the top
 CYCLE = am.LoadPath({"left": [0.5, 1, 0.5, 0]}, default=1.0)
+CYCLE_OF_BODIES = am.LoadPath({"upper.left": [0.5, 1, 0.5, 0]}, default=1.0)
 STEEL = am.PlaneStrain(young=2.1e11, poisson=0.3)
 
 
@@ -107,29 +108,23 @@ class TestSteps:
         assert path[0].cycles == single.cycles and distance(path[0], single) <= 1e-14
         assert path[0].solver_name == single.solver_name and path[0].problem_name == single.problem_name
 
-    def test_each_step_satisfies_its_own_contact_conditions(self, rough, cycle):
-        before = np.zeros_like(cycle[0].displacement)
-        for k, result in enumerate(cycle):
-            check_step(rough, {"top": 1.0, "left": CYCLE.of("left")[k]}, before, result)
-            before = result.displacement
-
-    def test_two_bodies(self, bodies):
-        path = am.LoadPath({"upper.left": [0.5, 1, 0.5, 0]}, default=1.0)
-        results, exact = am.solve_path(bodies, path, FINE), am.solve_path(bodies, path, EXACT)
+    @pytest.mark.parametrize(("grids", "path"), [("rough", CYCLE), ("bodies", CYCLE_OF_BODIES)])
+    def test_each_step_satisfies_its_contact_conditions(self, grids, path, request):
+        grids = request.getfixturevalue(grids)
+        results, exact = am.solve_path(grids, path, FINE), am.solve_path(grids, path, EXACT)
         before = np.zeros_like(results[0].displacement)
         for k, result in enumerate(results):
             assert distance(result, exact[k]) <= 1e-8
-            check_step(bodies, {"upper.top": 1.0, "upper.left": path.of("upper.left")[k]}, before, result)
-            before = bodies.finest.discrete.relative(result.displacement)
-            # along x the support of the lower block, at the end of its top, takes part
-            on_slave, on_master = (result.resultant(name).force[1] for name in ("upper.bottom", "lower.top"))
-            assert on_slave == pytest.approx(-on_master, rel=1e-6) == pytest.approx(5e7 * 0.04)
+            assert not result.certificate().contradictions(1e-7)
+            check_step(grids, {name: path.of(name)[k] for name in results.factors}, before, result)
+            before = grids.finest.discrete.relative(result.displacement)
+            force = result.resultant("contact" if grids.problem.name == "GRECO bar" else "upper.bottom").force
+            assert force[1] == pytest.approx(5e7 * 0.04)
         # unloaded: what has slipped is held back by friction
         assert np.abs(results[-1].contact.u_t).max() > 0.05 * np.abs(results[1].contact.u_t).max()
 
-    @pytest.mark.parametrize("solver", [FINE, am.Multigrid(rtol=1e-11),
-                                        am.FullMultigrid(correction=am.Monotone(), rtol=1e-11)],
-                             ids=["nested", "cold", "monotone"])
+    @pytest.mark.parametrize("solver", [am.Multigrid(rtol=1e-11),
+                                        am.FullMultigrid(correction=am.Monotone(), rtol=1e-11)], ids=["V", "monotone"])
     def test_agrees_with_the_active_set(self, rough, solver):
         exact = am.solve_path(rough, CYCLE, EXACT)
         for result, wanted in zip(am.solve_path(rough, CYCLE, solver), exact, strict=True):
@@ -150,15 +145,13 @@ class TestSteps:
         results, exact = am.solve_path(grids, path, FINE), am.solve_path(grids, path, EXACT)
         assert distance(results[1], exact[1]) <= 1e-8
 
-    @pytest.mark.parametrize("law", [am.Coulomb(0.0), am.Coulomb(1.0)], ids=["smooth", "rough"])
-    def test_proportional_loading_is_one_step(self, law):
-        grids = bar(law)
+    @pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(1.0)], ids=["smooth", "rough"])
+    def test_proportional_loading_is_one_step_and_cheap(self, law):
+        grids = bar(law, 32)
         path = am.solve_path(grids, am.LoadPath(default=np.linspace(0.2, 1, 5)), FINE)
         assert distance(path[-1], am.solve(grids, FINE)) <= 1e-9
-
-    def test_extrapolation_makes_proportional_steps_cheap(self):
-        path = am.solve_path(bar(n=32), am.LoadPath(default=np.linspace(0.2, 1, 5)))
-        assert path[0].cycles >= 5 and all(result.cycles <= 2 for result in path[1:])
+        cheap = am.solve_path(grids, am.LoadPath(default=np.linspace(0.2, 1, 5)))
+        assert all(result.cycles <= 2 for result in cheap[1:])
 
     def test_increments_cost_no_more_than_a_start_from_scratch(self):
         grids = bar(n=32)
@@ -178,15 +171,12 @@ class TestHistory:
         results = am.solve_path(bar(am.Frictionless()), am.LoadPath({"left": [0, 1, 0]}), FINE)
         assert distance(results[2], results[0]) <= 1e-9
 
-    def test_the_order_of_loads_matters(self, rough):
-        side_first = am.solve_path(rough, am.LoadPath({"left": [1, 1], "top": [0.05, 1]}), FINE)
+    def test_the_order_of_loads_matters_and_equal_steps_change_nothing(self, rough):
+        side_first = am.solve_path(rough, am.LoadPath({"left": [1, 1, 1], "top": [0.05, 1, 1]}), FINE)
         top_first = am.solve_path(rough, am.LoadPath({"left": [0.05, 1], "top": [1, 1]}), FINE)
-        assert distance(side_first[-1], top_first[-1]) > 1e-2
-
-    def test_equal_steps_change_nothing(self, rough):
-        results = am.solve_path(rough, am.LoadPath({"left": [0.5, 1, 1]}), FINE)
-        assert distance(results[2], results[1]) <= 1e-10
-        assert not (results[2].contact.state == am.SLIP).any()
+        assert distance(side_first[1], top_first[1]) > 1e-2
+        assert distance(side_first[2], side_first[1]) <= 1e-10
+        assert not (side_first[2].contact.state == am.SLIP).any()
 
     def test_prescribed_displacement(self):
         grids = pulled()
@@ -288,27 +278,19 @@ class TestData:
 
     @pytest.mark.parametrize(("factors", "default", "message"), [
         ({"top": [1, 2], "left": [1, 2, 3]}, 1.0, "same number of steps, got 2 for 'top', 3 for 'left'"),
-        ({"top": [1, 2]}, [1.0], "1 for 'default'"),
-        ({"top": [1, np.nan]}, 1.0, r"factors\['top'\] must be finite"),
-        ({"top": np.inf}, 1.0, r"factors\['top'\] must be finite"),
-        ({"top": []}, 1.0, "one at least"),
-        ({"top": [[1, 2]]}, 1.0, "must be a vector"),
-        ({"": [1]}, 1.0, "must not be empty")])
+        ({"top": [1, 2]}, [1.0], "1 for 'default'"), ({"top": [1, np.nan]}, 1.0, r"factors\['top'\] must be finite"),
+        ({"top": []}, 1.0, "one at least"), ({"top": [[1, 2]]}, 1.0, "must be a vector"),
+        ({"": [1]}, 1.0, "must not be empty"), ([1, 2], 1.0, "must map names"),
+        ({"top": ["a", "b"]}, 1.0, r"factors\['top'\] must be a sequence of numbers")])
     def test_bad_factors(self, factors, default, message):
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises((TypeError, ValueError), match=message):
             am.LoadPath(factors, default)
 
     def test_bad_types(self, rough):
-        with pytest.raises(TypeError, match="must map names"):
-            am.LoadPath([1, 2])
-        with pytest.raises(TypeError, match=r"factors\['top'\] must be a sequence of numbers"):
-            am.LoadPath({"top": ["a", "b"]})
-        with pytest.raises(TypeError, match="path must be a LoadPath"):
-            am.solve_path(rough, {"top": [1]})
-        with pytest.raises(TypeError, match="grids must be"):
-            am.solve_path(rough.problem, am.LoadPath())
-        with pytest.raises(TypeError, match="solver must be"):
-            am.solve_path(rough, am.LoadPath(), 1.0)
+        for name, arguments in {"path": (rough, {"top": [1]}), "grids": (rough.problem, am.LoadPath()),
+                                "solver": (rough, am.LoadPath(), 1.0)}.items():
+            with pytest.raises(TypeError, match=f"{name} must be"):
+                am.solve_path(*arguments)
 
     @pytest.mark.parametrize("name", ["lid", "right", "bottom", "body"])
     def test_unknown_names(self, rough, name):
@@ -391,6 +373,11 @@ class TestStore:
                 am.solve_path(grids, other, solver, store=tmp_path)
         with pytest.raises(ValueError, match="start differs"):
             am.solve_path(rough, path, start=np.zeros((289, 2)), store=tmp_path)
+        # rounding is not another run
+        close = am.Hierarchy.uniform(am.cases.greco_bar(top_pressure=5e7 * (1 + 1e-14)), divisions=(4, 8, 16))
+        done = []
+        am.solve_path(close, path, store=tmp_path, callback=lambda k, r: done.append(k))
+        assert not done
 
     def test_a_solver_of_the_user_is_compared_by_its_code_and_state(self, rough, tmp_path):
         path = am.LoadPath({"left": [0.5, 1]})
@@ -406,51 +393,20 @@ class TestStore:
         with pytest.raises(TypeError, match="depends must be a mapping"):
             am.solve_path(rough, path, store=tmp_path, depends=3)
 
-    def test_rounding_is_not_another_run(self, rough, tmp_path):
-        path = am.LoadPath({"left": [0.5, 1]})
+    def test_a_step_that_was_removed_is_solved_again(self, rough, tmp_path):
+        path = am.LoadPath({"left": [0.5, 1, 0.2]})
         am.solve_path(rough, path, store=tmp_path)
-        problem = am.cases.greco_bar(top_pressure=5e7 * (1 + 1e-14))
-        done = []
-        am.solve_path(am.Hierarchy.uniform(problem, divisions=(4, 8, 16)), path, store=tmp_path,
-                      callback=lambda k, r: done.append(k))
-        assert not done
-
-    def test_damage_is_told(self, rough, tmp_path):
-        path = am.LoadPath({"left": [0.5, 1]})
-        am.solve_path(rough, path, store=tmp_path)
-        (tmp_path / "step_0001.npz").write_bytes(b"PK\x03\x04 half")
-        with pytest.raises(ValueError, match=r"step_0001.npz is damaged"):
-            am.solve_path(rough, path, store=tmp_path)
-        (tmp_path / "path.json").write_text('{"format"')
-        with pytest.raises(ValueError, match=r"path.json is damaged"):
-            am.solve_path(rough, path, store=tmp_path)
-        (tmp_path / "path.json").unlink()
-        with pytest.raises(ValueError, match="holds no load path"):
-            am.solve_path(rough, path, store=tmp_path)
-        file = tmp_path / "file"
-        file.write_text("x")
-        with pytest.raises(ValueError, match="must be a folder"):
-            am.solve_path(rough, path, store=file)
-
-    def test_steps_of_another_store_or_in_another_order_are_told(self, rough, tmp_path):
-        paths = {name: am.LoadPath({"left": [0.5, end, 0.2]}) for name, end in (("a", 1), ("b", 0.9))}
-        for name, path in paths.items():
-            am.solve_path(rough, path, store=tmp_path / name)
-        kept = (tmp_path / "a" / "step_0001.npz").read_bytes()
-        for wrong, message in ((tmp_path / "b" / "step_0001.npz", "belongs to another load path"),
-                               (tmp_path / "a" / "step_0002.npz", "holds step 2, not step 1")):
-            (tmp_path / "a" / "step_0001.npz").write_bytes(wrong.read_bytes())
-            with pytest.raises(ValueError, match=rf"step_0001\.npz {message}"):
-                am.solve_path(rough, paths["a"], store=tmp_path / "a")
-        (tmp_path / "a" / "step_0001.npz").unlink()
+        kept = (tmp_path / "step_0001.npz").read_bytes()
+        (tmp_path / "step_0001.npz").unlink()
         with pytest.raises(ValueError, match=r"step_0001\.npz is missing, though step_0002\.npz is there"):
-            am.solve_path(rough, paths["a"], store=tmp_path / "a")
-        (tmp_path / "a" / "step_0001.npz").write_bytes(kept)
+            am.solve_path(rough, path, store=tmp_path)
+        (tmp_path / "step_0001.npz").write_bytes(kept)
+        (tmp_path / "step_0002.npz").unlink()
         done = []
-        am.solve_path(rough, paths["a"], store=tmp_path / "a", callback=lambda k, r: done.append(k))
-        assert not done
+        am.solve_path(rough, path, store=tmp_path, callback=lambda k, r: done.append(k))
+        assert done == [2]
 
-    def test_save_and_load(self, cycle, tmp_path):
+    def test_save_and_load(self, rough, cycle, tmp_path):
         cycle.save(tmp_path / "a")
         loaded = am.PathResult.load(tmp_path / "a")
         assert loaded.complete and len(loaded) == 4
@@ -459,47 +415,32 @@ class TestStore:
         np.testing.assert_allclose(loaded[3].probe([(0.01, 0.0)]), cycle[3].probe([(0.01, 0.0)]))
         with pytest.raises(ValueError, match="holds a load path already"):
             cycle.save(tmp_path / "a")
-
-    def test_what_was_saved_is_no_store(self, rough, cycle, tmp_path):
-        cycle.save(tmp_path)
-        with pytest.raises(ValueError, match="was written by PathResult"):
-            am.solve_path(rough, CYCLE, FINE, store=tmp_path)
+        with pytest.raises(ValueError, match="was written by save"):
+            am.solve_path(rough, CYCLE, FINE, store=tmp_path / "a")
 
 
-class TestFailure:
-    HARD = am.FullMultigrid(max_cycles=3)
 
-    def test_it_says_which_step_and_keeps_the_others(self, rough, tmp_path):
+class TestOutcome:
+    def test_failure_names_the_step_and_keeps_the_others(self, rough, tmp_path):
         path = am.LoadPath({"left": [1, 1, 0.4]}, default=1.0)
         first = am.solve(rough).displacement
         with pytest.raises(StepNotConverged, match=r"step 2 of 3 \(top=1, left=0.4\): .*LIMIT") as caught:
             am.solve_path(rough, path, am.Multigrid(max_cycles=3), start=first, store=tmp_path)
         assert caught.value.step == 2 and len(caught.value.partial) == 3 and not caught.value.partial.complete
-        assert caught.value.result is caught.value.partial[-1]
+        assert caught.value.result is caught.value.partial[-1] and isinstance(caught.value, am.NotConverged)
         assert len(am.PathResult.load(tmp_path)) == 2
-        assert isinstance(caught.value, am.NotConverged)
-
-    def test_without_throw_the_path_ends_there(self, rough):
-        results = am.solve_path(rough, CYCLE, self.HARD, throw=False)
+        results = am.solve_path(rough, CYCLE, am.FullMultigrid(max_cycles=3), throw=False)
         assert len(results) == 1 and not results.complete and results[-1].status is am.Status.LIMIT
         assert "1 of 4 steps" in repr(results)
-
-    def test_multigrid_needs_levels(self, rough):
         with pytest.raises(ValueError, match="at least two levels"):
             am.solve_path(rough.finest.discrete, am.LoadPath(), am.FullMultigrid())
 
-
-class TestResult:
-    def test_table(self, rough, cycle):
+    def test_table_sequence_and_progress(self, rough, cycle):
         table = cycle.table()
         assert list(table["factor left"]) == [0.5, 1, 0.5, 0] and (table["status"] == "CONVERGED").all()
         assert (table[["open", "slip", "stick"]].sum(axis=1) == len(rough.finest.discrete.contact)).all()
         np.testing.assert_allclose(table["force_y"], 5e7 * 0.04)
-
-    def test_it_is_a_sequence(self, cycle):
         assert cycle[-1] is cycle.results[3] and len(cycle[1:3]) == 2 and list(cycle) == list(cycle.results)
-
-    def test_progress(self, rough):
         rows = []
         am.solve_path(rough, am.LoadPath({"left": [0.5, 1]}), progress=lambda k, row: rows.append((k, row["cycle"])))
         assert {k for k, _ in rows} == {0, 1}

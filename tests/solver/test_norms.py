@@ -100,18 +100,16 @@ def test_between_bodies():
     grids = am.Hierarchy.uniform(lowered_on_a_block(), [{"upper": k, "lower": (3 * k // 2, 3 * k // 4)}
                                                         for k in (4, 8, 16)])
     exact = am.solve(grids, am.ActiveSet(rtol=3e-11))
-    for method in ("truncated, nested", "truncated, from zero", "monotone, nested", "active set"):
+    for method in ("truncated, nested", "monotone, nested", "active set"):
         for rtol in (1e-3, 1e-8):
             result = am.solve(grids, METHODS[method](rtol), reference=exact)
             assert result.history["true_error"][-1] <= 3 * rtol, (method, rtol)
 
 
-def test_load_steps(grids):
+def test_load_steps(grids, exact):
     """Half way down nothing touches; then the block is pressed."""
-    path = am.LoadPath({"top": [0.5, 1.0]})
-    apart, pressed = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-8))
+    apart, pressed = am.solve_path(grids, am.LoadPath({"top": [0.5, 1.0]}), am.FullMultigrid(rtol=1e-8))
     assert (apart.contact.state == am.OPEN).all()
-    exact = am.solve(grids, am.ActiveSet(rtol=3e-11))
     assert error(grids, pressed, exact) <= 3e-8
 
 

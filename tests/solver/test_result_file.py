@@ -12,8 +12,6 @@ from made import cube, result_on, same, square
 
 import adaptmg as am
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.solver import step_store as path_files
-from adaptmg.solver.record import Status
 from adaptmg.solver.result_file import read_result, write_result
 
 
@@ -80,14 +78,6 @@ def test_a_part_of_a_path_is_a_result_too(tmp_path):
     write_result(tmp_path / "s.npz", result, {"step": 3, "key": "k"})
     assert same(am.Result.load(tmp_path / "s.npz"), result)
     assert read_result(tmp_path / "s.npz")[1] == {"step": 3, "key": "k"}
-
-
-def test_the_key_of_a_path_depends_on_all_that_steps_share():
-    head = path_files.PathHead({"left": np.array([0.5, 1.0])}, 2, {"a": 1})
-    others = (replace(head, factors={"left": np.array([0.5, 1.0 + 1e-16, 2])}), replace(head, steps=3),
-              replace(head, fingerprint={"a": 2}), replace(head, norms=(1.0,)),
-              replace(head, factors={"top": np.array([0.5, 1.0])}))
-    assert len({head.key, *(other.key for other in others)}) == 6
 
 
 def test_the_largest_of_files_is_not_taken_for_a_bomb(tmp_path):

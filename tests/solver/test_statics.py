@@ -57,136 +57,84 @@ def weight(*direction: float) -> tuple[BodyForce]:
     return (BodyForce(direction),)
 
 
-def test_held_by_supports_alone():
-    check_statics(plate(loads=weight(3.0, 5.0), supports=(Support("left", x=0.0), Support("right", x=0.0),
-                                                           Support("top", y=0.0))))
+LEFT, TIPPING = (Support("left", x=0.0),), (Pressure("top", 0.3), Traction("left", (0.0, 1.0)))
+SIDES = (Support("left", x=0.0), Support("front", y=0.0))
+SPIN = (Pressure("top", 1.0), Traction("top", (lambda x: -(x[:, 1] - 2), lambda x: x[:, 0] - 2, 0.0)))
+
+#: what stands
+STANDING = {
+    "on supports": plate(loads=weight(3.0, 5.0), supports=(*LEFT, Support("right", x=0.0), Support("top", y=0.0))),
+    "between support and floor": plate(supports=LEFT), "by friction": plate(law=Coulomb(0.01)),
+    "by adhesion": plate(law=Tresca(1e-3)), "without any load": plate(loads=(), supports=(
+        *LEFT, Support("top", y=-1e-3))),
+    "by friction at one node": plate(law=Coulomb(lambda x: np.where(x[:, 0] == 2.0, 0.1, 0.0))),
+    "enclosed": plate(loads=(), contact=tuple(Contact(name, TOUCHING) for name in FLAT.boundaries)),
+    "above a gap": plate(contact=Contact("bottom", Plane(point=(0.0, -1.0), normal=(0.0, 1.0))), supports=LEFT),
+    "small": plate(law=Coulomb(0.5), loads=weight(0.4e-9, -1e-9)),
+    "large": plate(law=Coulomb(0.5), loads=weight(0.4e9, -1e9)),
+    # 4 m of contact under a limit of .25 bear a side load of 1 on 4 m2
+    "below the limit": plate(law=Tresca(0.25), loads=weight(0.25 * 0.999, -1.0)),
+    # weight 1 on 4 m2 at lever 2 m against a push at lever 1/2 m: tips about the right foot beyond slope 4
+    "about to tip": plate(law=Coulomb(5.0), loads=weight(3.99, -1.0)),
+    "solid between supports": block(supports=SIDES), "solid by friction": block(law=Coulomb(0.1)),
+    "solid by adhesion": block(law=Tresca(0.1)), "solid that does not spin": block(law=Coulomb(2.0), loads=SPIN),
+    "solid about to tip": block(law=Coulomb(9.0), loads=weight(3.9, 0.0, -1.0))}
+
+#: what does not, and the motion that is named
+FALLING = {
+    "lifted": (plate(loads=weight(0.0, 1.0), supports=LEFT),
+               "nothing holds a translation along y: the supports leave it free"),
+    "pushed": (plate(loads=weight(-0.01, -1.0)), "nothing holds a translation along -x"),
+    "free to slide": (plate(), "the solution is not unique: a translation along x is left free"),
+    "beyond the limit": (plate(law=Tresca(0.25), loads=weight(0.25 * 1.001, -1.0)), "holds a translation along x"),
+    "tipped": (plate(law=Coulomb(5.0), loads=weight(4.01, -1.0)), r"nothing holds a rotation about \(4, 0\)"),
+    # 1.2 down at x = 2 and 1 up at x = 0: .2 down at x = 12, beyond the right foot
+    "pulled up at one end": (plate(law=Coulomb(1.0), loads=TIPPING), "nothing holds a rotation about"),
+    "no load": (plate(loads=(), supports=LEFT), "nothing presses the body against its obstacle: a translation along y"),
+    "squeezed": (plate(law=Coulomb(0.5), loads=(Pressure("left", 1.0), Pressure("right", 1.0))),
+                 "nothing presses the body"),
+    "small": (plate(law=Coulomb(0.5), loads=weight(0.6e-9, -1e-9)), "nothing holds"),
+    "large": (plate(law=Coulomb(0.5), loads=weight(0.6e9, -1e9)), "nothing holds"),
+    "solid free to slide": (block(supports=SIDES[:1]), "not unique: a translation along y"),
+    "solid lifted": (block(law=Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)), "nothing holds a translation along z"),
+    "solid spun": (block(law=Coulomb(0.1), loads=SPIN), "rotation about the axis along z through"),
+    "solid tipped": (block(law=Coulomb(9.0), loads=weight(4.1, 0.0, -1.0)), "rotation about the axis along y through")}
 
 
-class TestPlane:
-    TIPPING = (Pressure("top", 0.3), Traction("left", (0.0, 1.0)))
+@pytest.mark.parametrize("name", STANDING)
+def test_what_contact_and_supports_hold_passes(name):
+    check_statics(STANDING[name])
 
-    def test_standing_between_support_and_floor(self):
-        check_statics(plate(supports=(Support("left", x=0.0),)))
 
-    def test_lifted(self):
-        with pytest.raises(ValueError, match="nothing holds a translation along y: the supports leave it free"):
-            check_statics(plate(loads=weight(0.0, 1.0), supports=(Support("left", x=0.0),)))
+@pytest.mark.parametrize("name", FALLING)
+def test_a_motion_that_nothing_holds_is_named(name):
+    problem, message = FALLING[name]
+    with pytest.raises(ValueError, match=message):
+        check_statics(problem)
 
-    def test_pushed_sideways_without_friction(self):
-        with pytest.raises(ValueError, match="nothing holds a translation along -x"):
-            check_statics(plate(loads=weight(-0.01, -1.0)))
 
-    def test_free_to_slide(self):
-        with pytest.raises(ValueError, match="the solution is not unique: a translation along x is left free"):
-            check_statics(plate())
-
-    def test_friction_holds_the_free_slide(self):
-        check_statics(plate(law=Coulomb(0.01)))
-        check_statics(plate(law=Tresca(1e-3)))
-
-    def test_friction_at_a_single_node_holds_it_too(self):
-        check_statics(plate(law=Coulomb(lambda x: np.where(x[:, 0] == 2.0, 0.1, 0.0))))
-
-    def test_tresca_limit_is_the_whole_traction(self):
-        # 4 m of contact under a limit of .25 bear a side load of 1 on 4 m2
-        for factor, stands in ((0.999, True), (1.001, False)):
-            problem = plate(law=Tresca(0.25), loads=weight(0.25 * factor, -1.0))
-            if stands:
-                check_statics(problem)
-            else:
-                with pytest.raises(ValueError, match="nothing holds a translation along x"):
-                    check_statics(problem)
-
-    @settings(max_examples=25, deadline=None)
-    @given(angle=st.floats(0.02, 1.2), friction=st.floats(0.02, 1.0))
-    def test_block_on_an_incline(self, angle, friction):
-        """Stands iff tan(angle) <= friction, and it does not tip (4 wide, 1 high: it slides first)."""
-        if abs(np.tan(angle) - friction) < 1e-4:
-            return
-        problem = plate(law=Coulomb(friction), loads=weight(np.sin(angle), -np.cos(angle)))
-        if np.tan(angle) <= friction:
+@settings(max_examples=25, deadline=None)
+@given(angle=st.floats(0.02, 1.2), friction=st.floats(0.02, 1.0))
+def test_block_on_an_incline(angle, friction):
+    """Stands iff tan(angle) <= friction, and it does not tip (4 wide, 1 high: it slides first)."""
+    if abs(np.tan(angle) - friction) < 1e-4:
+        return
+    problem = plate(law=Coulomb(friction), loads=weight(np.sin(angle), -np.cos(angle)))
+    if np.tan(angle) <= friction:
+        check_statics(problem)
+    else:
+        with pytest.raises(ValueError, match="nothing holds a translation along x:"):
             check_statics(problem)
-        else:
-            with pytest.raises(ValueError, match="nothing holds a translation along x:"):
-                check_statics(problem)
-
-    @pytest.mark.parametrize(("push", "stands"), [(3.99, True), (4.01, False)])
-    def test_tipping(self, push, stands):
-        # weight 1 on 4 m2 at lever 2 m against a push at lever 1/2 m: tips about the right foot beyond slope 4
-        problem = plate(law=Coulomb(5.0), loads=weight(push, -1.0))
-        if stands:
-            check_statics(problem)
-        else:
-            with pytest.raises(ValueError, match=r"nothing holds a rotation about \(4, 0\)"):
-                check_statics(problem)
-
-    def test_rotation_is_named(self):
-        # 1.2 down at x = 2 and 1 up at x = 0: .2 down at x = 12, beyond the right foot
-        with pytest.raises(ValueError, match="nothing holds a rotation about"):
-            check_statics(plate(law=Coulomb(1.0), loads=self.TIPPING))
-
-    def test_no_load(self):
-        with pytest.raises(ValueError, match="nothing presses the body against its obstacle: a translation along y"):
-            check_statics(plate(loads=(), supports=(Support("left", x=0.0),)))
-
-    def test_load_in_equilibrium_with_itself(self):
-        squeezed = (Pressure("left", 1.0), Pressure("right", 1.0))
-        with pytest.raises(ValueError, match="nothing presses the body"):
-            check_statics(plate(law=Coulomb(0.5), loads=squeezed))
-
-    def test_enclosed_body_needs_no_load(self):
-        everywhere = tuple(Contact(name, TOUCHING) for name in FLAT.boundaries)
-        check_statics(plate(loads=(), contact=everywhere))
-
-    def test_gaps_do_not_matter(self):
-        high = Contact("bottom", Plane(point=(0.0, -1.0), normal=(0.0, 1.0)))
-        check_statics(plate(contact=high, supports=(Support("left", x=0.0),)))
-
-    def test_prescribed_displacement_is_no_free_motion(self):
-        check_statics(plate(loads=(), supports=(Support("left", x=0.0), Support("top", y=-1e-3))))
-
-    @pytest.mark.parametrize("scale", [1e-9, 1e9])
-    def test_units_do_not_matter(self, scale):
-        check_statics(plate(law=Coulomb(0.5), loads=weight(0.4 * scale, -scale)))
-        with pytest.raises(ValueError, match="nothing holds"):
-            check_statics(plate(law=Coulomb(0.5), loads=weight(0.6 * scale, -scale)))
 
 
-class TestSolid:
-    SUPPORTS = (Support("left", x=0.0), Support("front", y=0.0))
-
-    def test_stands(self):
-        check_statics(block(supports=self.SUPPORTS))
-        check_statics(block(law=Coulomb(0.1)))
-        check_statics(block(law=Tresca(0.1)))
-
-    def test_free_to_slide(self):
-        with pytest.raises(ValueError, match="not unique: a translation along y"):
-            check_statics(block(supports=self.SUPPORTS[:1]))
-
-    def test_lifted(self):
-        with pytest.raises(ValueError, match="nothing holds a translation along z"):
-            check_statics(block(law=Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)))
-
-    @pytest.mark.parametrize("direction", np.linspace(0, np.pi / 2, 7))
-    @pytest.mark.parametrize("law", [Coulomb(0.5), Tresca(0.5)])
-    def test_sliding_in_any_direction(self, direction, law):
-        # the polygon with 16 sides is at most 1 / cos(pi / 16) = 1.02 too wide; weight 16 on 16 m2
-        side = np.array([np.cos(direction), np.sin(direction)])
-        check_statics(block(law=law, loads=weight(*(0.4999 * side), -1.0)))
-        with pytest.raises(ValueError, match="nothing holds"):
-            check_statics(block(law=law, loads=weight(*(0.511 * side), -1.0)))
-
-    def test_spinning(self):
-        spin = (Pressure("top", 1.0), Traction("top", (lambda x: -(x[:, 1] - 2), lambda x: x[:, 0] - 2, 0.0)))
-        with pytest.raises(ValueError, match="rotation about the axis along z through"):
-            check_statics(block(law=Coulomb(0.1), loads=spin))
-        check_statics(block(law=Coulomb(2.0), loads=spin))
-
-    def test_tipping_over_an_edge(self):
-        with pytest.raises(ValueError, match="rotation about the axis along y through"):
-            check_statics(block(law=Coulomb(9.0), loads=weight(4.1, 0.0, -1.0)))
-        check_statics(block(law=Coulomb(9.0), loads=weight(3.9, 0.0, -1.0)))
+@pytest.mark.parametrize("direction", np.linspace(0, np.pi / 2, 7))
+@pytest.mark.parametrize("law", [Coulomb(0.5), Tresca(0.5)])
+def test_sliding_in_any_direction(direction, law):
+    # the polygon with 16 sides is at most 1 / cos(pi / 16) = 1.02 too wide; weight 16 on 16 m2
+    side = np.array([np.cos(direction), np.sin(direction)])
+    check_statics(block(law=law, loads=weight(*(0.4999 * side), -1.0)))
+    with pytest.raises(ValueError, match="nothing holds"):
+        check_statics(block(law=law, loads=weight(*(0.511 * side), -1.0)))
 
 
 class TestBareProblems:
@@ -198,7 +146,7 @@ class TestBareProblems:
         problem = replace(plate(loads=weight(0.0, 1.0)), coordinates=None)
         with pytest.raises(ValueError, match="nothing holds a translation along y"):
             check_statics(problem)
-        turning = plate(law=Coulomb(1.0), loads=TestPlane.TIPPING)
+        turning = plate(law=Coulomb(1.0), loads=TIPPING)
         with pytest.raises(ValueError, match=r"nothing holds a rigid motion \(a combination of near_nullspace\)"):
             check_statics(replace(turning, coordinates=None))
 
@@ -211,7 +159,7 @@ class TestBareProblems:
 
     def test_modes_that_are_no_rigid_motions(self):
         # in skew coordinates of the user's: nothing is known about the shape of the motion, but it is found
-        problem = plate(law=Coulomb(1.0), loads=TestPlane.TIPPING)
+        problem = plate(law=Coulomb(1.0), loads=TIPPING)
         shaken = problem.coordinates + np.random.default_rng(0).random(problem.coordinates.shape)
         with pytest.raises(ValueError, match="nothing holds a motion that is not rigid"):
             check_statics(replace(problem, coordinates=shaken))

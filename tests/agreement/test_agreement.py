@@ -1,0 +1,216 @@
+"""Agreement: every method finds the same solution, for each law, in 2D, 3D, axisymmetry and between bodies.
+
+The reference of a problem is the active set method to 1e-12. It is compared with a conic programme solved by clarabel,
+which shares no code with adaptmg; every other method is compared with it, to its tolerance. Where a closed form exists,
+all methods are compared with that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from bodies import (
+    LOWER_ON_UPPER,
+    STIFF,
+    UPPER_ON_LOWER,
+    assert_state,
+    bar_hierarchy,
+    bar_on_block,
+    bumpy,
+    pressed,
+    stacked,
+    uniaxial,
+)
+from smoother_problems import dual_solution, network
+
+import adaptmg as am
+
+LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(3e7), "coulomb": am.Coulomb(0.5)}
+
+
+def wavy(points: np.ndarray) -> np.ndarray:
+    """Gaps that leave some nodes open, m."""
+    return 5e-6 * (1 + np.sin(points[:, 0] * 300)) + 1e-5 * points[:, -1]
+
+
+def bar(law: am.problem.Law, gap: am.problem.Obstacle | None = None) -> am.ContactProblem:
+    problem = replace(am.cases.greco_bar(), law=law, reference={})
+    return problem if gap is None else replace(problem, contact=am.Contact("bottom", gap))
+
+
+def block(law: am.problem.Law) -> am.ContactProblem:
+    return replace(am.cases.greco_block(plane_strain=False), law=law, reference={},
+                   contact=am.Contact("bottom", am.GapFunction(wavy)))
+
+
+def round_bar(law: am.problem.Law) -> am.ContactProblem:
+    """A disc pressed onto a wavy plane and squeezed from outside, axisymmetric."""
+    return am.ContactProblem(
+        material=am.Axisymmetric(young=1.3e11, poisson=0.2), law=law, domain=am.Rectangle(width=0.04, height=0.04),
+        contact=am.Contact("bottom", am.GapFunction(wavy)), supports=(am.Support("left", x=0.0),),
+        loads=(am.Pressure("top", 5e7), am.Pressure("right", 9e7)))
+
+
+def moved(law: am.problem.Law) -> am.ContactProblem:
+    """A block pressed onto a bowl by a support that moves."""
+    return am.ContactProblem(
+        material=am.PlaneStrain(young=1e11, poisson=0.3), domain=am.Rectangle(width=0.1, height=0.05), law=law,
+        contact=am.Contact("bottom", am.GapFunction(lambda x: 2e-3 * (10 * x[:, 0] - 0.5) ** 2 / 40)),
+        supports=(am.Support("top", x=5e-5, y=-1e-4),))
+
+
+@cache
+def grids(case: str, law: str) -> am.Hierarchy:
+    given = LAWS[law]
+    if case == "graded":
+        return am.Hierarchy.graded(bar(given), sizes=(16e-3, 8e-3, 4e-3), contact_ratio=3)
+    if case in ("pair", "exchanged"):
+        pair = UPPER_ON_LOWER if case == "pair" else LOWER_ON_UPPER
+        return bar_hierarchy(bar_on_block(given, pair, gap=bumpy), 2)
+    posed = {"bar": (bar, (4, 8, 16)), "wavy": (lambda law: bar(law, am.GapFunction(wavy)), (4, 8, 16)),
+             "block": (block, (2, 4)), "round": (round_bar, (4, 8, 16)), "moved": (moved, ((8, 4), (16, 8)))}
+    problem, divisions = posed[case]
+    return am.Hierarchy.uniform(problem(given), divisions)
+
+
+@cache
+def reference(case: str, law: str) -> am.Result:
+    return am.solve(grids(case, law), am.ActiveSet(rtol=1e-12))
+
+
+CASES = ("bar", "wavy", "block", "round", "moved", "graded", "pair", "exchanged")
+TRUNCATED = am.FullMultigrid(rtol=1e-10)
+MONOTONE = am.Multigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400)
+METHODS = {
+    "single": am.SingleGrid(rtol=1e-10, omega=1.7),
+    "condensed": am.SingleGrid(rtol=1e-10, condensed=True),
+    "monotone": MONOTONE,
+    "monotone nested": am.FullMultigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400),
+    "truncated": am.Multigrid(rtol=1e-10),
+    "truncated nested": TRUNCATED,
+    "sparse": am.ActiveSet(condensed=False),
+    "pyamg": am.ActiveSet(linear=am.AMG()),
+    "levels": am.ActiveSet(nested_start=True),
+}
+#: what else a cycle or a smoother may be, on the bar and the block alone
+VARIANTS = {
+    "W": replace(MONOTONE, cycle=am.Cycle(shape="W", pre=1, post=1)),
+    "complete": am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="complete"), rtol=1e-10),
+    "F": am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="F"), rtol=1e-10),
+    "minmod": am.FullMultigrid(correction=am.PaperCorrection(slip="minmod", limit="summed"), rtol=1e-10),
+    "discretised": replace(MONOTONE, coarse_matrices="discretised"),
+    "symmetric sweeps": replace(MONOTONE, smoother=am.ProjectedGaussSeidel(order="symmetric")),
+}
+
+
+def energy(matrix: object, displacement: np.ndarray) -> float:
+    flat = displacement.reshape(-1)
+    return float(np.sqrt(flat @ (matrix @ flat)))
+
+
+def distance(problem: am.DiscreteProblem, one: np.ndarray, other: np.ndarray) -> float:
+    """In the energy norm, relative to the second displacement."""
+    return energy(problem.matrix, problem.relative(one - other)) / energy(problem.matrix, problem.relative(other))
+
+
+def assert_contact_conditions(result: am.Result, problem: am.DiscreteProblem) -> None:
+    """Signorini's conditions, the bound of friction and its direction, and the states; relative to the largest."""
+    c = result.contact
+    force, length = np.abs(c.force_n).max(), np.abs(result.displacement).max()
+    assert (c.gap >= -1e-12 * length).all() and (c.force_n >= 0).all()
+    assert np.abs(c.gap * c.force_n).max() < 1e-9 * force * length
+    limit, friction = problem.law.bounds(len(c))
+    if problem.exchange is None:
+        np.testing.assert_allclose(c.limit, limit + friction * c.force_n, atol=1e-12 * force)
+    size, slip = np.linalg.norm(c.force_t, axis=1), np.linalg.norm(c.slip, axis=1)
+    assert (size <= c.limit + 1e-7 * force).all()
+    moving = (c.state == am.SLIP) & (slip > 1e-7 * length)
+    assert np.abs(np.sum(c.force_t * c.slip, axis=1) + c.limit * slip)[moving].max(initial=0) < 1e-7 * force * length
+    assert slip[c.state == am.STICK].max(initial=0) < 1e-9 * length
+    assert result.certificate().contradictions(result.rtol) == ()
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("case", CASES)
+def test_the_reference_solves_the_conic_programme(case, law):
+    pytest.importorskip("clarabel")
+    from conic import Conic
+
+    problem, result = grids(case, law).finest.discrete, reference(case, law)
+    limit, friction = problem.law.bounds(len(problem.contact))
+    programme = Conic(problem)
+    unknowns, pressure = programme.coulomb(friction, limit) if friction.any() else programme.solve(limit)
+    error = problem.relative(result.displacement) - unknowns
+    assert energy(problem.matrix, error) <= 1e-8 * energy(problem.matrix, unknowns)
+    if problem.exchange is None:
+        assert np.abs(result.contact.force_n - pressure).max() <= 1e-8 * pressure.max()
+    assert_contact_conditions(result, problem)
+
+
+def check(case: str, law: str, solver: am.Multigrid) -> None:
+    """Energy norm, contact conditions, states, residual, and an error estimate that does not flatter."""
+    hierarchy, expected = grids(case, law), reference(case, law)
+    problem = hierarchy.finest.discrete
+    result = am.solve(hierarchy, solver, reference=expected)
+    error = distance(problem, result.displacement, expected.displacement)
+    assert error <= 1e-9
+    assert result.history["true_error"][-1] == pytest.approx(error, rel=0.05, abs=1e-11)
+    assert error <= 5 * max(result.error_estimate, 1e-12)
+    assert result.residual <= 1e-8
+    assert np.array_equal(result.contact.state, expected.contact.state)
+    assert_contact_conditions(result, problem)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("case", CASES)
+def test_every_method_agrees_with_the_reference(case, law, method):
+    check(case, law, METHODS[method])
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(("case", "law"), [("bar", "coulomb"), ("wavy", "tresca"), ("block", "coulomb")])
+def test_variants_of_cycles_agree_too(case, law, variant):
+    check(case, law, VARIANTS[variant])
+
+
+def test_the_cases_have_all_states():
+    for law in LAWS:
+        states = set().union(*(reference(case, law).contact.state for case in CASES))
+        assert states == ({am.OPEN, am.SLIP} if law == "frictionless" else {am.OPEN, am.SLIP, am.STICK}), law
+
+
+# -- closed forms and programmes on random networks ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_patch_test_is_exact(method):
+    problem = am.cases.greco_bar(law=am.Frictionless())
+    result = am.solve(am.Hierarchy.uniform(problem, (2, 4)), METHODS[method])
+    exact = problem.reference["values"]["exact"]["A"]
+    assert result.probe([problem.reference["points"]["A"]])[0, 0] == pytest.approx(exact, rel=1e-9)
+    assert result.contact.pressure == pytest.approx(5e7, rel=1e-8)
+
+
+@pytest.mark.parametrize("method", ["single", "monotone", "truncated nested", "sparse"])
+@pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(0.4), am.Tresca(1e7)], ids=LAWS)
+def test_a_stack_of_bodies_is_exact(law, method):
+    mesh = stacked([(3, 2), (4, 3)])
+    problem = pressed(mesh, [("upper.bottom", "lower.top")], (STIFF, STIFF), law)
+    grids = am.Hierarchy.from_meshes(problem, [mesh, stacked([(6, 4), (8, 6)])])
+    result = am.solve(grids, replace(METHODS[method], rtol=1e-12))
+    assert_state(result, uniaxial(result.mesh, (STIFF, STIFF)))
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_random_networks_solve_the_dual_problem(dim, law):
+    local = network(dim, law, fixed_tangent=True)
+    expected = local.to_cartesian(dual_solution(local))
+    for solver in (am.ActiveSet(), am.SingleGrid(rtol=1e-12)):
+        result = am.solve(local.discrete, solver)
+        assert np.abs(result.displacement - expected).max() <= 1e-9 * np.abs(expected).max()
+        assert result.residual < 1e-11
