@@ -126,5 +126,6 @@ def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 def distance_to_segments(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Distance (n,) of points (n, 2) to one segment, or to one segment each."""
     u = b - a
-    along = np.clip(np.sum((p - a) * u, axis=-1) / np.sum(u * u, axis=-1), 0.0, 1.0)
+    along = (p - a) @ u / (u @ u) if u.ndim == 1 else np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1)
+    along = np.clip(along, 0.0, 1.0)
     return np.linalg.norm(p - a - along[:, None] * u, axis=1)

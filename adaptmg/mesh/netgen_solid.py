@@ -4,7 +4,7 @@ The edge length asked for, with a bulk size H, a size function s, sizes :math:`h
 
 .. math:: h(x) = \min\bigl(H,\; s(x),\; \min_b (h_b + g\,\mathrm{dist}(x, b))\bigr).
 
-Netgen is asked for it as far as it is not below H/16; what is finer is bisected, with new nodes put onto the curved
+Netgen is asked for it down to H/16; what is finer is bisected, with new nodes put onto the curved
 surfaces. Netgen also keeps edges on curved faces below their radius over ``curvature``.
 
 Elements are straight: all nodes of curved faces lie on them, chords do not. The volume of the mesh therefore differs

@@ -91,7 +91,7 @@ def _is_ngsolve(mesh: object) -> bool:
 
 
 def _fits(mesh: MeshArrays) -> bool:
-    """Whether the source is still that of the arrays: dataclasses.replace keeps it beside new ones."""
+    """Whether the source is still that of the arrays: dataclasses.replace keeps it with new ones."""
     if isinstance(vars(mesh)["source"], OnDemand):
         return mesh.sound
     if not _is_ngsolve(mesh.source) or mesh.points.ndim != 2:

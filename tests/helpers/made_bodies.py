@@ -9,25 +9,14 @@ from made import cube, result_on, square
 
 import adaptmg as am
 from adaptmg.discrete.stress import StressData
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh import MeshArrays, merged
 from adaptmg.solver.result import Result
 
 
 def joined(parts: dict[str, MeshArrays], shifts: dict[str, tuple[float, ...]]) -> MeshArrays:
     """Meshes moved and put together body by body; boundaries are named 'body.edge'."""
-    fields = {name: [] for name in ("points", "elements", "facets", "facet_labels", "element_body")}
-    names: list[str] = []
-    nodes = 0
-    for k, (body, mesh) in enumerate(parts.items()):
-        fields["points"].append(mesh.points + np.asarray(shifts[body]))
-        fields["elements"].append(mesh.elements + nodes)
-        fields["facets"].append(mesh.facets + nodes)
-        fields["facet_labels"].append(mesh.facet_labels + len(names))
-        fields["element_body"].append(np.full(len(mesh.elements), k))
-        names += [f"{body}.{edge}" for edge in mesh.boundaries]
-        nodes += mesh.n_nodes
-    return MeshArrays(**{name: np.concatenate(found) for name, found in fields.items()}, boundaries=tuple(names),
-                      bodies=tuple(parts))
+    return merged({body: dataclasses.replace(mesh, points=mesh.points + np.asarray(shifts[body]), source=None)
+                   for body, mesh in parts.items()})
 
 
 STEEL, RUBBER = {"young": 2e11, "poisson": 0.3}, {"young": 1e7, "poisson": 0.45}

@@ -48,7 +48,7 @@ def bisect(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> t
     Raises
     ------
     TypeError, ValueError
-        If ``marked`` is no mask over the elements, or marks none; if ``passes`` is no integer >= 1.
+        If ``marked`` is not a mask over the elements, or marks none; if ``passes`` is not an integer >= 1.
     """
     marked = check_marked(check_mesh(mesh), marked)
     if not marked.any():

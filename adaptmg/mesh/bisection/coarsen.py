@@ -39,7 +39,7 @@ def coarsen(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> 
     Raises
     ------
     TypeError, ValueError
-        If ``marked`` is no mask over the elements, or ``passes`` is no integer >= 1.
+        If ``marked`` is not a mask over the elements, or ``passes`` not an integer >= 1.
     """
     marked = check_marked(check_mesh(mesh), marked)
     return coarsened(mesh, marked, None if passes is None else checks.integer("passes", passes, 1)).mesh

@@ -53,7 +53,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     Raises
     ------
     TypeError, ValueError
-        If it is no mesh, or one without history; if ``n_old`` is no number of nodes.
+        If it is not a mesh, or has no history; if ``n_old`` is not a number of nodes.
     """
     check_mesh(mesh)
     n_old = checks.integer("n_old", n_old, 0, mesh.n_nodes)
