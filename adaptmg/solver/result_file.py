@@ -36,8 +36,8 @@ Arrays = dict[str, np.ndarray]
 _FORMAT = 1
 #: fields of a Result in the JSON text by kind: a type, [of entries], {str: of values} or a tuple; of them optional ones
 _TEXT: dict[str, object] = {
-    "problem_name": str, "solver_name": str, "fallback": str, "cycles": int, "work_units": float, "residual": float, "rtol": float,
-    "error_estimate": float, "rate": float, "start_work_units": float, "timings": {str: float},
+    "problem_name": str, "solver_name": str, "fallback": str, "cycles": int, "work_units": float, "residual": float,
+    "rtol": float, "error_estimate": float, "rate": float, "start_work_units": float, "timings": {str: float},
     "path": [(int, str, int)], "levels": [{str: float}], "versions": {str: str}, "supports": {str: str}}
 _LATER = {"supports": {}}  # missing in files of earlier versions
 _LABELS = {"names": "contact", "masters": "contact", "boundaries": "mesh", "bodies": "mesh"}

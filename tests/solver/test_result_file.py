@@ -42,7 +42,7 @@ def test_numbers_of_numpy_become_plain_ones(tmp_path):
 
 
 def test_what_did_not_converge_may_hold_what_is_not_finite(tmp_path):
-    bad = result_on(square(2), status=Status.DIVERGED, displacement=np.full((9, 2), np.nan), residual=float("inf"))
+    bad = result_on(square(2), status=am.Status.DIVERGED, displacement=np.full((9, 2), np.nan), residual=float("inf"))
     found = moved(bad, tmp_path)
     assert np.isnan(found.displacement).all() and found.residual == float("inf")
 
