@@ -111,6 +111,8 @@ class TruncatedRun:
 
     #: cycles on a level of a complete nested start at most
     COMPLETE_LIMIT = 60
+    #: of the diagonal, added to a coarsest matrix that is singular
+    SHIFT = 1e-9
 
     def __init__(self, options: TruncatedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
         need_levels(hierarchy)
@@ -191,16 +193,21 @@ class TruncatedRun:
         problem, level = self.problems[0], self.cycle.levels[0]
         with self.run.phase("start"):
             # rows are empty where dofs are fixed, and where the next mesh is locally the coarser one
-            matrix = sparse.bsr_array(regular_matrix(level, problem.matrix.diagonal()), blocksize=(problem.dim,) * 2)
-            grids = Hierarchy.single(replace(problem, matrix=matrix, load=problem.load_from_prescribed()))
-            try:
-                found = ActiveSet(rtol=start.rtol).run(grids, Run(unit=self.run.unit), None)
-            except np.linalg.LinAlgError as error:
-                _LOG.info("coarsest level: the active set method gives up: %s", error)
-                return np.zeros(problem.n_dofs)
-            self.run.count(found.cycles, level.nonzeros)
-            self.run.visit(0, "solve", found.cycles)
-            return found.displacement.reshape(-1) - problem.fixed_values
+            diagonal = problem.matrix.diagonal()
+            regular, load = regular_matrix(level, diagonal), problem.load_from_prescribed()
+            for shift in (0.0, self.SHIFT):
+                matrix = regular + sparse.diags_array(shift * diagonal) if shift else regular
+                matrix = sparse.bsr_array(matrix, blocksize=(problem.dim,) * 2)
+                grids = Hierarchy.single(replace(problem, matrix=matrix, load=load))
+                try:
+                    found = ActiveSet(rtol=start.rtol).run(grids, Run(unit=self.run.unit), None)
+                except (np.linalg.LinAlgError, ValueError) as error:
+                    _LOG.info("coarsest level, shift %g: the active set method gives up: %s", shift, error)
+                    continue
+                self.run.count(found.cycles, level.nonzeros)
+                self.run.visit(0, "solve", found.cycles)
+                return problem.from_prescribed(found.displacement)
+            return np.zeros(problem.n_dofs)
 
     def _start_cycles(self, number: int, unknowns: np.ndarray, start: NestedStart) -> np.ndarray:
         """The cycles of a nested start on one level; returns the iterate (n_dofs,)."""
