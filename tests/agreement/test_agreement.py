@@ -77,7 +77,8 @@ def grids(case: str, law: str) -> am.Hierarchy:
         pair = UPPER_ON_LOWER if case == "pair" else LOWER_ON_UPPER
         return bar_hierarchy(bar_on_block(given, pair, gap=bumpy), 2)
     posed = {"bar": (bar, (4, 8, 16)), "wavy": (lambda law: bar(law, am.GapFunction(wavy)), (4, 8, 16)),
-             "block": (block, (2, 4)), "round": (round_bar, (4, 8, 16)), "moved": (moved, ((8, 4), (16, 8))), "curved": (curved, (4, 8, 16))}
+             "block": (block, (2, 4)), "round": (round_bar, (4, 8, 16)),
+             "moved": (moved, ((8, 4), (16, 8))), "curved": (curved, (4, 8, 16))}
     problem, divisions = posed[case]
     return am.Hierarchy.uniform(problem(given), divisions)
 

@@ -157,3 +157,14 @@ def test_the_active_set_method_takes_over_where_friction_is_too_large():
     assert (np.diff(result.history["work_units"]) >= 0).all()
     early = am.solve(hierarchy, am.FullMultigrid(max_cycles=20), throw=False)
     assert early.status is am.Status.LIMIT and not early.fallback
+
+
+def test_cycles_of_a_nested_start():
+    one, finer = (am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8))[k].discrete for k in (0, 1))
+    joint = am.Hierarchy.graded(am.cases.dovetail(), (12e-3, 9e-3, 4e-3), 1.0)
+    coarse, middle, fine = (level.discrete for level in joint.levels)
+    start = am.NestedStart()
+    assert start.cycles_on(one, finer) == 1
+    assert middle.n_nodes < 3 * coarse.n_nodes and start.cycles_on(coarse, middle) == 1
+    assert fine.n_nodes > 3 * middle.n_nodes and start.cycles_on(middle, fine) == 2
+    assert am.NestedStart(cycles=3).cycles_on(middle, fine) == 3

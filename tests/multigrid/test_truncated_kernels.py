@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +13,17 @@ import pytest
 from scipy import sparse
 from smoother_problems import expand, network
 
+import adaptmg as am
 from adaptmg.multigrid import half_sweeps as kernels
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.half_sweeps import add_prolonged, combine, restrict
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.split_matrix import split
-from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncated_contact import TruncatedContact, count_cut
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
+from adaptmg.smoother.system import BACKWARDS, CLOSED, SLIPS
 from adaptmg.transfer import galerkin_product, without_fixed
 
 
@@ -272,9 +275,37 @@ def test_singular_coarsest_matrices_are_shifted(limit, monkeypatch):
     np.testing.assert_allclose(matrix @ result, [1, -1, 0, 2], atol=1e-5)
 
 
+@pytest.mark.parametrize("alpha, cut", [(0.0, 0), (0.4, 0), (0.6, 1), (1.1, 2), (-1.0, 1)])
+def test_nodes_that_a_recombination_would_cut(alpha, cut):
+    # node 0 is open, 2 from the gap, and closes above alpha = 0.9; node 1 slips by 0.5 and turns above 0.5; the closed
+    # node 2 slips by -0.1 and turns below -0.1
+    nodes, n = np.arange(3, dtype=np.int32), 3
+    frames = np.tile(np.eye(2).reshape(-1), n)
+    u = np.array([-2.0, 0.0, 0.0, 0.5, 0.0, -0.1])
+    first = u + np.array([2.0 / 0.9, 0.0, 0.0, -1.0, 5.0, -1.0])
+    codes = np.array([0, CLOSED + SLIPS, CLOSED + BACKWARDS], dtype=np.int8)
+    found = count_cut(2, codes, nodes, frames, np.zeros(n), np.zeros(n), u.copy(), first, u, alpha, 0.0, u)
+    assert found == cut
+
+
+def test_one_node_is_cut_and_many_are_not():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Frictionless()), (4, 8))
+    problem = grids.finest.discrete
+    problem = replace(problem, contact=replace(problem.contact, gaps=np.ones(len(problem.contact))))
+    contact = TruncatedContact.of(problem, split(problem.matrix, problem.fixed))
+    contact.codes[:] = 0
+    u = np.zeros(problem.n_dofs)
+    for moved, admitted in ((0, True), (1, True), (2, False), (9, False)):
+        other = u.copy()
+        other[2 * problem.contact.nodes[:moved] + 1] = -2.0
+        assert contact.admits(u, other, u, (1.0, 0.0)) is admitted
+
+
 @pytest.mark.slow
 def test_kernels_without_jit():
-    environment = dict(os.environ, NUMBA_DISABLE_JIT="1")
-    done = subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow",
-                           str(Path(__file__))], env=environment, capture_output=True, text=True)
+    files = [Path(__file__).with_name(f"test_{name}.py") for name in ("truncated_kernels", "local_sweeps")]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", "-k",
+         "truncated_kernels or test_sweeps and coulomb", *files],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-2000:]
