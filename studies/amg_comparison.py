@@ -132,7 +132,8 @@ def linear(grid: str, size: int, rtol: float, max_cycles: int, repetitions: int)
         seconds = perf_counter() - middle
         error = solution.unknowns - exact
         return {"setup_s": middle - begin, "solve_s": seconds, "total_s": middle - begin + seconds,
-                "iterations": solution.iterations, "work": solution.passes, "complexity": prepared.operator_complexity,
+                "iterations": solution.iterations, "work": solution.passes,
+                "complexity": prepared.hierarchy.operator_complexity(),
                 "energy_error": float(np.sqrt(error @ (matrix @ error) / (exact @ (matrix @ exact)))),
                 "residual": solution.residual, "outcome": "CONVERGED" if solution.converged else "LIMIT"}
 

@@ -25,6 +25,8 @@ import pandas as pd
 import waiting
 
 import adaptmg as am
+from adaptmg.multigrid.rigid_motions import RigidMotions
+from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.solver.record import Outcome, Run
 from adaptmg.solver.truncated import TruncatedRun
 
@@ -65,9 +67,30 @@ def run_ours(hierarchy: am.Hierarchy, rtol: float, max_cycles: int = 100, refere
     """One run, without the checks around it; the record, the outcome, bytes of the solver's arrays."""
     solver = am.FullMultigrid(correction=am.Truncated(), rtol=rtol, max_cycles=max_cycles)
     run = Run(unit=hierarchy.finest.matrix.nnz, reference=reference)
-    machine = TruncatedRun(solver.truncated, hierarchy, run)
+    machine = _Measured(solver.truncated, hierarchy, run)
     outcome = machine.from_nested(solver.start)
     return run, outcome, machine.nbytes
+
+
+class _Measured(TruncatedRun):
+    """A run that notes the memory of its last step."""
+
+    def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
+        step = super()._step(number, unknowns)
+        self.nbytes = _bytes(step, set())
+        return step
+
+
+def _bytes(thing: Any, seen: set[int]) -> int:
+    """Memory of the arrays that a step, its matrices and transfers hold, bytes."""
+    if id(thing) in seen or isinstance(thing, Run | RigidMotions):
+        return 0
+    seen.add(id(thing))
+    if isinstance(thing, np.ndarray):
+        return thing.nbytes
+    parts = thing if isinstance(thing, list | tuple) else thing.values() if isinstance(thing, dict) else vars(
+        thing).values() if hasattr(thing, "__dict__") else ()
+    return sum(_bytes(part, seen) for part in parts)
 
 
 def full_passes(run: Run, hierarchy: am.Hierarchy) -> float:

@@ -37,7 +37,7 @@ from adaptmg.transfer.constraints import (
     supports,
 )
 
-__all__ = ["Correction", "CorrectionLevel", "CorrectionLevels", "InitialContact", "Monotone", "PaperCorrection",
+__all__ = ["Correction", "CorrectionLevel", "InitialContact", "Monotone", "PaperCorrection",
            "Recorder", "contact_weights", "correction_contact", "correction_levels", "local_prolongation",
            "sliding_limit"]
 
@@ -119,25 +119,10 @@ class CorrectionLevel:
         return supports(self.contact_prolongation)
 
 
-@dataclass(eq=False)
-class CorrectionLevels:
-    """Levels, coarsest first, below one fine problem."""
-
-    levels: list[CorrectionLevel]
-    fine: LocalProblem  # the problem on the last level
-
-    def __len__(self) -> int:
-        return len(self.levels)
-
-    def __getitem__(self, number: int) -> CorrectionLevel:
-        return self.levels[number]
-
-
 def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
-                      coarse_matrices: str = "galerkin") -> CorrectionLevels:
-    """Level ``finest`` of a hierarchy and those below it."""
-    fine = problems[finest]
-    levels = [CorrectionLevel(fine.system)]
+                      coarse_matrices: str = "galerkin") -> list[CorrectionLevel]:
+    """Level ``finest`` of a hierarchy and those below it, coarsest first."""
+    levels = [CorrectionLevel(problems[finest].system)]
     for k in range(finest, 0, -1):
         upper, lower = problems[k], problems[k - 1]
         nodal = hierarchy[k].contact_prolongation
@@ -147,7 +132,7 @@ def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest
         finer = levels[1] if len(levels) > 1 else None
         system = local_galerkin(levels[0], lower.system, finer) if coarse_matrices == "galerkin" else lower.system
         levels.insert(0, CorrectionLevel(system))
-    return CorrectionLevels(levels, fine)
+    return levels
 
 
 def contact_weights(nodal: sparse.csr_array, fine: DiscreteProblem, coarse: DiscreteProblem) -> sparse.csr_array:
@@ -231,7 +216,6 @@ class Monotone:
 
     def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See :class:`Correction`."""
         stick = (slip == 0.0).all(axis=1)
         return smallest_gap(reach, opening), minmod_slip(reach, slip, stick), summed_limit(reach, limit)
 
@@ -268,23 +252,13 @@ class PaperCorrection:
 
     @property
     def needs_initial(self) -> bool:
-        """See :class:`Correction`."""
         return "initial" in (self.slip, self.limit)
 
     def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """See :class:`Correction`."""
         gap = {"smallest": smallest_gap, "largest": largest_gap, "injected": injected_gap}[self.gap](reach, opening)
-        if self.slip == "initial":
-            coarse_slip = initial.slip
-        elif self.slip == "injected":
-            coarse_slip = injected_slip(reach, slip)
-        else:
-            coarse_slip = minmod_slip(reach, slip, (slip == 0.0).all(axis=1))
-        if self.limit == "initial":
-            coarse_limit = initial.limit
-        elif self.limit == "injected":
-            coarse_limit = injected_limit(reach, limit)
-        else:
-            coarse_limit = summed_limit(reach, limit)
-        return gap, coarse_slip, coarse_limit
+        slips = {"initial": lambda: initial.slip, "injected": lambda: injected_slip(reach, slip),
+                 "minmod": lambda: minmod_slip(reach, slip, (slip == 0.0).all(axis=1))}
+        limits = {"initial": lambda: initial.limit, "injected": lambda: injected_limit(reach, limit),
+                  "summed": lambda: summed_limit(reach, limit)}
+        return gap, slips[self.slip](), limits[self.limit]()

@@ -20,7 +20,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.multigrid.corrections import (
     Correction,
-    CorrectionLevels,
+    CorrectionLevel,
     InitialContact,
     Recorder,
     correction_contact,
@@ -37,17 +37,13 @@ class Condensation(Protocol):
     """A matrix condensed to its contact dofs; :class:`adaptmg.solver.factorisation.Condensed` is one."""
 
     @property
-    def problem(self) -> LocalProblem:
-        """The condensed problem."""
+    def problem(self) -> LocalProblem: ...
 
-    def restrict(self, unknowns: np.ndarray) -> np.ndarray:
-        """The entries at contact dofs."""
+    def restrict(self, unknowns: np.ndarray) -> np.ndarray: ...
 
-    def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A particular solution away from contact, and the condensed residual."""
+    def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
 
-    def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
-        """All dofs from those at contact."""
+    def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +75,7 @@ class Cycle:
 class MultigridCycle:
     """Cycles on the levels of a coarse correction; unknowns are changed in place."""
 
-    levels: CorrectionLevels
+    levels: list[CorrectionLevel]  # coarsest first
     options: Cycle
     smoother: Smoother
     correction: Correction
@@ -122,7 +118,6 @@ class MultigridCycle:
         self.recorder.visit(level, "prolong")
 
     def smooth(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, sweeps: int) -> None:
-        """Sweep on a level."""
         if sweeps:
             system = self.levels[level].system
             passes = self.smoother.smooth(system, contact, load, unknowns, sweeps)
@@ -136,7 +131,6 @@ class MultigridCycle:
         return residual(system, load, unknowns)
 
     def solve_coarsest(self, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:
-        """Solve on the coarsest level."""
         if self.condensed is None:
             sweeps = self.coarse.solve(self.levels[0].system, contact, load, unknowns, self.recorder)
         else:

@@ -34,10 +34,6 @@ class LevelVectors:
     solution: np.ndarray
     kept: np.ndarray
 
-    @classmethod
-    def zeros(cls, n: int) -> LevelVectors:
-        return cls(np.zeros(n), np.zeros(n), np.zeros(n))
-
 
 @dataclass(eq=False)
 class LinearCycle:
@@ -63,17 +59,9 @@ class LinearCycle:
             self._custom = {k: _LevelSmoother(self.coarse_smoother, self.levels[k]) for k in range(1, number)}
 
     def vectors(self, number: int) -> LevelVectors:
-        """Load and solution of a level, made when first asked for."""
         if number not in self._vectors:
-            self._vectors[number] = LevelVectors.zeros(self.levels[number].n_dofs)
+            self._vectors[number] = LevelVectors(*(np.zeros(self.levels[number].n_dofs) for _ in range(3)))
         return self._vectors[number]
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of matrices, prolongations and vectors, bytes."""
-        vectors = sum(v.load.nbytes + v.solution.nbytes + v.kept.nbytes for v in self._vectors.values())
-        transfers = sum(P.data.nbytes + P.indices.nbytes + P.indptr.nbytes for P in self.prolongations)
-        return sum(level.nbytes for level in self.levels) + transfers + vectors
 
     def solve(self, number: int) -> np.ndarray:
         """One cycle from zero for the load of a level; returns its solution."""
@@ -119,7 +107,6 @@ class LinearCycle:
         return 1 if sweeps == 1 else 1.5
 
     def _after(self, number: int, v: LevelVectors) -> float:
-        """Smooth the corrected solution; returns the passes."""
         level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
         if self._custom:
             return self._custom[number].smooth(v.load, v.solution)
@@ -149,7 +136,6 @@ class CoarseFactors:
         self._prepared: PreparedSolve | None = None
 
     def renew(self) -> None:
-        """Factorise the matrix, which has changed."""
         matrix = regular_matrix(self.level, self._scale)
         if self.custom is not None:
             self._prepared = checks.offers("coarse_solve: what setup returns", self.custom.setup(matrix), "solve",
@@ -242,6 +228,5 @@ class _LevelSmoother:
                                        "an object with smooth(rhs, x) -> passes")
 
     def smooth(self, load: np.ndarray, unknowns: np.ndarray) -> float:
-        """Improve ``unknowns`` in place; returns the passes it took."""
         passes = self._smoother.smooth(load.copy(), unknowns)
         return checks.nonnegative("coarse_smoother: the passes that smooth returns", passes)

@@ -197,42 +197,6 @@ def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
 
 
 @kernel
-def _count(indptr, indices, place, result):
-    """Row pointers of the rows (without diagonal) of the nodes with ``place`` >= 0."""
-    for i in range(len(indptr) - 1):
-        for k in range(indptr[i], indptr[i + 1]):
-            j = np.int64(indices[k])
-            if place[i] >= 0:
-                result[place[i] + 1] += 1
-            if place[j] >= 0:
-                result[place[j] + 1] += 1
-    for i in range(len(result) - 1):
-        result[i + 1] += result[i]
-
-
-@kernel
-def _fill(dim, indptr, indices, lower, place, row_indptr, columns, blocks):
-    """Columns and blocks of those rows; a block above the diagonal is the transpose of the one below."""
-    size = dim * dim
-    at = row_indptr[:-1].copy()
-    for i in range(len(indptr) - 1):
-        for k in range(indptr[i], indptr[i + 1]):
-            j = np.int64(indices[k])
-            p, q = place[i], place[j]
-            if p >= 0:
-                columns[at[p]] = j
-                for c in range(size):
-                    blocks[size * at[p] + c] = lower[size * k + c]
-                at[p] += 1
-            if q >= 0:
-                columns[at[q]] = i
-                for a in range(dim):
-                    for b in range(dim):
-                        blocks[size * at[q] + dim * a + b] = lower[size * k + dim * b + a]
-                at[q] += 1
-
-
-@kernel
 def _add(dim, p, node, left, right, nodes, indptr, columns, blocks, diagonal, result, at):
     """result += diag(left) A diag(right) for the block in row ``p`` (a position) and column ``node``."""
     size = dim * dim
@@ -285,16 +249,18 @@ class Interface:
         self.nodes = np.flatnonzero(reached).astype(np.int32)
         place = np.full(n, -1, dtype=np.int32)
         place[self.nodes] = np.arange(len(self.nodes), dtype=np.int32)
-        self.indptr = np.zeros(len(self.nodes) + 1, dtype=np.int64)
-        _count(level.lower_indptr, level.lower_indices, place, self.indptr)
-        self.indices = np.empty(self.indptr[-1], dtype=np.uint32)
-        self.blocks = np.empty(self.indptr[-1] * dim * dim)
-        _fill(dim, *level.lower_arrays, place, self.indptr, self.indices, self.blocks)
+        # the rows without diagonal: entries of L, and of L' (negative), whose blocks are transposed
+        entries = sparse.csr_array((np.arange(1, len(ones) + 1), half.indices, half.indptr), shape=(n, n))
+        rows = sparse.csr_array(entries[self.nodes] - sparse.csr_array(entries[:, self.nodes].T))
+        rows.sort_indices()
+        self.indptr, self.indices = rows.indptr.astype(np.int64), rows.indices.astype(np.uint32)
+        blocks = level.lower.reshape(-1, dim, dim)[np.abs(rows.data) - 1]
+        self.blocks = np.where((rows.data < 0)[:, None, None], blocks.transpose(0, 2, 1), blocks).reshape(-1)
         self.diagonal = level.diagonal.reshape(-1, dim * dim)[self.nodes].reshape(-1)
         self._follow(coupling, place)
         self.alone = np.zeros_like(self.diagonal)
-        _alone_blocks(dim, self.nodes, self.indptr, self.indices, self.blocks, self.diagonal,
-                             self.follow_indptr, self.followers, self.follow_weights, self.alone)
+        _alone_blocks(dim, self.nodes, self.indptr, self.indices, self.blocks, self.diagonal, self.follow_indptr,
+                      self.followers, self.follow_weights, self.alone)
         # fixed components stay where they are, though followers pull at them
         free = ~coupling.fixed.reshape(-1, dim)[self.nodes]
         blocks = self.alone.reshape(-1, dim, dim) * (free[:, :, None] & free[:, None, :])
@@ -319,8 +285,3 @@ class Interface:
         """The arrays that the local sweeps read."""
         return (self.nodes, self.indptr, self.indices, self.blocks, self.diagonal, self.follow_indptr, self.followers,
                 self.follow_weights, self.alone)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        return sum(array.nbytes for array in (*self.arrays, self.forward, self.backward))

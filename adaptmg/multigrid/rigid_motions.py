@@ -74,7 +74,6 @@ class RigidContact:
 
     @property
     def closed(self) -> np.ndarray:
-        """(n,) bool."""
         return self.values[:, 0] == self.gap
 
     @property
@@ -94,7 +93,6 @@ class RigidContact:
         return null_combinations(np.concatenate([self.motions[closed, 0], self.motions[held, 1:].reshape(-1, count)]))
 
     def step(self, free: np.ndarray, work: np.ndarray) -> np.ndarray | None:
-        """Take one step."""
         resistance = np.where(self.resists, self.limit + np.where(self.closed, self.friction * self.pressure, 0.0), 0.0)
         tangents, force = self.motions[:, 1:] @ free, free.T @ work
         enough = self.BALANCED[self.values.shape[1]] * np.linalg.norm(force)
@@ -178,7 +176,6 @@ class _Line:
 
     @property
     def stop(self) -> float:
-        """Where the first node closes."""
         return float(self.stops.min())
 
     @property
@@ -187,7 +184,6 @@ class _Line:
         return float(self.bound @ self.speed)
 
     def slope(self, length: float) -> float:
-        """Derivative of the energy."""
         slip = self.slip + length * self.change
         size = np.linalg.norm(slip, axis=1)
         product = np.einsum("nt,nt->n", slip, self.change)

@@ -40,12 +40,10 @@ class SplitMatrix:
 
     @property
     def n_nodes(self) -> int:
-        """Block rows."""
         return len(self.lower_indptr) - 1
 
     @property
     def n_dofs(self) -> int:
-        """Rows."""
         return self.n_nodes * self.dim
 
     @property
@@ -55,19 +53,11 @@ class SplitMatrix:
 
     @property
     def lower_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """indptr, indices, data of L."""
         return self.lower_indptr, self.lower_indices, self.lower
 
     @property
     def upper_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """indptr, indices, data of U."""
         return self.upper_indptr, self.upper_indices, self.upper
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        arrays = (*self.lower_arrays, *self.upper_arrays, self.diagonal, self.inverse, self.fixed)
-        return sum(array.nbytes for array in arrays)
 
     def drop_diagonal(self) -> None:
         """Free the diagonal blocks: :meth:`at_slots` and :meth:`matrix` are then out of reach."""

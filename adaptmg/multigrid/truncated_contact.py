@@ -24,8 +24,8 @@ from adaptmg.smoother.blocks import ZERO, in_loop, inner, read, read_upper, time
 from adaptmg.smoother.node_solve import natural_at, read_reference
 from adaptmg.smoother.system import BACKWARDS, CLOSED, HELD, SLIPS, TANGENTIAL, NodalContact, local_contact, turn_held
 
-__all__ = ["StatusChange", "TruncatedContact", "classify", "count_cut", "directions", "friction_slope", "project",
-           "truncate"]
+__all__ = ["StatusChange", "TruncatedContact"]
+
 
 @dataclass(frozen=True)
 class StatusChange:
@@ -84,13 +84,7 @@ class TruncatedContact:
 
     @property
     def node_data(self) -> tuple[np.ndarray, ...]:
-        """The arrays that the node solve reads."""
         return self.frames, self.blocks, self.gap, self.reference, self.limit, self.friction, self.values
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
 
     def start(self, unknowns: np.ndarray) -> None:
         """Take over unknowns (n_dofs,) that may penetrate; they are projected onto the admissible ones, in place."""

@@ -29,7 +29,7 @@ from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 
-__all__ = ["Recombination", "StepState", "TruncatedStep", "line_minimum"]
+__all__ = ["Recombination", "StepState", "TruncatedStep"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,9 @@ class StepState:
 
 class TruncatedStep:
     """Steps on level ``number`` of the levels of a linear cycle, with contact."""
+
+    #: of the interval in the search for the least energy
+    HALVINGS = 30
 
     def __init__(self, cycle: LinearCycle, number: int, contact: TruncatedContact, load: np.ndarray,
                  unknowns: np.ndarray, depth: int, motions: RigidMotions | None = None,
@@ -158,9 +161,16 @@ class TruncatedStep:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
         curvature = self._energy_product(proposed)
         gain = product_of_change(self.residual, proposed, self.unknowns)
-        alpha = line_minimum(lambda a: a * curvature - gain + self.contact.friction_slope(before, a))
-        if alpha < 1.0:
-            shorten(alpha, self.unknowns, proposed)
+
+        def slope(part: float) -> float:
+            return part * curvature - gain + self.contact.friction_slope(before, part)
+
+        if not slope(1.0) <= 0.0:
+            low, high = 0.0, 1.0
+            for _ in range(self.HALVINGS):
+                middle = 0.5 * (low + high)
+                low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
+            shorten(low, self.unknowns, proposed)
             self.contact.values[:] = before
             self.contact.project(proposed)
 
@@ -169,7 +179,6 @@ class TruncatedStep:
         return float(dot(self.unknowns, self.load) - dot(self.unknowns, self.residual))
 
     def distance(self, other: np.ndarray) -> float:
-        """A-norm of the difference to other unknowns; half a pass."""
         return float(np.sqrt(max(self._energy_product(other), 0.0)))
 
     def _energy_product(self, other: np.ndarray) -> float:
@@ -178,13 +187,6 @@ class TruncatedStep:
         self.cycle.recorder.count(0.5, level.nonzeros)
         return projected_sweeps.energy_product(ZERO[level.dim], *level.lower_arrays, level.inverse, self.unknowns,
                                                other)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of what the cycle adds to the linear one, bytes."""
-        vectors = 5 * self.unknowns.nbytes + 3 * self.recombination.now.nbytes
-        interface = 0 if self.interface is None else self.interface.nbytes
-        return vectors + self.contact.nbytes + self.truncation.nbytes + interface
 
     def rounding(self) -> float:
         """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that arithmetic reaches."""
@@ -213,7 +215,6 @@ class Recombination:
         return self._residuals[0]
 
     def restart(self) -> None:
-        """Forget the iterates before the present one."""
         self.past = 0
 
     def fit(self, inverse: np.ndarray) -> tuple[float, float]:
@@ -229,29 +230,12 @@ class Recombination:
         return (b_1 / a_11, 0.0) if a_11 > 0.0 else (0.0, 0.0)
 
     def combine(self, alpha: tuple[float, float], result: np.ndarray) -> None:
-        """The residual of the recombined iterate."""
         _combined(*self._residuals, *alpha, result)
 
     def advance(self) -> None:
-        """The present iterate becomes a past one."""
         a, b, c = self._residuals
         self._residuals = [c, a, b]
         self.past += 1
-
-
-#: halvings of the interval
-_HALVINGS = 30
-
-
-def line_minimum(slope: Callable[[float], float]) -> float:
-    """The part of a step, at most all of it (1), up to which a convex energy falls; ``slope`` is its derivative."""
-    if slope(1.0) <= 0.0:
-        return 1.0
-    low, high = 0.0, 1.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
-    return low
 
 
 @kernel

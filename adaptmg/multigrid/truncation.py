@@ -23,8 +23,8 @@ from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.smoother.system import CLOSED, HELD, TANGENTIAL
 
-__all__ = ["DofUpdate", "NodalUpdate", "Truncation", "add_contributions", "changed_blocks", "collect", "count_blocks",
-           "count_contributions", "fetch", "fill_contributions", "find_slot", "find_slots", "store"]
+__all__ = ["Truncation"]
+
 
 @dataclass(eq=False)
 class _Changed:
@@ -42,7 +42,6 @@ class _Changed:
         self._free[self.level.fixed] = False
 
     def store(self, change: np.ndarray) -> None:
-        """Write base + change into the level."""
         level = self.level
         store(self.dim, self.slots, self.rows, self.columns, self.base, change, self._free,
               int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse)
@@ -92,7 +91,6 @@ class _ChangedBlocks(_Changed):
         self._change = np.zeros(len(self.base))
 
     def update(self, change: np.ndarray) -> np.ndarray:
-        """Write the matrix for a change on the finer level; returns the change on this one."""
         add_contributions(self.dim**2, self.source, self.target, self.weight, change, self._change)
         self.store(self._change)
         return self._change
@@ -107,12 +105,6 @@ class _Update:
         """Put the base matrices back."""
         for below in self.below:
             below.store(np.zeros(len(below.base)))
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        return sum(value.nbytes for below in self.below for value in vars(below).values()
-                   if isinstance(value, np.ndarray))
 
 
 class DofUpdate(_Update):
@@ -157,14 +149,14 @@ class NodalUpdate(_Update):
             rows, columns = self.below[-1].rows, self.below[-1].columns
 
     def update(self, change: np.ndarray) -> None:
-        """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""
         for below in self.below:
             change = below.update(change)
 
 
 def _products(level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray) -> _ChangedBlocks:
     """Where the blocks of a finer level go on this one."""
-    room = int(count_contributions(rows, columns, nodal.indptr))
+    entries = np.diff(nodal.indptr).astype(np.int64)
+    room = int(entries[rows] @ entries[columns])
     source, target, weight = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(room)
     slots = np.empty(room, dtype=np.int64)
     coarse_rows, coarse_columns = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
@@ -187,15 +179,19 @@ class Truncation:
                  contact: TruncatedContact) -> None:
         self.contact, fine = contact, levels[-1]
         dim = fine.dim
-        count = count_blocks(contact.nodes, contact.contact_of, fine.lower_indptr, fine.lower_indices)
-        rows, columns, entries = (np.empty(count, dtype=np.int32) for _ in range(3))
-        collect(contact.nodes, contact.contact_of, fine.lower_indptr, fine.lower_indices, rows, columns, entries)
+        row = np.repeat(np.arange(fine.n_nodes), np.diff(fine.lower_indptr))
+        at = np.flatnonzero((contact.contact_of[row] >= 0) | (contact.contact_of[fine.lower_indices] >= 0))
+        i, j, below = row[at], fine.lower_indices[at], fine.lower.reshape(-1, dim, dim)[at]
+        # blocks in rows and columns of contact nodes: on the diagonal, and of L for both sides
+        rows, columns = (np.concatenate([contact.nodes, np.column_stack(pair).reshape(-1)]).astype(np.int32)
+                         for pair in ((i, j), (j, i)))
+        blocks = np.concatenate([contact.diagonal.reshape(-1, dim, dim), np.stack(
+            [below, below.transpose(0, 2, 1)], axis=1).reshape(-1, dim, dim)])
         # contact node by contact node, so that the blocks written below lie close together
         owner = np.where(contact.contact_of[rows] < 0, contact.contact_of[columns], contact.contact_of[rows])
         order = np.argsort(owner, kind="stable")
-        self.rows, self.columns = rows[order], columns[order]
-        self.blocks, self.change = np.empty(count * dim * dim), np.zeros(count * dim * dim)
-        fetch(dim, self.rows, self.columns, entries[order], fine.lower, contact.diagonal, self.blocks)
+        self.rows, self.columns, self.blocks = rows[order], columns[order], blocks[order].reshape(-1)
+        self.change = np.zeros(len(self.blocks))
         if prolongations[-1].shape[0] == fine.n_nodes:
             self.products: NodalUpdate | DofUpdate = NodalUpdate(levels[:-1], prolongations, self.rows, self.columns)
         else:
@@ -209,55 +205,7 @@ class Truncation:
         self.products.update(self.change)
 
     def restore(self) -> None:
-        """Put the base matrices back."""
         self.products.restore()
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
-        own = self.rows.nbytes + self.columns.nbytes + self.blocks.nbytes + self.change.nbytes
-        return own + self.products.nbytes
-
-
-@kernel
-def count_blocks(nodes, contact_of, indptr, indices):
-    """The number of blocks in rows and columns of contact nodes, from the lower half of a symmetric matrix."""
-    total = 0
-    for i in range(len(indptr) - 1):
-        for k in range(indptr[i], indptr[i + 1]):
-            if contact_of[i] >= 0 or contact_of[indices[k]] >= 0:
-                total += 2
-    return total + len(nodes)
-
-
-@kernel
-def collect(nodes, contact_of, indptr, indices, rows, columns, entries):
-    """Where those blocks are: on the diagonal the contact node, elsewhere the entry of L, for both sides."""
-    count = 0
-    for k in range(len(nodes)):
-        rows[count], columns[count], entries[count] = nodes[k], nodes[k], k
-        count += 1
-    for i in range(len(indptr) - 1):
-        for k in range(indptr[i], indptr[i + 1]):
-            j = indices[k]
-            if contact_of[i] >= 0 or contact_of[j] >= 0:
-                rows[count], columns[count], entries[count] = i, j, k
-                rows[count + 1], columns[count + 1], entries[count + 1] = j, i, k
-                count += 2
-
-
-@kernel
-def fetch(dim, rows, columns, entries, lower, diagonal, blocks):
-    """Copy the collected blocks; above the diagonal they are transposed ones of L."""
-    size = dim * dim
-    for e in range(len(rows)):
-        at = size * np.int64(entries[e])
-        for a in range(dim):
-            for b in range(dim):
-                if rows[e] == columns[e]:
-                    blocks[e * size + a * dim + b] = diagonal[at + a * dim + b]
-                else:
-                    blocks[e * size + a * dim + b] = lower[at + (a * dim + b if rows[e] > columns[e] else b * dim + a)]
 
 
 @inner_kernel
@@ -326,16 +274,6 @@ def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, fricti
         for a in range(dim):
             for b in range(dim):
                 change[e * size + a * dim + b] = block[a, b] - blocks[e * size + a * dim + b]
-
-
-@kernel
-def count_contributions(rows, columns, indptr):
-    """Number of products P_iI P_jJ over all blocks (i, j)."""
-    total = 0
-    for e in range(len(rows)):
-        i, j = rows[e], columns[e]
-        total += (indptr[i + 1] - indptr[i]) * (indptr[j + 1] - indptr[j])
-    return total
 
 
 @inner_kernel

@@ -97,14 +97,10 @@ class ProjectedGaussSeidel:
                 current = contact.frozen(normal_force(system, load, unknowns))
                 passes += contact_share(system)
             for step in _DIRECTIONS[self.order]:
-                self._pass(system, current, load, unknowns, step)
+                notice(kernels.sweep)
+                kernels.sweep(ZERO[system.dim], 0 if step > 0 else system.n_nodes - 1, step, system.indptr,
+                              system.indices, system.data, system.diagonal, system.inverse, system.contact_of,
+                              current.gap, current.slip_reference.reshape(-1), current.limit, current.friction, load,
+                              unknowns, self.omega)
                 passes += 1.0
         return passes
-
-    def _pass(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
-              step: int) -> None:
-        """One pass over all nodes, first to last (step 1) or last to first (-1)."""
-        notice(kernels.sweep)
-        kernels.sweep(ZERO[system.dim], 0 if step > 0 else system.n_nodes - 1, step, system.indptr, system.indices,
-                      system.data, system.diagonal, system.inverse, system.contact_of, contact.gap,
-                      contact.slip_reference.reshape(-1), contact.limit, contact.friction, load, unknowns, self.omega)

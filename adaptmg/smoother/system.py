@@ -23,9 +23,8 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.transfer.galerkin import without_fixed
 
 __all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "OPEN", "SLIP", "SLIPS", "STICK", "TANGENTIAL", "ContactState",
-           "LocalProblem", "LocalSystem", "NodalContact", "contact_blocks", "contact_codes", "contact_lift",
-           "contact_states", "held_tangents", "inverse_blocks", "local_contact", "local_system", "turn_held"]
-
+           "LocalProblem", "LocalSystem", "NodalContact", "contact_blocks", "contact_codes", "contact_states",
+           "held_tangents", "inverse_blocks", "local_contact", "local_system", "turn_held"]
 
 
 @dataclass
@@ -87,12 +86,10 @@ class LocalSystem:
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes."""
         return len(self.indptr) - 1
 
     @property
     def n_dofs(self) -> int:
-        """Number of dofs, fixed ones included."""
         return self.n_nodes * self.dim
 
     @property
@@ -187,7 +184,8 @@ def contact_blocks(problem: DiscreteProblem, contact: NodalContact, frames: np.n
 
 
 def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarray) -> NodalContact:
-    lifted = contact_lift(problem, frames)
+    # the prescribed values
+    lifted = to_frames(frames, problem.fixed_values.reshape(-1, problem.dim)[problem.contact.nodes])
     limit, friction = problem.law.bounds(len(problem.contact))
     reference = to_frames(frames, problem.contact.slip_reference)[:, 1:] - lifted[:, 1:]
     held = fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]
@@ -209,12 +207,6 @@ def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) ->
         blocks = diagonal.reshape(-1, 3, 3)
         at = nodes[contact.held]
         blocks[at, 1, 1] = -np.abs(blocks[at, 1, 1])
-
-
-def contact_lift(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
-    """Prescribed values at contact nodes in local components (n_contact, dim)."""
-    values = problem.fixed_values.reshape(-1, problem.dim)[problem.contact.nodes]
-    return to_frames(frames, values)
 
 
 def _local_fixed(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:

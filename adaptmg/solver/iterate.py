@@ -113,7 +113,6 @@ class StopTest:
 
     @property
     def residual_met(self) -> bool:
-        """Whether the last residual is small enough."""
         return self.residual <= self.RESIDUAL_FACTOR * self.rtol
 
     def doubted(self, cycles: int) -> bool:
@@ -137,7 +136,6 @@ class StopTest:
         return True
 
     def measures(self) -> dict[str, float]:
-        """Relative residual, change and estimate at the last iterate."""
         return {"residual": self.residual, "change": self.change, "error_estimate": self.error_estimate}
 
     @property
@@ -234,7 +232,6 @@ class IterateTest(StopTest):
         self.take_residual(size, scale, floor, size <= ROUNDING * floor and self.idle(scale, floor, unknowns))
 
     def measures(self) -> dict[str, float]:
-        """Relative residual, change, estimate and (with a reference) true error at the last iterate."""
         values = super().measures()
         if self.reference is not None and self._unknowns is not None:
             values["true_error"] = true_error(self._unknowns - self.reference, self.local.system.matrix,
@@ -257,7 +254,6 @@ class ChangeTest(IterateTest):
         self.relative_change = euclidean_norm(unknowns - before) / size if size > 0 else 0.0
 
     def verdict(self, cycles: int) -> Status | None:
-        """See :class:`StopTest`."""
         if not (self.finite and self.relative_change < np.inf):
             return Status.DIVERGED
         if not self.relative_change > self.rtol:

@@ -152,7 +152,8 @@ class AMG:
               preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Preconditioned:
         """Build a hierarchy of coarse matrices; see :class:`LinearSolver`."""
         eliminated = None if near_nullspace is None else ~near_nullspace.any(axis=1)
-        if isinstance(previous, Preconditioned) and self._may_keep(previous.eliminated, eliminated):
+        if (isinstance(previous, Preconditioned) and eliminated is not None and previous.eliminated is not None
+                and np.count_nonzero(previous.eliminated != eliminated) <= self.LAG):
             return Preconditioned(matrix, previous.hierarchy, symmetric, self, previous.eliminated)
         basis = matrix if preconditioner is None else preconditioner
         smoother = ("block_gauss_seidel", {"sweep": "symmetric"})
@@ -161,9 +162,6 @@ class AMG:
                 sparse.bsr_matrix(basis), B=near_nullspace, symmetry="symmetric",
                 strength=("symmetric", {"theta": 0.0}), presmoother=smoother, postsmoother=smoother)
         return Preconditioned(matrix, hierarchy, symmetric, self, eliminated)
-
-    def _may_keep(self, before: np.ndarray | None, now: np.ndarray | None) -> bool:
-        return before is not None and now is not None and np.count_nonzero(before != now) <= self.LAG
 
 
 @dataclass(eq=False)
@@ -177,11 +175,6 @@ class Preconditioned:
     eliminated: np.ndarray | None
     _products: int = field(default=0, init=False)
     _cycles: int = field(default=0, init=False)
-
-    @property
-    def operator_complexity(self) -> float:
-        """Nonzeros of all levels over those of the finest."""
-        return float(self.hierarchy.operator_complexity())
 
     @property
     def cycle_passes(self) -> float:

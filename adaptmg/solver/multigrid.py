@@ -120,7 +120,6 @@ class Multigrid:
                                  f"{checks.shown(value)}: give correction=am.Monotone()")
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level; see :class:`adaptmg.solver.record.Solver`."""
         return self._method(hierarchy, run).from_given(start)
 
     @property
@@ -165,7 +164,6 @@ class FullMultigrid(Multigrid):
         checks.instance("start", self.start, NestedStart, "a NestedStart")
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level; see :class:`adaptmg.solver.record.Solver`."""
         if start is not None:
             raise ValueError("start: FullMultigrid makes its own start; use Multigrid to continue from a given one")
         return self._method(hierarchy, run).from_nested(self.start)
@@ -191,7 +189,6 @@ class WarmMultigrid:
             raise ValueError(f"first_rate must be > 0 and < 1, got {self.first_rate!r}")
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level; see :class:`adaptmg.solver.record.Solver`."""
         if start is None:
             raise ValueError("start must be a displacement for WarmMultigrid, got None: use FullMultigrid without one")
         options = TruncatedMultigrid(parts=Truncated(), rtol=self.rtol, max_cycles=self.max_cycles)

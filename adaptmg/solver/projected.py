@@ -60,7 +60,6 @@ class ProjectedRun:
         self.initial: list[InitialContact] = []
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
-        """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero."""
         if self.options.correction.needs_initial:
             self.nested_start(NestedStart())
         local = self.problems[-1]
@@ -69,7 +68,6 @@ class ProjectedRun:
         return self.finish(unknowns)
 
     def from_nested(self, start: NestedStart) -> Outcome:
-        """Solve level by level from the coarsest."""
         return self.finish(self.nested_start(start))
 
     def multigrid(self, finest: int) -> MultigridCycle:
@@ -156,31 +154,25 @@ class _Cycles:
         self._residual = np.empty(0)
 
     def start(self) -> None:
-        """Smooth before the coarse correction."""
         self._smooth(self.pre)
 
     def measure(self, stop: IterateTest) -> None:
-        """Hand over iterate and residual."""
         self._residual = self.residual()
         stop.take(self.unknowns, self._residual)
 
     def row(self, stop: IterateTest) -> dict[str, float]:
-        """See :class:`~adaptmg.solver.iterate.Iteration`."""
         return stop.measures()
 
     def step(self, stop: IterateTest) -> None:
-        """Go from one first smoothing to the next."""
         self.correct()
         self._smooth(self.pre)
 
     def correct(self) -> None:
-        """Do the rest of the cycle."""
         self.multigrid.correct(self.level, self.local.contact, self.unknowns, self._residual)
         self._smooth(self.post)
         self.cycles += 1
 
     def residual(self) -> np.ndarray:
-        """b - A w (n_dofs,)."""
         return self.multigrid.residual(self.level, self.local.load, self.unknowns)
 
     def _smooth(self, sweeps: int) -> None:
@@ -202,7 +194,6 @@ class _WholeCycles(_Cycles):
         stop.take_change(before, self.unknowns)
 
     def row(self, stop: ChangeTest) -> dict[str, float] | None:
-        """See :class:`~adaptmg.solver.iterate.Iteration`."""
         return {"relative_change": stop.relative_change, **stop.measures()} if stop.finite else None
 
     def step(self, stop: ChangeTest) -> None:

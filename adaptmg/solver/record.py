@@ -34,7 +34,6 @@ class Status(Enum):
 
     @property
     def ok(self) -> bool:
-        """True if the tolerance was reached."""
         return self is Status.CONVERGED
 
 
@@ -75,7 +74,6 @@ class Run:
             self.path.append((level, action, times))
 
     def record(self, *, cycle: int, **values: float) -> None:
-        """Add a row to the history."""
         seconds = time.perf_counter() - self.started - self.untimed_seconds
         row = {"cycle": self.first_cycle + cycle, "work_units": self.work_units, "seconds": seconds, **values}
         self.history.append(row)

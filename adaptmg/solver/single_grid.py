@@ -68,11 +68,9 @@ class SingleGrid:
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
     def smoother(self) -> ProjectedGaussSeidel:
-        """The smoother with these options."""
         return ProjectedGaussSeidel(omega=self.omega, friction_update=self.friction_update)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level; see :class:`adaptmg.solver.record.Solver`."""
         with run.phase("setup"):
             local = local_system(hierarchy.finest.discrete)
         condensed = None
@@ -157,25 +155,20 @@ class _Sweeps:
         self.limit, self.before, self.cycles, self.batch = limit, before, before, 1
 
     def start(self) -> None:
-        """The first batch."""
         done = self.cycles - self.before
         self.batch = max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
         self.sweep(min(self.batch, self.limit - done))
 
     def measure(self, stop: IterateTest) -> None:
-        """Hand over iterate and residual."""
         stop.take(self.unknowns, self.residual())
 
     def row(self, stop: IterateTest) -> dict[str, float] | None:
-        """See :class:`~adaptmg.solver.iterate.Iteration`."""
         return stop.measures()
 
     def step(self, stop: IterateTest) -> None:
-        """The next batch."""
         self.start()
 
     def sweep(self, times: int) -> None:
-        """Sweep ``times`` times."""
         system = self.problem.system
         passes = self.smoother.smooth(system, self.problem.contact, self.problem.load, self.unknowns, times)
         self.run.count(passes, system.nonzeros)
@@ -195,12 +188,10 @@ class _ChangingSweeps(_Sweeps):
     """Sweeps tested by what each changes (the paper's test); the residual is computed at the end."""
 
     def start(self) -> None:
-        """One sweep."""
         self._before = self.unknowns.copy()
         self.sweep(1)
 
     def measure(self, stop: ChangeTest) -> None:
-        """The change."""
         stop.take_change(self._before, self.unknowns)
 
     def row(self, stop: ChangeTest) -> None:
@@ -228,7 +219,6 @@ class _TrescaProblems(_Sweeps):
         """Nothing: the start is measured."""
 
     def measure(self, stop: IterateTest) -> None:
-        """Hand over iterate and residual."""
         self._residual = self.residual()
         stop.take(self.unknowns, self._residual)
 

@@ -119,7 +119,6 @@ class TruncatedRun:
         if options.start is not None:
             hierarchy.need_discretised("the nested start of FullMultigrid")
         self.options, self.hierarchy, self.run = options, hierarchy, run
-        self.nbytes = 0
         parts = options.parts
         with run.phase("setup"):
             prolongations = nodal_prolongations(hierarchy)
@@ -138,7 +137,6 @@ class TruncatedRun:
         return self.finish(unknowns, cold=first_rate is None, first_rate=first_rate)
 
     def from_nested(self, start: NestedStart) -> Outcome:
-        """Solve level by level from the coarsest."""
         return self.finish(self.nested_start(start), cold=False)
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
@@ -148,13 +146,14 @@ class TruncatedRun:
             if number > 0:
                 unknowns = self._start_cycles(number, unknowns, start)
             with self.run.phase("start"):
-                unknowns = self._prolonged(number, unknowns)
+                coarse, fine = self.problems[number], self.problems[number + 1]
+                displacement = coarse.with_prescribed(unknowns).reshape(-1, coarse.dim)
+                unknowns = fine.from_prescribed(self.cycle.prolongations[number] @ displacement)
             self.run.visit(number + 1, "start")
         self.run.start_work_units = self.run.work_units
         return unknowns
 
     def finish(self, unknowns: np.ndarray, cold: bool, first_rate: float | None = None) -> Outcome:
-        """Cycles on the finest level."""
         o, problem = self.options, self.problems[-1]
         nested = unknowns.copy() if o.rtol == "discretisation" else None
         step = self._step(len(self.hierarchy) - 1, unknowns)
@@ -185,7 +184,6 @@ class TruncatedRun:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:]:
                     level.drop_diagonal()
-            self.nbytes = self.cycle.nbytes + step.nbytes
             return step
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
@@ -210,7 +208,6 @@ class TruncatedRun:
             return np.zeros(problem.n_dofs)
 
     def _start_cycles(self, number: int, unknowns: np.ndarray, start: NestedStart) -> np.ndarray:
-        """The cycles of a nested start on one level; returns the iterate (n_dofs,)."""
         step, problem = self._step(number, unknowns), self.problems[number]
         with self.run.phase("start"):
             if start.cycles == "complete":
@@ -226,12 +223,6 @@ class TruncatedRun:
                         break
             step.truncation.restore()
         return step.unknowns
-
-    def _prolonged(self, number: int, unknowns: np.ndarray) -> np.ndarray:
-        """Interpolated to the next finer level, prescribed values respected."""
-        coarse, fine = self.problems[number], self.problems[number + 1]
-        displacement = coarse.with_prescribed(unknowns).reshape(-1, coarse.dim)
-        return fine.from_prescribed(self.cycle.prolongations[number] @ displacement)
 
 
 class Fallback:

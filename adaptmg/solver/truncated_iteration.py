@@ -86,7 +86,6 @@ class TruncatedIteration(StopTest):
             self._first = self._last
 
     def row(self, stop: StopTest) -> dict[str, float]:
-        """See :class:`~adaptmg.solver.iterate.Iteration`."""
         values = self.measures() | {"status_changes": float(self.changed)}
         if self.run.reference is not None:
             error = self.multigrid.unknowns - self.problem.from_prescribed(self.run.reference)
@@ -94,7 +93,6 @@ class TruncatedIteration(StopTest):
         return values
 
     def step(self, stop: StopTest) -> Status | None:
-        """Correct, unless the iteration does not progress."""
         self.changes.append(float(np.sqrt(abs(self.multigrid.correct()))))
         self.cycles += 1
         if self._safe == 0 and self._in_trouble():
@@ -122,12 +120,10 @@ class TruncatedIteration(StopTest):
 
     @property
     def better(self) -> bool:
-        """Whether the last iterate is better than the first one."""
         return self.residual < self.residuals[0] and not self.diverged
 
     @property
     def stalled(self) -> bool:
-        """Whether the residual has reached no new minimum for ``PATIENCE`` iterates."""
         return self._no_new_minimum(self.residuals)
 
     @property

@@ -54,6 +54,12 @@ def round_bar(law: am.problem.Law) -> am.ContactProblem:
         loads=(am.Pressure("top", 5e7), am.Pressure("right", 9e7)))
 
 
+def curved(law: am.problem.Law) -> am.ContactProblem:
+    """A block on a curved obstacle; Coulomb's coefficient grows along it."""
+    varying = am.Coulomb(lambda x: 0.2 + 5 * x[:, 0]) if isinstance(law, am.Coulomb) else law
+    return replace(am.cases.curved_obstacle(), law=varying, reference={})
+
+
 def moved(law: am.problem.Law) -> am.ContactProblem:
     """A block pressed onto a bowl by a support that moves."""
     return am.ContactProblem(
@@ -71,7 +77,8 @@ def grids(case: str, law: str) -> am.Hierarchy:
         pair = UPPER_ON_LOWER if case == "pair" else LOWER_ON_UPPER
         return bar_hierarchy(bar_on_block(given, pair, gap=bumpy), 2)
     posed = {"bar": (bar, (4, 8, 16)), "wavy": (lambda law: bar(law, am.GapFunction(wavy)), (4, 8, 16)),
-             "block": (block, (2, 4)), "round": (round_bar, (4, 8, 16)), "moved": (moved, ((8, 4), (16, 8)))}
+             "block": (block, (2, 4)), "round": (round_bar, (4, 8, 16)),
+             "moved": (moved, ((8, 4), (16, 8))), "curved": (curved, (4, 8, 16))}
     problem, divisions = posed[case]
     return am.Hierarchy.uniform(problem(given), divisions)
 
@@ -81,12 +88,13 @@ def reference(case: str, law: str) -> am.Result:
     return am.solve(grids(case, law), am.ActiveSet(rtol=1e-12))
 
 
-CASES = ("bar", "wavy", "block", "round", "moved", "graded", "pair", "exchanged")
+CASES = ("bar", "wavy", "block", "round", "moved", "curved", "graded", "pair", "exchanged")
 TRUNCATED = am.FullMultigrid(rtol=1e-10)
 MONOTONE = am.Multigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400)
 METHODS = {
     "single": am.SingleGrid(rtol=1e-10, omega=1.7),
     "condensed": am.SingleGrid(rtol=1e-10, condensed=True),
+    "fixed point": am.SingleGrid(friction="fixed point", rtol=1e-10, omega=1.5),
     "monotone": MONOTONE,
     "monotone nested": am.FullMultigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400),
     "truncated": am.Multigrid(rtol=1e-10),

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from bodies import corner_pushed
 from scipy import sparse
-from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.discrete.discretise import discretise
@@ -67,11 +66,10 @@ class Swept:
         self.residual = self.load - self.matrix @ self.u
         self.dim = dim
 
-    def sweep(self, order=None, kernel=None):
-        order = self.interface.forward if order is None else order
-        (projected_sweeps.local if kernel is None else kernel)(
-            ZERO[self.dim], order, *self.interface.arrays, self.inverse, self.contact.contact_of,
-            *self.contact.node_data, self.u, self.residual)
+    def sweep(self, order=None):
+        projected_sweeps.local(ZERO[self.dim], self.interface.forward if order is None else order,
+                               *self.interface.arrays, self.inverse, self.contact.contact_of,
+                               *self.contact.node_data, self.u, self.residual)
 
     def energy(self):
         slip = (self.contact.values.reshape(-1, self.dim)[:, 1:]
@@ -233,17 +231,3 @@ def test_work_units_by_hand():
     assert with_sweeps.work_units - smoothings * (passes + share) == pytest.approx(0, abs=0.5 * smoothings + 1e-9)
     searches = 2 * (with_sweeps.work_units - smoothings * (1.0 + share))
     assert searches == pytest.approx(round(searches), abs=1e-9) and searches >= 0
-
-
-@pytest.mark.parametrize("amplitude", [0.3 * GAP, 30 * GAP], ids=["near", "mixed"])
-@pytest.mark.parametrize("dim", [2, 3])
-def test_jit_changes_nothing(dim, amplitude, monkeypatch):
-    compiled, plain = (Swept(dim, am.Coulomb(0.4), amplitude=amplitude) for _ in range(2))
-    compiled.sweep()
-    compiled.sweep(compiled.interface.backward)
-    uncompile(monkeypatch, projected_sweeps)
-    assert not hasattr(projected_sweeps.local, "py_func")
-    plain.sweep(kernel=projected_sweeps.local)
-    plain.sweep(plain.interface.backward, kernel=projected_sweeps.local)
-    np.testing.assert_allclose(compiled.u, plain.u, atol=1e-13 * np.abs(plain.u).max())
-    np.testing.assert_allclose(compiled.residual, plain.residual, atol=1e-12 * np.abs(plain.load).max())

@@ -10,25 +10,11 @@ from scipy import sparse
 
 from adaptmg import cases
 from adaptmg.discrete import discretise
-from adaptmg.discrete.coordinates import frames_of, rotate
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh import structured
-from adaptmg.problem import Contact, Coulomb, GapFunction, Plane, Support, Tresca
-from adaptmg.smoother.system import (
-    BACKWARDS,
-    CLOSED,
-    FREE,
-    HELD,
-    OPEN,
-    SLIP,
-    SLIPS,
-    STICK,
-    contact_blocks,
-    contact_codes,
-    contact_states,
-    inverse_blocks,
-    local_system,
-)
+from adaptmg.problem import Contact, Coulomb, Plane, Support, Tresca
+from adaptmg.smoother import system as codes_of
+from adaptmg.smoother.system import OPEN, SLIP, STICK, contact_blocks, contact_codes, inverse_blocks, local_system
 
 RNG = np.random.default_rng(4)
 
@@ -107,50 +93,24 @@ class TestLocalProblem:
 
     def test_flat_arrays_describe_the_matrix(self, problem):
         local = local_system(problem)
-        system, held = local.system, local.contact.held
-        dim, matrix = system.dim, system.matrix.toarray()
-        for node in range(system.n_nodes):
-            rows, block = slice(dim * node, dim * (node + 1)), slice(dim * dim * node, dim * dim * (node + 1))
-            expected = matrix[rows, rows].copy()
-            if held is not None and node in system.nodes[held]:
-                expected[1, 1] *= -1  # marks the tangent as held
-            np.testing.assert_array_equal(system.diagonal[block].reshape(dim, dim), expected)
-            np.testing.assert_allclose(system.inverse[block].reshape(dim, dim) @ matrix[rows, rows], np.eye(dim),
-                                       atol=1e-12)
+        system, held, dim, n = local.system, local.contact.held, problem.dim, problem.n_nodes
+        nodes = np.arange(n)
+        expected = system.matrix.toarray().reshape(n, dim, n, dim)[nodes, :, nodes]
+        np.testing.assert_allclose(system.inverse.reshape(-1, dim, dim) @ expected, np.tile(np.eye(dim), (n, 1, 1)),
+                                   atol=1e-12)
+        if held is not None:
+            expected[system.nodes[held], 1, 1] *= -1  # marks the tangent as held
+        np.testing.assert_array_equal(system.diagonal.reshape(-1, dim, dim), expected)
         blocks = contact_blocks(problem, local.contact, local.frames)
-        np.testing.assert_allclose(blocks, system.diagonal.reshape(-1, dim, dim)[system.nodes],
-                                   atol=1e-12 * np.abs(blocks).max())
+        np.testing.assert_allclose(blocks, expected[system.nodes], atol=1e-12 * np.abs(blocks).max())
         assert system.nonzeros == len(system.indices) * dim * dim == problem.matrix.nnz
         np.testing.assert_array_equal(system.contact_of[system.nodes], np.arange(len(problem.contact)))
         assert np.count_nonzero(system.contact_of >= 0) == len(problem.contact)
 
 
 def test_plane_at_45_degrees():
-    local = local_system(PROBLEMS[0])
     half = np.sqrt(0.5)
-    np.testing.assert_allclose(local.frames, np.broadcast_to([[half, -half], [half, half]], local.frames.shape))
-
-
-def test_normals_that_turn_from_node_to_node():
-    bar = cases.greco_bar()
-    problem = replace(bar, contact=Contact("rim", GapFunction(lambda x: np.zeros(len(x)))), domain=None, loads=(),
-                      supports=())
-    mesh = structured(bar.domain, 4)
-    mesh = replace(mesh, facet_labels=0 * mesh.facet_labels, boundaries=("rim",), source=None)
-    discrete = discretise(problem, mesh)
-    local = local_system(discrete)
-    np.testing.assert_allclose(local.frames[:, 0], discrete.contact.normals)
-    values = np.linalg.eigvalsh(local.system.matrix.toarray())
-    np.testing.assert_allclose(values, np.linalg.eigvalsh(discrete.matrix.toarray()), atol=1e-12 * values[-1])
-
-
-def test_tangents_lie_along_fixed_axes():
-    problem = PROBLEMS[1]
-    fixed = problem.fixed.reshape(-1, 3)
-    frames = frames_of(problem.contact, fixed)
-    held = fixed[problem.contact.nodes]
-    assert held[:, 1].any() and not held[:, [0, 2]].any()
-    np.testing.assert_allclose(np.abs(frames[held[:, 1], 1]), np.tile([0.0, 1.0, 0.0], (held[:, 1].sum(), 1)))
+    np.testing.assert_allclose(local_system(PROBLEMS[0]).frames, np.tile([[half, -half], [half, half]], (5, 1, 1)))
 
 
 @pytest.mark.parametrize("axes", [[0], [1], [0, 1]])
@@ -166,13 +126,6 @@ def test_fixed_tangents_of_a_horizontal_plane(axes):
     assert not local.system.fixed[0]
 
 
-def test_rotate_copies():
-    vector = np.ones(4)
-    frames = np.array([[[0.0, -1.0], [1.0, 0.0]]])
-    np.testing.assert_array_equal(rotate(vector, frames, np.array([1])), [1, 1, -1, 1])
-    np.testing.assert_array_equal(vector, 1.0)
-
-
 def test_singular_block_is_named():
     blocks = np.tile(np.eye(2), (3, 1, 1))
     blocks[1] = [[1.0, 1.0], [1.0, 1.0]]
@@ -181,11 +134,12 @@ def test_singular_block_is_named():
 
 
 def test_codes_of_contact_nodes_and_their_states():
-    closed, held = np.array([0, 0, 1, 1, 1], dtype=bool), np.array([0, 1, 0, 1, 0], dtype=bool)
-    backwards = np.array([0, 1, 0, 1, 1], dtype=bool)
-    assert contact_codes(closed, held, backwards).tolist() == [
-        SLIPS, HELD, CLOSED + SLIPS, CLOSED + HELD, CLOSED + BACKWARDS]
-    assert contact_codes(closed, held).tolist() == [SLIPS, HELD, CLOSED + SLIPS, CLOSED + HELD, CLOSED + SLIPS]
-    codes = np.array([FREE, HELD, CLOSED + FREE, CLOSED + SLIPS, CLOSED + BACKWARDS, CLOSED + HELD, CLOSED + HELD])
-    found = contact_states(codes, np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0]))
+    free, held, slips, backwards, closed = (getattr(codes_of, name) for name in (
+        "FREE", "HELD", "SLIPS", "BACKWARDS", "CLOSED"))
+    touch, stick = np.array([0, 0, 1, 1, 1], dtype=bool), np.array([0, 1, 0, 1, 0], dtype=bool)
+    assert contact_codes(touch, stick, np.array([0, 1, 0, 1, 1], dtype=bool)).tolist() == [
+        slips, held, closed + slips, closed + held, closed + backwards]
+    assert contact_codes(touch, stick).tolist() == [slips, held, closed + slips, closed + held, closed + slips]
+    codes = np.array([free, held, *(closed + code for code in (free, slips, backwards, held, held))])
+    found = codes_of.contact_states(codes, np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0]))
     assert found.dtype == np.int8 and found.tolist() == [OPEN, OPEN, SLIP, SLIP, SLIP, STICK, OPEN]

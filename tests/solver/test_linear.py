@@ -49,13 +49,8 @@ def test_separators_come_after_what_they_separate():
     n = 31
     path = sparse.csr_array(sparse.diags_array([np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1]))
     order = nested_dissection(path, np.arange(n, dtype=float)[:, None])
-    assert order[-1] == n // 2
-    before = order[:-1]
-    position = {node: k for k, node in enumerate(before)}
-    # all of one side comes before all of the other
-    left = [position[k] for k in range(n // 2)]
-    right = [position[k] for k in range(n // 2 + 1, n)]
-    assert max(left) < min(right)
+    position = np.argsort(order)
+    assert order[-1] == n // 2 and position[:n // 2].max() < position[n // 2 + 1:].min()
 
 
 @pytest.mark.parametrize("with_coordinates", [True, False])
@@ -64,12 +59,11 @@ def test_fill_is_that_of_a_good_order(with_coordinates):
     matrix = discrete.matrix + sparse.eye_array(discrete.n_dofs) * discrete.matrix.diagonal().max()
     nodes = nested_dissection(node_graph(discrete.matrix), discrete.coordinates if with_coordinates else None)
     order = (2 * nodes[:, None] + np.arange(2)).ravel()
-    options = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    ours = splu(sparse.csr_array(matrix)[order][:, order].tocsc(), permc_spec="NATURAL", **options)
-    natural, minimum_degree = (splu(sparse.csc_array(matrix), permc_spec=name, **options).nnz
-                               for name in ("NATURAL", "MMD_AT_PLUS_A"))
-    assert ours.nnz < 0.6 * natural
-    assert ours.nnz < 1.1 * minimum_degree
+    ordered = sparse.csr_array(matrix)[order][:, order]
+    ours, natural, minimum_degree = (
+        splu(sparse.csc_array(m), permc_spec=name, diag_pivot_thresh=0.0, options={"SymmetricMode": True}).nnz
+        for m, name in ((ordered, "NATURAL"), (matrix, "NATURAL"), (matrix, "MMD_AT_PLUS_A")))
+    assert ours < 0.6 * natural and ours < 1.1 * minimum_degree
 
 
 def test_distances_keep_connected_parts_apart():
@@ -88,8 +82,7 @@ def test_solutions_are_those_of_dense_algebra(linear, symmetric):
     prepared = linear.setup(wanted, modes, symmetric=symmetric, preconditioner=None if symmetric else matrix)
     solution = prepared.solve(load, rtol=1e-11)
     exact = np.linalg.solve(wanted.toarray(), load)
-    assert solution.converged
-    assert solution.residual <= 1.1e-11
+    assert solution.converged and solution.residual <= 1.1e-11
     assert np.linalg.norm(wanted @ solution.unknowns - load) <= 1.1e-11 * np.linalg.norm(load)
     assert np.linalg.norm(solution.unknowns - exact) < 1e-9 * np.linalg.norm(exact)
     if not symmetric:
@@ -108,9 +101,8 @@ def test_direct_uses_the_order_of_a_matrix_like_it_and_counts_no_work():
     first = am.Direct().setup(matrix)
     second = am.Direct().setup(sparse.bsr_array(2 * matrix, blocksize=(2, 2)), previous=first)
     assert second.factors.order is first.factors.order
-    solutions = [prepared.solve(load) for prepared in (first, second)]
-    assert solutions[1].unknowns == pytest.approx(0.5 * solutions[0].unknowns, rel=1e-10)
-    assert (solutions[0].iterations, solutions[0].passes) == (0, 0.0)
+    one, half = first.solve(load), second.solve(load)
+    assert half.unknowns == pytest.approx(0.5 * one.unknowns, rel=1e-10) and (one.iterations, one.passes) == (0, 0.0)
 
 
 def test_work_is_that_of_products_and_cycles():
@@ -119,8 +111,6 @@ def test_work_is_that_of_products_and_cycles():
     *levels, coarsest = prepared.hierarchy.levels
     cycle = (sum(5 * level.A.nnz + 2 * level.P.nnz for level in levels) + coarsest.A.shape[0]**2) / matrix.nnz
     assert prepared.cycle_passes == pytest.approx(cycle)
-    assert prepared.operator_complexity == pytest.approx(sum(level.A.nnz for level in prepared.hierarchy.levels)
-                                                         / matrix.nnz)
     few, more = prepared.solve(load, rtol=1e-2), prepared.solve(load, rtol=1e-4)
     # products: a residual before, after, and in the first and every eighth iteration
     assert 1 <= few.iterations < more.iterations <= 7
@@ -155,24 +145,12 @@ def test_glued_system_is_the_stiffness_at_free_dofs():
     matrix, load, modes = glued_system(discrete)
     away = np.setdiff1d(np.arange(discrete.n_nodes), discrete.contact.nodes)
     dofs = (2 * away[:, None] + np.arange(2)).ravel()
-    fixed = discrete.fixed[dofs]
+    fixed, dense = discrete.fixed[dofs], matrix.toarray()
     whole = discrete.matrix.toarray()[np.ix_(dofs, dofs)]
-    assert np.array_equal(matrix.toarray()[np.ix_(~fixed, ~fixed)], whole[np.ix_(~fixed, ~fixed)])
-    assert not matrix.toarray()[np.ix_(fixed, ~fixed)].any()
+    assert np.array_equal(dense[np.ix_(~fixed, ~fixed)], whole[np.ix_(~fixed, ~fixed)])
+    assert not (dense[np.ix_(fixed, ~fixed)].any() or load[fixed].any() or modes[fixed].any())
     assert np.array_equal(load[~fixed], discrete.load[dofs][~fixed])
-    assert not load[fixed].any()
-    assert not modes[fixed].any()
     assert np.array_equal(modes[~fixed], discrete.near_nullspace[dofs][~fixed])
-
-
-@pytest.mark.parametrize("divisions", [16, 32])
-def test_glued_solutions_agree(divisions):
-    matrix, load, modes = glued_system(bar(divisions))
-    exact = am.Direct().setup(matrix, modes).solve(load)
-    result = am.AMG().setup(matrix, modes).solve(load, rtol=1e-8)
-    assert exact.residual < 1e-12 and result.converged and 0 < result.iterations <= 20
-    error = result.unknowns - exact.unknowns
-    assert error @ (matrix @ error) < 1e-14 * (exact.unknowns @ (matrix @ exact.unknowns))
 
 
 def test_where_every_node_touches_nothing_is_glued():

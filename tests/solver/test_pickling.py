@@ -103,5 +103,4 @@ def test_dask_hands_back_results_and_exceptions():
         sent = error_message(error)
     found = clean_exception(sent["exception"].data, sent["traceback"].data)[1]
     assert type(found) is NotConverged and same(found.result, unfinished())
-    given = returns(2)
-    assert same(protocol.deserialize(*protocol.serialize(given)), given)
+    assert same(protocol.deserialize(*protocol.serialize(returns(2))), returns(2))
