@@ -199,7 +199,8 @@ def glued(kind):
     else:
         problem = am.cases.greco_bar()
         mesh = am.mesh.graded(problem.domain, 16e-3)
-    mesh = replace(mesh, source=None, bodies=("a", "b"), element_body=np.array(
+    away = 0.02 * (kind is am.Axisymmetric) * np.eye(mesh.dim)[0]
+    mesh = replace(mesh, points=mesh.points + away, source=None, bodies=("a", "b"), element_body=np.array(
         mesh.points[mesh.elements, 0].mean(axis=1) > 0.02, dtype=np.int32))
     material = {"a": kind(young=2e11, poisson=0.3), "b": kind(young=7e10, poisson=0.1)}
     loads = (*problem.loads, am.InitialStrain("b", (1e-4, -2e-4, 3e-4)))
@@ -221,7 +222,8 @@ def blocks(kind=am.PlaneStrain):
 CASES = {"plane stress, obstacle": (bar, (16e-3,)), "pair": (blocks, (11e-3,)),
          "axisymmetric pair": (lambda: blocks(am.Axisymmetric), (13e-3,)),
          "Tresca": (lambda: am.cases.greco_bar(law=am.Tresca(3e7)), (9e-3,)),
-         "glued": (lambda: glued(am.PlaneStrain), ()), "glued solids": (lambda: glued(am.Solid), ())}
+         "glued": (lambda: glued(am.PlaneStrain), ()),
+         "glued, axisymmetric": (lambda: glued(am.Axisymmetric), ()), "glued solids": (lambda: glued(am.Solid), ())}
 
 
 @pytest.mark.parametrize(("name", "plain"), [
