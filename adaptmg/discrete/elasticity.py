@@ -27,7 +27,8 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.materials import Axisymmetric, Elastic
 
 __all__ = ["Materials", "add_axisymmetric", "add_plane", "add_solid", "body_materials", "count_neighbours",
-           "fill_neighbours", "is_axisymmetric", "lame_constants", "plane_gradients", "solid_gradients", "stiffness"]
+           "fill_neighbours", "is_axisymmetric", "lame_constants", "list_elements", "plane_gradients",
+           "solid_gradients", "stiffness"]
 
 #: one material for all bodies, body name -> material, or what :func:`body_materials` returns
 Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]
@@ -136,8 +137,8 @@ def _check_numbers(mesh: MeshArrays) -> None:
                          f"{mesh.elements.shape} and {mesh.element_body.shape}")
 
 
-@inner_kernel
-def _elements_of_nodes(elements, start, listed):
+@kernel
+def list_elements(elements, start, listed):
     """Elements of each node, ascending: ``listed[start[i]:start[i + 1]]``; ``start`` (n_nodes + 1,) comes as 0."""
     n = len(start) - 1
     for e in range(len(elements)):
@@ -161,7 +162,7 @@ def count_neighbours(elements, start, listed, marker, indptr):
     ``start`` (n_nodes + 1,) comes as 0; ``listed`` (elements.size,) and it are filled for the next kernel.
     ``marker`` (n_nodes,) comes as -1.
     """
-    _elements_of_nodes(elements, start, listed)
+    list_elements(elements, start, listed)
     indptr[0] = 0
     for i in range(len(start) - 1):
         count = 0

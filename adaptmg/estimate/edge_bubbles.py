@@ -186,9 +186,7 @@ def edge_bubbles(mesh: MeshArrays, problem: ContactProblem) -> EdgeBubbles:
 @inner_kernel
 def _gradients(points, corners, g):
     """Write the gradients (dim + 1, dim) of the barycentric coordinates; returns the volume."""
-    if points.shape[1] == 2:
-        return plane_gradients(points, corners, g)
-    return solid_gradients(points, corners, g)
+    return plane_gradients(points, corners, g) if points.shape[1] == 2 else solid_gradients(points, corners, g)
 
 
 @inner_kernel
@@ -333,8 +331,8 @@ def bubble_spaces(bubbles: EdgeBubbles, contact: LinearisedContact) -> BubbleSpa
     test = trial.copy()
     place = np.full(mesh.n_nodes, -1)
     place[contact.nodes] = np.arange(len(contact.nodes))
-    names = [name for name in problem.contact_boundaries if name]
-    surface = np.unique(np.concatenate([bubbles.of_facets(mesh.boundary_facets(name)).ravel() for name in names]))
+    surface = np.unique(np.concatenate([bubbles.of_facets(mesh.boundary_facets(name)).ravel()
+                                        for name in problem.contact_boundaries if name]))
     ends = place[bubbles.edges[surface]]
     # an end without a contact condition follows the other one
     a, b = np.where(ends[:, 0] < 0, ends[:, 1], ends[:, 0]), np.where(ends[:, 1] < 0, ends[:, 0], ends[:, 1])
@@ -368,9 +366,8 @@ def _frames(contact: LinearisedContact, a: np.ndarray, b: np.ndarray) -> np.ndar
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     tangent = first[:, 1] - np.sum(first[:, 1] * normal, axis=1, keepdims=True) * normal
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    if normal.shape[1] == 2:
-        return np.stack([normal, tangent], axis=1)
-    return np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
+    third = [np.cross(normal, tangent)] if normal.shape[1] == 3 else []
+    return np.stack([normal, tangent, *third], axis=1)
 
 
 #: residual of the bubbles' equations, and the steps to a restart: five to ten suffice, the condition is about ten

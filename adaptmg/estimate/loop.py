@@ -1,9 +1,8 @@
 r"""AdaptiveLoop: from mesh to mesh: mark, refine, carry over, solve, estimate, store.
 
 Each mesh is solved from the solution before, as exactly as it deserves. The rate of multigrid depends on the local size
-ratio of neighbouring levels, the element size :math:`H` of the coarser over the :math:`h` of the finer at the same
-place (measured on a flat punch: 3.3, 6.5, 12, 24 give rates of .35-.64, .66-.82, .83, .88), its cost on the number of
-nodes on all levels. So with the 99 % quantile :math:`q` of :math:`H/h`
+ratio of neighbouring levels, the element sizes :math:`H/h` at the same place (measured on a flat punch: 3.3, 6.5, 12,
+24 give rates of .35-.64, .66-.82, .83, .88), its cost on the nodes of all levels. With its 99 % quantile :math:`q`
 
 - a mesh is put in between where q > 4.5 and the engine can make one (at 4 it has hardly more nodes than the coarser),
 - a level is dropped where it has nearly as many nodes as the next finer one, and q <= 3.5 holds without it (at 4, two
@@ -206,7 +205,9 @@ class AdaptiveLoop:
             if parts.load_path is None:
                 path, result = None, solved(hierarchy, parts.solver, last, start)
             else:
-                path, result = _path_solved(hierarchy, parts), None
+                solver = FullMultigrid(rtol="discretisation") if parts.solver is None else parts.solver
+                solver = solver if _applies(solver, hierarchy) else None
+                path, result = solve_path(hierarchy, parts.load_path, solver), None
         self._report("estimate", hierarchy.finest.n_nodes)
         with self.clock.phase("estimate"):
             if path is None:
@@ -279,19 +280,14 @@ def solved(hierarchy: Hierarchy, solver: Solver | None, before: Step | None, sta
     if before is None or start is None:
         return solve(hierarchy, FullMultigrid(rtol="discretisation"))
     rtol = algebraic_tolerance(expected_estimate(before, hierarchy.finest.n_nodes, before.result.dim))
-    result = solve(hierarchy, WarmMultigrid(rtol=rtol, first_rate=_first_rate(before)), start=start, throw=False)
+    # the measured rate is not a number after a single cycle
+    first_rate = min(max(before.result.rate if np.isfinite(before.result.rate) else 0.0, _RATE), _SLOWEST)
+    result = solve(hierarchy, WarmMultigrid(rtol=rtol, first_rate=first_rate), start=start, throw=False)
     if result.status.ok:
         return result
     # where the contact status of a coarse mesh misleads, a nested start is safer
     again = solve(hierarchy, FullMultigrid(rtol=rtol))
     return replace(again, work_units=again.work_units + result.work_units)
-
-
-def _first_rate(before: Step) -> float:
-    """What is taken for the rate of the first cycle: that of the mesh before where it was measured, and is slow."""
-    # not a number after a single cycle
-    measured = before.result.rate if np.isfinite(before.result.rate) else 0.0
-    return min(max(measured, _RATE), _SLOWEST)
 
 
 def _applies(solver: Solver, hierarchy: Hierarchy) -> bool:
@@ -347,16 +343,6 @@ def carried(hierarchy: Hierarchy, below: int, displacement: np.ndarray) -> np.nd
     for level in hierarchy.levels[below + 1:]:
         values = level.prolongation @ values
     return hierarchy.finest.discrete.physical(values)
-
-
-def _path_solved(hierarchy: Hierarchy, parts: Parts) -> PathResult:
-    """All load steps on the finest level."""
-    solver = parts.solver
-    if solver is None and len(hierarchy) > 1:
-        solver = FullMultigrid(rtol="discretisation")
-    elif solver is not None and not _applies(solver, hierarchy):
-        solver = None
-    return solve_path(hierarchy, parts.load_path, solver)
 
 
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:

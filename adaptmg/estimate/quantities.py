@@ -2,10 +2,9 @@ r"""Quantities of interest: displacements, contact forces and openings as functi
 
 .. math:: J(u) = u_k(x), \qquad J(u) = \frac1{|\Gamma|} \int_\Gamma u_k, \qquad J(u) = \sum_i d_i \cdot (A u - b)_i
 
-with nodal directions d_i at the contact nodes of a boundary (the normal against the body, the tangent, or an axis). The
-derivative of a force is :math:`J(v) = (A d) \cdot v`, without the load. Tangents that a support holds are left out:
-there the force of contact cannot be separated from that of the support. The gap is :math:`g_0 - u_n`, u_n between
-bodies relative.
+with nodal directions d_i at the contact nodes of a boundary (the normal against the body, the tangent, or an axis) and
+the derivative :math:`J(v) = (A d) \cdot v`. Tangents that a support holds are left out: there the force of contact
+cannot be separated from that of the support. The gap is :math:`g_0 - u_n`, u_n between bodies relative.
 
 A mesh has chords in the place of curves, and the gap :math:`g_0` is linear between its nodes. What that changes in an
 opening is mostly far more than the error of the displacement; it follows from the gaps :math:`g_m` in the middle of the
@@ -101,6 +100,11 @@ class Displacement:
         return result
 
 
+def _integrals(view: GoalView, facets: np.ndarray) -> np.ndarray:
+    """Integrals (n_edges,) of the bubbles over facets."""
+    return view.bubbles.boundary_work(facets, np.ones((*facets.shape, 1)))[:, 0]
+
+
 def _place(point: Sequence[float]) -> str:
     return f"({', '.join(f'{c:g}' for c in point)})"
 
@@ -129,10 +133,9 @@ class MeanDisplacement:
         k, facets = _axis("component", self.component, mesh.dim), named_facets(mesh, self.boundary)
         shares = view.shape_integrals(facets)
         size = shares.sum()
-        nodal = np.zeros(mesh.points.shape)
+        nodal, bubbles = np.zeros(mesh.points.shape), np.zeros((len(view.bubbles.edges), mesh.dim))
         np.add.at(nodal[:, k], facets, shares / size)
-        bubbles = np.zeros((len(view.bubbles.edges), mesh.dim))
-        bubbles[:, k] = view.bubbles.boundary_work(facets, np.ones((*facets.shape, 1)))[:, 0] / size
+        bubbles[:, k] = _integrals(view, facets) / size
         value = float(np.sum(nodal * view.posed.result.displacement))
         return [Functional(f"mean u_{'xyz'[k]} on {self.boundary!r}", value, "m", view.load_of(nodal), bubbles)]
 
@@ -185,10 +188,10 @@ class ContactForce:
         contact, discrete, dim = view.contact, view.posed.discrete, view.posed.mesh.dim
         mine, sign = _contact_mask(view, self.boundary)
         local, named = np.zeros((len(mine), dim)), self.direction in ("normal", "tangential")
-        if self.direction == "normal":
-            local[mine, 0] = -1.0
-        elif not named:
+        if not named:
             local[mine] = sign * contact.frames[mine, :, _axis("direction", self.direction, dim)]
+        elif self.direction == "normal":
+            local[mine, 0] = -1.0
         elif dim == 3:
             raise ValueError("direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2")
         else:
@@ -249,7 +252,7 @@ class Opening:
             weights = np.where(mine, result.weights, 0.0)
             weights = weights / weights.sum()
             mean, size = float(weights @ result.gap), view.shape_integrals(facets).sum()
-            bubbles = view.bubbles.boundary_work(facets, np.ones((*facets.shape, 1)))[:, 0] / size
+            bubbles = _integrals(view, facets) / size
             name = f"mean opening of {self.boundary!r}"
             geometry = sum(_chords(view, k, own, mean) for k, own in of_boundary.items()) / size
             masters = sum(_of_master(view, k) for k in of_boundary) / size

@@ -58,8 +58,8 @@ class Remesh:
     ----------
     growth : float
         Nodes of the next mesh over those of this one, > 1; at most 2 where elements with a third of the sum of squares
-        are to become smaller than .3 of their size (bolted junction, 10 000 nodes: 8 % less true error). The last two
-        meshes before ``max_nodes`` grow alike, by less or up to a fifth (in the exponent) more.
+        are to become smaller than .3 of their size. The last two meshes before ``max_nodes`` grow alike, by less or up
+        to a fifth (in the exponent) more.
     finest, coarsest : float
         Bounds of new over old size, 0 < ``finest`` < 1 <= ``coarsest``. At strong singularities sizes have to fall by
         4 and more from mesh to mesh; the loop then puts a level between. Measured true errors at equal nodes, .1 over
@@ -90,19 +90,17 @@ class Remesh:
         """The next mesh.
 
         Sizes follow from all squares of the estimate; ``marked`` is ignored. The mesh has about ``growth`` times as
-        many nodes, within 15 %, less where ``max_nodes`` (5 % less are aimed at) or ``finest`` says so.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If the problem has no domain, the estimate is not of this mesh, or Netgen fails.
+        many nodes, within 15 %, less where ``max_nodes`` (5 % less are aimed at) or ``finest`` says so. TypeError or
+        ValueError if the problem has no domain, the estimate is not of this mesh, or Netgen fails.
         """
         need_domain(problem)
         checks.instance("mesh", mesh, MeshArrays)
         checks.instance("estimate", estimate, Estimate, "an Estimate")
         aim = _aim(mesh.n_nodes, max_nodes, self.growth)
         sizes = self._equilibrated(problem, mesh, estimate, aim)
-        if self.growth > _SLOW and _fall_steeply(mesh, estimate, sizes):
+        factors = (sizes / nodal_sizes(mesh, simplex_sizes(mesh)))[mesh.elements].min(axis=1)
+        # much of the error lies in elements that are to become much smaller
+        if self.growth > _SLOW and estimate.squares[factors < _STEEP].sum() > _SHARE * estimate.squares.sum():
             aim = _aim(mesh.n_nodes, max_nodes, _SLOW)
             sizes = self._equilibrated(problem, mesh, estimate, aim)
         made, expected = self.mesh(problem, SizeField(mesh, sizes)), NodeCount(mesh)(sizes)
@@ -136,7 +134,6 @@ class Remesh:
         """A mesh of the problem's domain by a size field."""
         from adaptmg.mesh.resized import PointSizes, resized
 
-        need_domain(problem)
         # a plane mesh that Netgen makes whole is finer than the places of the old nodes
         samples = field.samples(dense=field.mesh.dim == 2 and self.refinements == 0)
         sizes = {body: PointSizes(*sample) for body, sample in samples.items()}
@@ -163,12 +160,6 @@ def _aim(nodes: int, max_nodes: int | None, growth: float) -> float:
     return nodes * (growth if steps > _LAST else (aim / nodes) ** (1 / steps))
 
 
-def _fall_steeply(mesh: MeshArrays, estimate: Estimate, sizes: np.ndarray) -> bool:
-    """Whether much of the error lies in elements that are to become much smaller."""
-    factors = (sizes / nodal_sizes(mesh, simplex_sizes(mesh)))[mesh.elements].min(axis=1)
-    return bool(estimate.squares[factors < _STEEP].sum() > _SHARE * estimate.squares.sum())
-
-
 # nodes per h^-d of volume, and per h^(1-d) of boundary
 _INSIDE = {2: 2 / math.sqrt(3), 3: 1.4}
 _BOUNDARY = {2: 0.5, 3: 0.6}
@@ -186,9 +177,8 @@ def simplex_sizes(mesh: MeshArrays) -> np.ndarray:
 
 def nodal_sizes(mesh: MeshArrays, sizes: np.ndarray) -> np.ndarray:
     """Geometric mean (n_nodes,) of the sizes (n_elements,) of the elements at each node."""
-    corners = mesh.elements.shape[1]
     flat = mesh.elements.ravel()
-    total = np.bincount(flat, np.repeat(np.log(sizes), corners), mesh.n_nodes)
+    total = np.bincount(flat, np.repeat(np.log(sizes), mesh.elements.shape[1]), mesh.n_nodes)
     return np.exp(total / np.bincount(flat, minlength=mesh.n_nodes))
 
 
@@ -240,8 +230,7 @@ def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, *,
 def _constant(excess: Callable[[float], float], low: float, high: float, dim: int) -> float:
     """Where in [low, high] the falling function ``excess`` is within .005 of zero; an end if it has no zero."""
     # nodes go like c^-d where no bound holds
-    x, slope = 0.5 * (low + high), -float(dim)
-    before = None
+    x, slope, before = 0.5 * (low + high), -float(dim), None
     for _ in range(_MAX_STEPS):
         value = excess(x)
         if abs(value) < 5e-3 or high - low < 1e-6:
@@ -257,10 +246,7 @@ def _constant(excess: Callable[[float], float], low: float, high: float, dim: in
 
 def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float,
                  at_nodes: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
-    """The largest sizes below these that grow by at most ``growth`` per distance along edges.
-
-    ``at_nodes`` are :func:`elements_of_nodes` of the mesh, where they are known already.
-    """
+    """The largest sizes below these that grow by at most ``growth`` per distance along edges."""
     result, waiting = np.array(sizes, dtype=np.float64), np.ones(len(sizes), dtype=np.bool_)
     start, items = elements_of_nodes(mesh.elements, mesh.n_nodes) if at_nodes is None else at_nodes
     _relax(mesh.points, mesh.elements, start, items, float(growth), result, np.argsort(result), waiting)

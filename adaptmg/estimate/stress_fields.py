@@ -1,9 +1,7 @@
 r"""A discrete solution as estimates see it: its stress on each element, and who its neighbours are.
 
-The stress is constant on each element but for what the hoop strain :math:`\varepsilon_\theta = u_r / r` of
-axisymmetric bodies adds to the normal components, :math:`\lambda\,\varepsilon_\theta`, and is itself,
-:math:`(\lambda + 2\mu)\,\varepsilon_\theta + \lambda (\varepsilon_r + \varepsilon_z)`: that is evaluated where it
-is needed. With the initial strain :math:`\varepsilon_0`,
+The stress is constant on each element but for the parts of the hoop strain :math:`\varepsilon_\theta = u_r / r` of
+axisymmetric bodies, which are evaluated where they are needed. With the initial strain :math:`\varepsilon_0`,
 
 .. math:: \sigma = \lambda\,\mathrm{tr}(\varepsilon - \varepsilon_0) I + 2\mu (\varepsilon - \varepsilon_0).
 """
@@ -17,7 +15,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import inner_kernel, kernel
-from adaptmg.discrete.elasticity import body_materials
+from adaptmg.discrete.elasticity import body_materials, list_elements
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
@@ -45,11 +43,9 @@ def _plane(points, elements, body, u, lame, shear, thin, initial, stress):
         u2, v2 = u[c, 0] - u[a, 0], u[c, 1] - u[a, 1]
         xx, yy = (u1 * y2 - u2 * y1) / det, (v2 * x1 - v1 * x2) / det
         twice_xy = (u2 * x1 - u1 * x2 + v1 * y2 - v2 * y1) / det
-        out = 0.0
-        k = body[e]
+        out, k = 0.0, body[e]
         if strained:
-            xx -= initial[e, 0]
-            yy -= initial[e, 1]
+            xx, yy = xx - initial[e, 0], yy - initial[e, 1]
             if not thin[k]:
                 out = -initial[e, 2]
         pressure = lame[k] * (xx + yy + out)
@@ -81,9 +77,7 @@ def _solid(points, elements, body, u, lame, shear, initial, stress):
         yz = (v1 * gz1 + v2 * gz2 + v3 * gz3 + w1 * gy1 + w2 * gy2 + w3 * gy3) / det
         xz = (u1 * gz1 + u2 * gz2 + u3 * gz3 + w1 * gx1 + w2 * gx2 + w3 * gx3) / det
         if strained:
-            xx -= initial[e, 0]
-            yy -= initial[e, 1]
-            zz -= initial[e, 2]
+            xx, yy, zz = xx - initial[e, 0], yy - initial[e, 1], zz - initial[e, 2]
         k = body[e]
         pressure = lame[k] * (xx + yy + zz)
         stress[e, 0] = pressure + 2.0 * shear[k] * xx
@@ -134,8 +128,7 @@ def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData)
     initial = np.ascontiguousarray(data.initial_strain, dtype=np.float64)
     lame, shear = (np.ascontiguousarray(part, dtype=np.float64) for part in (data.lame, data.shear))
     if mesh.dim == 2:
-        thin = data.kind == _THIN
-        _plane(mesh.points, mesh.elements, mesh.element_body, u, lame, shear, thin, initial, values)
+        _plane(mesh.points, mesh.elements, mesh.element_body, u, lame, shear, data.kind == _THIN, initial, values)
     else:
         _solid(mesh.points, mesh.elements, mesh.element_body, u, lame, shear, initial, values)
     return ElementStress(mesh, u, data, values)
@@ -179,10 +172,11 @@ def _keys(nodes, left_out):
     return low, high, total
 
 
-@inner_kernel
-def _fill_buckets(elements, start, codes, highs, sums):
-    """Facets, as element * corners + corner, by lowest node: those of node i in start[i] .. start[i + 1]."""
+@kernel
+def find_neighbours(elements, facets, start, codes, highs, sums, across, owner, corner):
+    """Fill ``across``, ``owner`` and ``corner``, which come as -1; ``start`` comes as 0, the others uninitialised."""
     n, k = elements.shape
+    # facets, as element * corners + corner, by lowest node: those of node i in start[i] .. start[i + 1]
     for e in range(n):
         for c in range(k):
             low, high, total = _keys(elements[e], c)
@@ -198,13 +192,6 @@ def _fill_buckets(elements, start, codes, highs, sums):
     for i in range(len(start) - 1, 0, -1):
         start[i] = start[i - 1]
     start[0] = 0
-
-
-@kernel
-def find_neighbours(elements, facets, start, codes, highs, sums, across, owner, corner):
-    """Fill ``across``, ``owner`` and ``corner``, which come as -1; ``start`` comes as 0, the others uninitialised."""
-    k = elements.shape[1]
-    _fill_buckets(elements, start, codes, highs, sums)
     for i in range(len(start) - 1):
         for a in range(start[i], start[i + 1]):
             for b in range(a + 1, start[i + 1]):
@@ -222,25 +209,8 @@ def find_neighbours(elements, facets, start, codes, highs, sums, across, owner, 
 def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
     """Elements of each node, ascending, in compressed rows: of node i ``listed[start[i]:start[i + 1]]``."""
     start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
-    _list_elements(elements, start, listed)
+    list_elements(elements, start, listed)
     return start, listed
-
-
-@kernel
-def _list_elements(elements, start, listed):
-    """Fill ``start`` (n_nodes + 1,), which comes as 0, and ``listed``."""
-    for e in range(len(elements)):
-        for v in elements[e]:
-            start[v + 1] += 1
-    for i in range(len(start) - 1):
-        start[i + 1] += start[i]
-    for e in range(len(elements)):
-        for v in elements[e]:
-            listed[start[v]] = e
-            start[v] += 1
-    for i in range(len(start) - 1, 0, -1):
-        start[i] = start[i - 1]
-    start[0] = 0
 
 
 #: relative difference of loads that agree; those of the result are exact to rounding
@@ -317,8 +287,7 @@ def posed(hierarchy: Hierarchy, result: Result) -> Posed:
         raise ValueError("result has no mesh (it comes from a bare DiscreteProblem): solve on a Hierarchy of a "
                          "ContactProblem")
     own = result.mesh
-    if own is not mesh and not (own.points.shape == mesh.points.shape and own.elements.shape == mesh.elements.shape
-                                and np.array_equal(own.elements, mesh.elements)
+    if own is not mesh and not (np.array_equal(own.elements, mesh.elements)
                                 and np.array_equal(own.points, mesh.points)):
         raise ValueError(f"result is of another mesh ({own.n_nodes} nodes) than the finest of hierarchy "
                          f"({mesh.n_nodes} nodes): give the hierarchy it was solved on, or hierarchy.truncated(...)")

@@ -109,8 +109,8 @@ def _attempts(domain: Domain, grading: float, refinements: int, mesh: Callable[[
             why = error
             if isinstance(error, NetgenUnfinished):
                 break
-    raise ValueError(f"Netgen could not mesh {domain!r} by the given sizes ({why}); start from a finer mesh, or take "
-                     "a smaller gradation") from why
+    raise ValueError(f"Netgen could not mesh {domain!r} by the given sizes ({why}); start from a "
+                     "finer mesh") from why
 
 
 def _plane_or_box(domain: Domain, sizes: PointSizes, grading: float, refinements: int) -> MeshArrays:

@@ -1,6 +1,7 @@
 """Bisect refines what is marked within its limits, goes onto arcs, and takes back where little is left."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("a", "out"
 
 
 def estimate_of(mesh, towards=(0.0, 0.0)):
-    """Squares that fall with the distance from a point."""
     middle = mesh.points[mesh.elements].mean(axis=1)
     far = np.linalg.norm(middle - np.array(towards), axis=1) / np.ptp(mesh.points[:, 0])
     return am.Estimate(squares=1 / (1e-3 + far) ** 3, norm=1.0)
@@ -103,27 +103,21 @@ def test_coarsening_follows_a_moving_front():
 
 
 def test_coarsening_takes_less_than_the_marks_gain():
-    """Few marks and many elements with little: by a part of all squares the mesh would shrink, and the loop end."""
     fine = bisect(MESH, np.ones(len(MESH.elements), dtype=bool))[0]
-    squares = np.full(len(fine.elements), 1e-4)
-    squares[:3] = 1.0
-    estimate = am.Estimate(squares=squares, norm=1.0)
-    marked = squares == 1.0
+    squares = np.where(np.arange(len(fine.elements)) < 3, 1.0, 1e-4)
+    estimate, marked = am.Estimate(squares=squares, norm=1.0), squares == 1.0
     for part in (0.005, 0.5):
         assert verified(am.Bisect(coarsen=part).refine(PROBLEM, fine, estimate, marked)).n_nodes > fine.n_nodes
 
 
 def test_rectangles_and_boxes_begin_with_a_regular_mesh():
-    mesh = am.Bisect().first(am.cases.upset_block(), 12e-3)
+    problem, first = am.cases.upset_block(), am.Bisect().first
+    mesh = first(problem, 12e-3)
     # 40 mm in cells of 12 mm at most
-    assert mesh.n_nodes == 25
-    assert mesh.volumes == pytest.approx(1e-4 / 2)
-    block = am.Bisect().first(am.cases.greco_block(depth=10e-3), 20e-3)
-    assert block.n_nodes == 27
-    pair = am.cases.two_block_patch(size=0.1)
-    assert am.Bisect().first(pair, 0.05).bodies == ("upper", "lower")
-    assert am.Bisect().first(am.cases.dovetail(), 5e-3) is None
-    problem = am.cases.upset_block()
+    assert mesh.n_nodes == 25 and mesh.volumes == pytest.approx(1e-4 / 2)
+    assert first(am.cases.greco_block(depth=10e-3), 20e-3).n_nodes == 27
+    assert first(am.cases.two_block_patch(size=0.1), 0.05).bodies == ("upper", "lower")
+    assert first(am.cases.dovetail(), 5e-3) is None
     first, other = (next(am.adapt(problem, 10e-3, engine=engine, max_nodes=30)).hierarchy.finest.mesh
                     for engine in (am.Bisect(), am.Remesh()))
     assert first.volumes == pytest.approx(0.5e-4) and np.ptp(other.volumes) > 1e-6
@@ -140,11 +134,6 @@ def test_an_element_that_is_always_marked_becomes_no_smaller_than_coordinates_re
     edge = np.sqrt(verified(mesh).volumes.min()) / np.abs(mesh.points).max()
     assert 1e-10 < edge < 1e-8
     # a loop that comes there says so
-    found = list(am.adapt(PROBLEM, mesh, mark=First(), engine=am.Bisect(), max_nodes=10_000))
-    assert len(found) == 1 and "no finer mesh" in found[0].outcome
-    assert "coordinates do not resolve smaller" in found[0].outcome
-
-
-class First:
-    def mark(self, estimate):
-        return np.arange(len(estimate.squares)) == 0
+    first = SimpleNamespace(mark=lambda estimate: np.arange(len(estimate.squares)) == 0)
+    (found,) = am.adapt(PROBLEM, mesh, mark=first, engine=am.Bisect(), max_nodes=10_000)
+    assert "no finer mesh" in found.outcome and "coordinates do not resolve smaller" in found.outcome

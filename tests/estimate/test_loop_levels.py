@@ -19,8 +19,6 @@ from adaptmg.transfer import mesh_ratio, size_ratio
 
 
 class Between:
-    """An engine that makes structured meshes of the mean size."""
-
     def __init__(self, counts: list[int]) -> None:
         self.counts, self.asked = counts, 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 from hostile_table import Hostile
@@ -23,19 +24,16 @@ def _rows(what: str, run: Callable[[object], object], says: str, values: Mapping
         yield Hostile(f"{what} {label}", lambda v=value: run(v), says, error)
 
 
-@cache
-def _problem():
-    return am.cases.greco_bar()
+_problem = cache(am.cases.greco_bar)
+_grids = cache(lambda: am.Hierarchy.uniform(_problem(), (2, 4)))
+_result = cache(lambda: am.solve(_grids()))
+_patch = cache(lambda: am.solve(am.Hierarchy.graded(am.cases.two_block_patch(), (0.03,)), am.ActiveSet()))
 
 
-@cache
-def _grids():
-    return am.Hierarchy.uniform(_problem(), (2, 4))
-
-
-@cache
-def _result():
-    return am.solve(_grids())
+def _bare():
+    d = _grids().finest.discrete
+    return am.solve(am.DiscreteProblem(matrix=d.matrix, load=d.load, fixed=d.fixed, law=am.Coulomb(1.0),
+                                       contact=d.contact), am.ActiveSet())
 
 
 def _mesh():
@@ -63,39 +61,9 @@ def _arguments():
         yield from _rows(name, lambda v, n=name: _loop(**{n: v}), name, values)
 
 
-class _Part:
-    """An indicator, mark or engine with a scripted answer."""
-
-    def __init__(self, answer):
-        self.answer = answer
-
-    def indicate(self, hierarchy, result):
-        return self.answer
-
-    def mark(self, estimate):
-        return self.answer(estimate)
-
-    def refine(self, problem, mesh, estimate, marked, max_nodes=None):
-        return self.answer(mesh)
-
-
-class _Between(_Part):
-    """Bisection of everything; in between a scripted answer."""
-
-    def refine(self, problem, mesh, estimate, marked, max_nodes=None):
-        for _ in range(3):
-            mesh = _finer(mesh)
-        return mesh
-
-    def intermediate(self, problem, coarse, fine):
-        return self.answer(fine)
-
-
-class _First(_Part):
-    """Begins with a scripted answer."""
-
-    def first(self, problem, size):
-        return self.answer(_mesh())
+def _refining(answer, **methods):
+    """An engine that makes what a function of the mesh says."""
+    return SimpleNamespace(refine=lambda problem, mesh, estimate, marked, max_nodes=None: answer(mesh), **methods)
 
 
 def _finer(mesh):
@@ -130,19 +98,22 @@ def _parts():
     n = len(_mesh().elements)
     answers = {"None": None, "array": np.ones(n), "class": am.Estimate,
                "of another mesh": am.Estimate(squares=np.ones(3), norm=1.0)}
-    yield from _rows("indicator returns", lambda v: _loop(indicator=_Part(v)), "indicator", answers)
-    yield from _rows("indicator on a path returns", lambda v: _loop(
-        indicator=_Part(v), load_path=am.LoadPath(default=[0.5, 1.0]), adapt_on="worst"), "indicator", answers)
+    path = {"load_path": am.LoadPath(default=[0.5, 1.0]), "adapt_on": "worst"}
+    for where, options in (("", {}), (" on a path", path)):
+        yield from _rows(f"indicator{where} returns", lambda v, o=options: _loop(
+            indicator=SimpleNamespace(indicate=lambda hierarchy, result: v), **o), "indicator", answers)
     masks = {"None": lambda e: None, "short": lambda e: np.ones(3, dtype=bool), "indices": lambda e: np.array([0, 1]),
              "text": lambda e: "all", "flag": lambda e: True, "NaN": lambda e: np.full(len(e.squares), NAN),
              "matrix": lambda e: np.ones((len(e.squares), 2), dtype=bool), "list": lambda e: ["a"] * len(e.squares)}
     for engine in (am.Bisect(), Remesh()):
         yield from _rows(f"mark for {type(engine).__name__} returns",
-                         lambda v, e=engine: _loop(mark=_Part(v), engine=e), "mark", masks)
-    yield from _rows("engine returns", lambda v: _loop(engine=_Part(v)), "engine", MESHES)
-    yield from _rows("engine returns a mesh", lambda v: _loop(engine=_Part(v)), "mesh", ELSEWHERE)
-    yield from _rows("intermediate returns", lambda v: _loop(engine=_Between(v), max_nodes=2000), "engine", MESHES)
-    yield from _rows("first returns", lambda v: _loop(engine=_First(v)), "engine", MESHES)
+                         lambda v, e=engine: _loop(mark=SimpleNamespace(mark=v), engine=e), "mark", masks)
+    yield from _rows("engine returns", lambda v: _loop(engine=_refining(v)), "engine", MESHES)
+    yield from _rows("engine returns a mesh", lambda v: _loop(engine=_refining(v)), "mesh", ELSEWHERE)
+    yield from _rows("intermediate returns", lambda v: _loop(max_nodes=2000, engine=_refining(
+        lambda mesh: _finer(_finer(_finer(mesh))), intermediate=lambda p, coarse, fine: v(fine))), "engine", MESHES)
+    yield from _rows("first returns", lambda v: _loop(engine=_refining(
+        v, first=lambda problem, size: v(_mesh()))), "engine", MESHES)
 
 
 def _refined(engine, **wrong):
@@ -170,22 +141,12 @@ def _marking():
         yield from _rows(f"{cls.__name__} {name}", lambda v, c=cls, n=name: c(**{n: v}), name, values)
     for engine in (am.Bisect(), Remesh()):
         name = type(engine).__name__
-        for argument in ("mesh", "estimate", "problem"):
-            yield Hostile(f"{name} without {argument}", lambda e=engine, a=argument: _refined(e, **{a: None}), argument)
+        for a in ("mesh", "estimate", "problem"):
+            yield Hostile(f"{name} without {a}", lambda e=engine, a=a: _refined(e, **{a: None}), a)
         yield Hostile(f"{name} of another estimate", lambda e=engine: _refined(e, estimate=am.Estimate(
             squares=[1.0], norm=1.0)), "squares" if name == "Remesh" else "estimate is of")
         yield from _rows(f"{name} max_nodes", lambda v, e=engine: _refined(e, max_nodes=v), "max_nodes", (0, "9", 1.5))
     yield Hostile("Bisect marks numbers", lambda: _refined(am.Bisect(), marked=np.arange(9)), "boolean mask")
-
-
-class _Own:
-    """A user-defined quantity."""
-
-    def __init__(self, made):
-        self.made = made
-
-    def functionals(self, view):
-        return self.made(view)
 
 
 def _goals():
@@ -210,25 +171,19 @@ def _goals():
     for says, quantities in wrong.items():
         yield from _rows(f"goal {says}", lambda v: am.Goal(v).indicate(_grids(), _result()), says, quantities)
         yield from _rows(f"loop for goal {says}", lambda v: _loop(indicator=am.Goal(v)), says, quantities[:1])
-    yield from _rows("own quantity", lambda v: am.Goal(_Own(lambda view: v)).indicate(_grids(), _result()), "quantity",
-                     (None, "u", [], [1.0], np.ones(3)))
+    yield from _rows("own quantity", lambda v: am.Goal(SimpleNamespace(functionals=lambda view: v)).indicate(
+        _grids(), _result()), "quantity", (None, "u", [], [1.0], np.ones(3)))
 
     def of(changes):
         def made(view):
             good = am.ContactForce().functionals(view)[0]
             return [replace(good, **{name: change(getattr(good, name)) for name, change in changes.items()})]
-        return am.Goal(_Own(made)).indicate(_grids(), _result())
+        return am.Goal(SimpleNamespace(functionals=made)).indicate(_grids(), _result())
 
     for name, change in {"vector": (lambda a: a[:-1], lambda a: a * NAN, lambda a: "v", lambda a: a[:, None]),
                          "bubbles": (lambda a: None, lambda a: a[1:], lambda a: a * NAN),
                          "value": (lambda a: NAN, lambda a: "1")}.items():
         yield from _rows(f"own functional {name}", lambda v, n=name: of({n: v}), name, change)
-
-
-def _bare():
-    discrete = _grids().finest.discrete
-    return am.solve(am.DiscreteProblem(matrix=discrete.matrix, load=discrete.load, fixed=discrete.fixed,
-                                       law=am.Coulomb(1.0), contact=discrete.contact), am.ActiveSet())
 
 
 def _errors():
@@ -246,20 +201,14 @@ def _errors():
     yield from _rows("reference", lambda v: energy_error(v, _result()), "reference", (
         None, (1,), "reference", (1, 2, 3), Reference, 3.0))
     yield Hostile("reference of texts", lambda: energy_error(("r", "h"), _result()), "hierarchy")
-    yield from _rows("error of", lambda v: energy_error((_grids(), _result()), v), "result", (None, "r", am.Result))
-    yield from _rows("tractions of", lambda v: boundary_tractions(v, "bottom"), "result", (None, "r", am.Result))
-    yield Hostile("error of a bare result", lambda: energy_error((_grids(), _result()), _bare()), "result")
-    yield Hostile("tractions of a bare result", lambda: boundary_tractions(_bare(), "bottom"), "result")
-    yield Hostile("error of a pair", lambda: energy_error((_grids(), _result()), _patch()), "result")
+    results = {"none": lambda: None, "text": lambda: "r", "class": lambda: am.Result, "bare": _bare}
+    yield from _rows("error of", lambda v: energy_error((_grids(), _result()), v()), "result",
+                     results | {"pair": _patch})
+    yield from _rows("tractions of", lambda v: boundary_tractions(v(), "bottom"), "result", results)
     yield from _rows("own_error", lambda v: Reference.of(_grids(), _result(), own_error=v), "own_error",
                      (NAN, -1.0, "x", True))
     yield from _rows("tractions on", lambda v: boundary_tractions(_result(), v), "boundary",
                      ("nowhere", None, 3, "", ["bottom"]))
-
-
-@cache
-def _patch():
-    return am.solve(am.Hierarchy.graded(am.cases.two_block_patch(), (0.03,)), am.ActiveSet())
 
 
 def _levels():
@@ -268,8 +217,7 @@ def _levels():
     for label, made in MESHES.items():
         yield Hostile(f"append {label}", lambda m=made: _grids().append(m(_mesh())), says.get(label, "mesh"),
                       (TypeError, ValueError, FileNotFoundError))
-    yield Hostile("append a coarser mesh", lambda: _grids().append(_grids()[0].mesh), "mesh")
-    yield Hostile("append None", lambda: _grids().append(None), "mesh")
+    yield from _rows("append", lambda v: _grids().append(v and _grids()[0].mesh), "mesh", {"coarser": 1, "None": None})
     yield from _rows("without", lambda v: _grids().without(v), "level", (-3, 2, 99, "0", True, 1.5, None, [0]))
     yield Hostile("without the only one", lambda: am.Hierarchy.uniform(_problem(), (2,)).without(0), "level")
 

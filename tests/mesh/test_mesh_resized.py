@@ -121,5 +121,5 @@ def test_where_netgen_fails_it_is_asked_again(monkeypatch):
     check_mesh(resized(PLATE, sizes, refinements=2), PLATE.boundaries)
     assert asked == [2, 2, 0, 0]
     failures = 99
-    with pytest.raises(ValueError, match=r"could not mesh Rectangle.*a face failed.*smaller gradation"):
+    with pytest.raises(ValueError, match=r"could not mesh Rectangle.*a face failed.*start from a finer mesh"):
         resized(PLATE, sizes, refinements=2)

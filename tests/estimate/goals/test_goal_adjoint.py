@@ -19,23 +19,22 @@ from adaptmg.estimate.stress_fields import posed
 EXACT = am.ActiveSet(rtol=1e-13)
 
 CASES = {
-    "bar": (lambda: am.cases.greco_bar(), {"sizes": (8e-3,)}),
-    "bar, Tresca": (lambda: am.cases.greco_bar(law=am.Tresca(3e7)), {"sizes": (8e-3,)}),
-    "frictionless": (lambda: am.cases.curved_obstacle(), {"sizes": (8e-3,)}),
-    "block": (lambda: am.cases.greco_block(), {"sizes": (15e-3,)}),
-    "block, Tresca": (lambda: am.cases.greco_block(law=am.Tresca(3e7)), {"sizes": (15e-3,)}),
-    "dovetail": (lambda: am.cases.dovetail(), {"sizes": (8e-3,)}),
-    "junction": (lambda: am.cases.bolted_junction(), {"sizes": (12e-3,)}),
+    "bar": (am.cases.greco_bar, 8e-3),
+    "bar, Tresca": (lambda: am.cases.greco_bar(law=am.Tresca(3e7)), 8e-3),
+    "frictionless": (am.cases.curved_obstacle, 8e-3),
+    "block": (am.cases.greco_block, 15e-3),
+    "block, Tresca": (lambda: am.cases.greco_block(law=am.Tresca(3e7)), 15e-3),
+    "dovetail": (am.cases.dovetail, 8e-3),
+    "junction": (am.cases.bolted_junction, 12e-3),
     "exchanged": (lambda: dataclasses.replace(bar_on_block(am.Coulomb(0.5)), supports=(
-        am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0))), {"sizes": (8e-3,)}),
+        am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0))), 8e-3),
 }
 
 
 @cache
 def solved(name):
-    make, parameters = CASES[name]
-    problem = make()
-    hierarchy = am.Hierarchy.graded(problem, **parameters)
+    make, size = CASES[name]
+    hierarchy = am.Hierarchy.graded(make(), (size,))
     return hierarchy, am.solve(hierarchy, EXACT)
 
 
@@ -66,34 +65,19 @@ def test_the_dual_field_is_the_sensitivity_to_a_load(name):
     force[discrete.contact.nodes] = 0.0
     force = np.where(discrete.fixed, 0.0, force.reshape(-1))
     force *= 1e-6 * np.linalg.norm(discrete.load) / np.linalg.norm(force)
-    changed = {}
+    changed = []
     for sign in (1, -1):
         other = dataclasses.replace(discrete, load=discrete.load + sign * force)
         grids = dataclasses.replace(hierarchy, levels=(dataclasses.replace(hierarchy.finest, discrete=other),))
         moved = am.solve(grids, EXACT, start=result.displacement)
         np.testing.assert_array_equal(moved.contact.state, result.contact.state)
         there = view_of(grids, moved)
-        changed[sign] = np.array([f.value for item in quantities(hierarchy) for f in item.functionals(there)])
-    found = (changed[1] - changed[-1]) / 2
-    wanted = np.array([dual.field @ force for dual in duals])
+        changed.append(np.array([f.value for item in quantities(hierarchy) for f in item.functionals(there)]))
+    found, wanted = (changed[0] - changed[1]) / 2, np.array([dual.field @ force for dual in duals])
     scale = np.array([np.linalg.norm(dual.field) * np.linalg.norm(force) for dual in duals])
     assert (np.abs(wanted) > 1e-3 * scale).any()
     # where all nodes touch, their mean opening does not depend on anything
     assert (np.abs(found - wanted) <= 1e-6 * scale + 1e-20).all(), (found - wanted) / scale
-
-
-@pytest.mark.parametrize("name", ["bar", "block", "dovetail"])
-def test_errors_that_keep_the_state_meet_the_functional(name):
-    view = view_of(*solved(name))
-    discrete, system = view.posed.discrete, adjoint_system(view.contact)
-    functional = am.ContactForce(direction=0).functionals(view)[0].vector
-    z = system.direct([functional])[0].field
-    v = view.contact.cartesian(np.where(system.trial, np.random.default_rng(0).standard_normal(len(z)), 0.0))
-    action = discrete.matrix @ v
-    bent = view.contact.local(v).reshape(-1, discrete.dim)[view.contact.nodes, 1:]
-    dual = view.contact.local(z).reshape(-1, discrete.dim)[view.contact.nodes, 1:]
-    curved = np.einsum("ni,nij,nj->", dual, view.contact.hessian, bent)
-    assert z @ action + curved == pytest.approx(functional @ v, rel=1e-9)
 
 
 @pytest.mark.parametrize(("make", "sizes"), [(am.cases.greco_bar, (8e-3, 4e-3, 2e-3)),

@@ -27,9 +27,8 @@ class Quadratic:
     """Stiffness and load of P2 on a mesh of ours, in blocks of nodes (1) and edges (b)."""
 
     def __init__(self, mesh):
-        self.mesh = mesh
+        self.mesh, element = mesh, skfem.ElementVector(skfem.ElementTriP2())
         theirs = skfem.MeshTri(mesh.points.T.copy(), mesh.elements.T.astype(np.int64))
-        element = skfem.ElementVector(skfem.ElementTriP2())
         basis = skfem.Basis(theirs, element, intorder=6)
         lame, shear = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON)), YOUNG / (2 * (1 + POISSON))
 
@@ -53,18 +52,15 @@ class Quadratic:
         self.ends = np.sort(theirs.facets.T, axis=1)
         # a P2 function is its P1 part and bubbles: with hats in place of P2's nodal functions
         lift = np.eye(len(load))
-        for k, (a, b) in enumerate(theirs.facets.T):
-            for c in range(2):
-                for node in (a, b):
-                    lift[basis.facet_dofs[c, k], basis.nodal_dofs[c, node]] = 0.5
+        for node in theirs.facets:
+            lift[basis.facet_dofs, basis.nodal_dofs[:, node]] = 0.5
         matrix, load = lift.T @ matrix @ lift, lift.T @ load
         self.a11, self.ab1, self.abb = (matrix[np.ix_(*at)] for at in ((nodes, nodes), (edges, nodes), (edges, edges)))
         self.load1, self.loadb = load[nodes], load[edges]
 
     def functional(self, item):
         """A linear functional of nodes and edges."""
-        one, b = np.zeros(len(self.load1)), np.zeros(len(self.loadb))
-        points = self.mesh.points
+        one, b, points = np.zeros(len(self.load1)), np.zeros(len(self.loadb)), self.mesh.points
         if isinstance(item, am.Displacement):
             k, x = "xyz".index(item.component), np.array(item.points[0])
             for corners in self.mesh.elements:
@@ -94,21 +90,16 @@ class Quadratic:
 
 def spaces(this, state):
     """Trial and test vectors of nodes and of edges, by columns: at the floor as the state says."""
-    points, n = this.mesh.points, len(this.mesh.points)
-    middles = points[this.ends].mean(axis=1)
-    made = []
-    for places in (points, middles):
+    points, made = this.mesh.points, []
+    for places in (points, points[this.ends].mean(axis=1)):
         trial, test = [], []
-        size = 2 * (n if places is points else len(middles))
         for i, (x, y) in enumerate(places):
             floor, side = y < 1e-9, x < 1e-9 or x > 1 - 1e-9
             for c in range(2):
                 if (c == 0 and side) or (floor and (c == 1 or state == "stick")):
                     continue
-                column = np.zeros(size)
-                column[2 * i + c] = 1.0
-                trial.append(column)
-                test.append(column.copy())
+                for space in (trial, test):
+                    space.append(np.eye(1, 2 * len(places), 2 * i + c)[0])
                 if floor and state == "slip":
                     # friction pushes against the drift: f = -e_x, and n = -e_y
                     test[-1][2 * i + 1] = FRICTION
