@@ -53,8 +53,7 @@ def _choices():
     yield from each("order", lambda v: am.ProjectedGaussSeidel(order=v), values)
     yield from each("ContactPair coupling", lambda v: am.ContactPair("a", "b", coupling=v), values, ("unknown",))
     yield from each("uniform diagonal", lambda v: am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4), diagonal=v),
-                    values,
-                    ("unknown",))
+                    values, ("unknown",))
 
 
 #: what takes an instance, its class as the first of the wrong values

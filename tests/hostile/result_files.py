@@ -105,15 +105,14 @@ def _header(text: str, body: bytes = b"\0" * 64, version: int = 1, length: int |
 def _bombs():
     """Little that says it is much, or that would have Python run it."""
     shape = "{'descr': '<f8', 'fortran_order': False, 'shape': %s, }"
-    headers = {
-        "terabytes in a header": _header(shape % "(1000000000000,)"),
-        "sizes that wrap": _header(shape % "(4294967296, 4294967296)"), "negative size": _header(shape % "(-8,)"),
-        "objects": _npy(np.array([{}, None], dtype=object)),
-        "code in a header": _header("__import__('os').mkdir('was-here')"), "no shape": _header("{'descr': '<f8'}"),
-        "deep header": _header("(" * 5000 + ")" * 5000), "cut header": b"\x93NUMPY\x01\0",
-        "long header": _header(shape % "(8,)", version=2, length=2**32 - 1),
-        "records": _npy(np.zeros(3, dtype=[("a", "<f8")])), "too few bytes": _header(shape % "(9,)"),
-        "unknown type": _header((shape % "(8,)").replace("<f8", "<q99"))}
+    headers = {"terabytes in a header": _header(shape % "(1000000000000,)"),
+               "sizes that wrap": _header(shape % "(4294967296, 4294967296)"),
+               "negative size": _header(shape % "(-8,)"), "objects": _npy(np.array([{}, None], dtype=object)),
+               "code in a header": _header("__import__('os').mkdir('was-here')"),
+               "no shape": _header("{'descr': '<f8'}"), "deep header": _header("(" * 5000 + ")" * 5000),
+               "cut header": b"\x93NUMPY\x01\0", "long header": _header(shape % "(8,)", version=2, length=2**32 - 1),
+               "records": _npy(np.zeros(3, dtype=[("a", "<f8")])), "too few bytes": _header(shape % "(9,)"),
+               "unknown type": _header((shape % "(8,)").replace("<f8", "<q99"))}
     for name, content in headers.items():
         yield Hostile(name, lambda c=content: load(zipped(displacement_npy=c)), FILE, ValueError, writes=True)
     yield Hostile("zeros without end", lambda: load(zipped(displacement_npy=_npy(np.zeros((5_000_000, 2))))), FILE,

@@ -79,11 +79,9 @@ def test_smoothing_count(quick):
     assert loose.iloc[-1] > loose.min()
     # the paper stands beside ours
     frame = rows(items["smoothing_count"].frame, start="zero", **{"coarse solve": "error 1e-8"})
-    assert frame["paper iterations"].iloc[:4].tolist() == [12, 8, 8, 10]
-    assert frame["cycles"].iloc[0] == 12
+    assert frame["paper iterations"].iloc[:4].tolist() == [12, 8, 8, 10] and frame["cycles"].iloc[0] == 12
     # the test on the change does not see the stall
-    frame = rows(items["smoothing_count_all"].frame, problem="Coulomb bar",
-                 **{"coarse solve": "error 1e-8"})
+    frame = rows(items["smoothing_count_all"].frame, problem="Coulomb bar", **{"coarse solve": "error 1e-8"})
     assert (rows(frame, correction="paper")["true error"] > 1e-3).all()
     assert (rows(frame, correction="monotone")["true error"] < 1e-5).all()
     # over relaxation is not needed inside two grids

@@ -44,8 +44,7 @@ def test_timed_runs_wait_for_all_others_and_go_one_by_one():
         thread.join(60)
         assert not thread.is_alive()
     kinds = [kind for kind, _ in runs.seen]
-    assert kinds.count("timed") == 8 and kinds.count("run") == 10
-    assert kinds == ["run"] * 10 + ["timed"] * 8
+    assert kinds.count("timed") == 8 and kinds.count("run") == 10 and kinds == ["run"] * 10 + ["timed"] * 8
     assert [what for _, what in runs.seen[10:]] == ["begins", "ends"] * 4
 
 
