@@ -13,7 +13,7 @@ from scipy import sparse
 
 from adaptmg._checks import real_array, shown
 
-__all__ = ["array", "indices_frozen", "narrowed", "sparse_matrix", "square_blocks", "vector"]
+__all__ = ["array", "direction", "indices_frozen", "narrowed", "sparse_matrix", "square_blocks", "vector"]
 
 _COMPRESSED = ("csr", "csc", "bsr")
 Compressed = sparse.csr_array | sparse.csc_array | sparse.bsr_array
@@ -30,6 +30,17 @@ def vector(name: str, value: object, size: int | None = None) -> np.ndarray:
         form = "a vector" if size is None else f"a vector of {size} numbers"
         raise ValueError(f"{name} must be {form}, got shape {result.shape}")
     return array(name, value, (size,))
+
+
+def direction(name: str, value: object, n: int) -> np.ndarray:
+    """Return the unit vector of a vector of ``n`` numbers and any length > 0, read-only."""
+    result = vector(name, value, n)
+    length = np.linalg.norm(result)
+    if not length > 0:
+        raise ValueError(f"{name} must not be zero, got {shown(value)}")
+    result = result / length
+    result.flags.writeable = False
+    return result
 
 
 def array(name: str, value: object, shape: tuple[int | None, ...], *, integer: bool = False) -> np.ndarray:

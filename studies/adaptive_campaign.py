@@ -138,8 +138,7 @@ def _checked(loop: Loop, steps: list[am.Step]) -> tuple[list[dict[str, float]], 
 
 def _errors(loop: Loop, step: am.Step, fine: Any, reference: Any, found: list[str]) -> dict[str, float]:
     """True errors of a step: energy, algebraic, and of the quantity."""
-    row: dict[str, float] = {"norm": step.estimate.norm,
-                             "touching": int(np.sum(step.result.contact.state != am.OPEN))}
+    row: dict[str, float] = {"norm": step.estimate.norm, "touching": int(np.sum(step.result.contact.state != am.OPEN))}
     try:
         row["error"], row["own"] = energy_error(reference, step.result).absolute, reference.own_error
     except ValueError as error:
@@ -260,9 +259,8 @@ def run(context: Context) -> Section:
             f"solver: algebraic error over the estimate, largest of a loop's steps (aim {SHARE:g}; goals have another "
             "measure). Faults: whatever was found wrong of a status, certificate, mesh, outcome, or of the bits of the "
             "same loop gone on from its store.")
-    spec = {"energy error": ".2f", "rate": ".2f", "effectivity": ".2f", "effectivity, goal": ".2f",
-            "spread": ".2f", "over that of the discrete solution": ".3f",
-            "left by the solver": ".3f", "least angle": ".1f"}
+    spec = {"energy error": ".2f", "rate": ".2f", "effectivity": ".2f", "effectivity, goal": ".2f", "spread": ".2f",
+            "over that of the discrete solution": ".3f", "left by the solver": ".3f", "least angle": ".1f"}
     return Section("Random adaptive loops", __doc__.split("\n\n")[1],
                    [Table("adaptive_campaign", table, "Random adaptive loops: outcomes by indicator", note,
                           formats={name: ".2f" for name in table if table[name].dtype == float}),
@@ -304,14 +302,13 @@ def outcomes(rows: pd.DataFrame) -> pd.DataFrame:
         result.append({"indicator": label, "loops": len(mine), "refused": len(mine) - len(ran),
                        "with faults": int((ran["faults"] != "[]").sum()), "meshes": int(ran["n_steps"].sum()),
                        "effectivity, median": float(effectivity.median()), "5 %": float(effectivity.quantile(0.05)),
-                       "95 %": float(effectivity.quantile(0.95)),
-                       "outside": int((~effectivity.between(low, high)).sum()),
+                       "95 %": float(effectivity.quantile(0.95)), "outside": int((~effectivity.between(low,
+                                                                                                       high)).sum()),
                        "largest spread": float(spread.max()),
-                       "over that of the discrete solution, least": float(in_loop.min()),
-                       "most": float(in_loop.max()),
+                       "over that of the discrete solution, least": float(in_loop.min()), "most": float(in_loop.max()),
                        "rate 2D": float(rate[ran["dim"] == 2].median()),
-                       "rate 3D": float(rate[ran["dim"] == 3].median()),
-                       "left by the solver": float("nan") if name == "Goal" else float(share.max())})
+                       "rate 3D": float(rate[ran["dim"] == 3].median()), "left by the solver": float("nan")
+                       if name == "Goal" else float(share.max())})
     return pd.DataFrame(result)
 
 

@@ -166,8 +166,7 @@ def direct_error(coarse: am.Result, fine: am.Result, hierarchy: am.Hierarchy) ->
     for k, _ in enumerate(fine.mesh.bodies):
         nodes = np.unique(fine.mesh.elements[fine.mesh.element_body == k])
         found = PointLocator(coarse.mesh, k).locate(fine.mesh.points[nodes])
-        values[nodes] = np.einsum("nk,nkd->nd", found.weights,
-                                  coarse.displacement[coarse.mesh.elements[found.element]])
+        values[nodes] = np.einsum("nk,nkd->nd", found.weights, coarse.displacement[coarse.mesh.elements[found.element]])
     from adaptmg.discrete.elasticity import stiffness
     e = (fine.displacement - values).reshape(-1)
     return float(np.sqrt(e @ (stiffness(fine.mesh, hierarchy.problem.material) @ e)))

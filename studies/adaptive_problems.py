@@ -110,12 +110,11 @@ def _turned(rng: np.random.Generator) -> am.ContactProblem:
     supports = (am.Support("lower.left", x=0.0), am.Support("lower.bottom", y=0.0))
     if inner == 0:
         supports = (*supports, am.Support("upper.left", x=0.0))
-    return am.ContactProblem(
-        name="turned pair", domain=am.Assembly(parts={"upper": upper, "lower": lower}), law=law,
-        material={name: _material(rng, am.Axisymmetric) for name in ("upper", "lower")},
-        contact=am.ContactPair(*(("upper.bottom", "lower.top") if rng.random() < 0.6 else ("lower.top",
-                                                                                          "upper.bottom"))),
-        loads=(am.Pressure("upper.top", pressure),), supports=supports)
+    return am.ContactProblem(name="turned pair", domain=am.Assembly(parts={"upper": upper, "lower": lower}), law=law,
+                             material={name: _material(rng, am.Axisymmetric) for name in ("upper", "lower")},
+                             contact=am.ContactPair(*(("upper.bottom", "lower.top")
+                                                      if rng.random() < 0.6 else ("lower.top", "upper.bottom"))),
+                             loads=(am.Pressure("upper.top", pressure),), supports=supports)
 
 
 def _round(rng: np.random.Generator) -> am.ContactProblem:
@@ -151,11 +150,10 @@ def _round_3d(rng: np.random.Generator) -> am.ContactProblem:
     push = float(rng.uniform(-0.2, 0.4))
     pressure = float(rng.uniform(1e7, 5e7))
     law = _law(rng, radius)
-    return am.ContactProblem(
-        name="pin", domain=am.Revolution(profile, angle=90.0), material=_material(rng, am.Solid),
-        law=law, contact=am.Contact("bottom", am.Plane((0, 0, 0), (0, 0, 1))),
-        loads=(am.Traction("top", (push * pressure, 0.0, -pressure)),),
-        supports=(am.Support("start", y=0.0), am.Support("end", x=0.0)))
+    return am.ContactProblem(name="pin", domain=am.Revolution(profile, angle=90.0), material=_material(rng, am.Solid),
+                             law=law, contact=am.Contact("bottom", am.Plane((0, 0, 0), (0, 0, 1))),
+                             loads=(am.Traction("top", (push * pressure, 0.0, -pressure)),),
+                             supports=(am.Support("start", y=0.0), am.Support("end", x=0.0)))
 
 
 def _stack(rng: np.random.Generator) -> am.ContactProblem:
@@ -262,10 +260,9 @@ def _remote(rng: np.random.Generator) -> am.ContactProblem:
     moved = {name: tuple(replace(one, boundary=f"upper.{one.boundary}") for one in ones)
              for name, ones in moved.items()}
     moved["supports"] += (am.Support("lower.left", x=0.0), am.Support("lower.bottom", y=0.0))
-    return am.ContactProblem(
-        name="remote pair", domain=am.Assembly(parts={"upper": shape, "lower": under}), law=law,
-        material={name: material for name in ("upper", "lower")},
-        contact=tuple(am.ContactPair(f"upper.{name}", "lower.top") for name in feet), **moved)
+    return am.ContactProblem(name="remote pair", domain=am.Assembly(parts={"upper": shape, "lower": under}), law=law,
+                             material={name: material for name in ("upper", "lower")},
+                             contact=tuple(am.ContactPair(f"upper.{name}", "lower.top") for name in feet), **moved)
 
 
 _MAKERS = {"remote": _remote, "block": _block, "notched": _notched, "turned": _turned, "round": _round,

@@ -174,8 +174,7 @@ def reference_table(references: pd.DataFrame, rows: pd.DataFrame) -> common.Tabl
             "which are right to .4 times the square of the quotient of both. Points of the GRECO bar are "
             "compared with converged values of quadratic elements. Pressures, points and forces of the "
             "finest meshes come near the reference's own. Energy: per metre in plane strain.")
-    return common.Table("adaptive_references", frame, "References", note,
-                        {"energy norm squared": "N m"}
+    return common.Table("adaptive_references", frame, "References", note, {"energy norm squared": "N m"}
                         | dict.fromkeys(["own error", "least error measured", "which is right to"], "%"),
                         {"energy norm squared": ".6g", "own error": ".3f", "least error measured": ".3f",
                          "which is right to": ".0f", "natural residual": ".1e"})

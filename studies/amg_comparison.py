@@ -162,19 +162,17 @@ def contact(grid: str, size: int, rtol: float, max_cycles: int, repetitions: int
         first = common.first_below(result, rtol)
         return {"iterations": result.cycles, "inner": counter.iterations, "work": result.work_units,
                 "total_s": float(result.history["seconds"][-1]), "target_work": first["work_units"],
-                "target_s": first["seconds"],
-                "energy_error": float(result.history["true_error"][-1]), "residual": result.residual,
-                "outcome": result.status.name}
+                "target_s": first["seconds"], "energy_error": float(result.history["true_error"][-1]),
+                "residual": result.residual, "outcome": result.status.name}
 
-    calls = {
-        "FullMultigrid": lambda: by(lambda _: am.FullMultigrid(rtol=rtol, max_cycles=max_cycles)),
-        "ActiveSet, direct, cold": lambda: by(lambda _: am.ActiveSet(rtol=rtol)),
-        NEWTON: lambda: by(lambda _: am.ActiveSet(rtol=rtol, nested_start=True)),
-        "ActiveSet, AMG, cold": lambda: by(lambda counted: am.ActiveSet(linear=counted, rtol=rtol)),
-        "ActiveSet, AMG, nested": lambda: by(lambda counted: am.ActiveSet(linear=counted, rtol=rtol,
-                                                                         nested_start=True)),
-        "monotone mode": lambda: by(lambda _: am.FullMultigrid(correction=am.Monotone(), rtol=rtol,
-                                                               max_cycles=max_cycles))}
+    calls = {"FullMultigrid": lambda: by(lambda _: am.FullMultigrid(rtol=rtol, max_cycles=max_cycles)),
+             "ActiveSet, direct, cold": lambda: by(lambda _: am.ActiveSet(rtol=rtol)),
+             NEWTON: lambda: by(lambda _: am.ActiveSet(rtol=rtol, nested_start=True)),
+             "ActiveSet, AMG, cold": lambda: by(lambda counted: am.ActiveSet(linear=counted, rtol=rtol)),
+             "ActiveSet, AMG, nested": lambda: by(lambda counted: am.ActiveSet(linear=counted, rtol=rtol,
+                                                                               nested_start=True)),
+             "monotone mode": lambda: by(lambda _: am.FullMultigrid(correction=am.Monotone(), rtol=rtol,
+                                                                    max_cycles=max_cycles))}
     return {"nodes": hierarchy.finest.discrete.n_nodes, **medians(calls, repetitions)}
 
 

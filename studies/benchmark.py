@@ -225,8 +225,7 @@ def contact_method(size: int, method: str) -> dict[str, Any]:
     results = [am.solve(hierarchy, METHODS[method](), throw=False) for _ in range(2)]
     last = results[-1]
     return {"nodes": hierarchy.finest.n_nodes, "cycles": last.cycles, "work": last.work_units,
-            "s": min(sum(r.timings.values()) for r in results), "residual": last.residual,
-            "outcome": last.status.name}
+            "s": min(sum(r.timings.values()) for r in results), "residual": last.residual, "outcome": last.status.name}
 
 
 def run(context: common.Context) -> common.Section:

@@ -155,9 +155,8 @@ def counts_table(frame: pd.DataFrame) -> Table:
                          **{"over best one grid": best / frame["work_at"]})
     note = (single_grids(frame) + "Monotone: two smoothings before the correction, coarsest problems condensed, to "
             "1e-2; truncated: the default. Factorisations (condensed grids, coarsest level) are in seconds only.")
-    return table("bolted_grids", frame,
-                 ["method", "grids", "cycles_at", "work_at", "over best one grid", "seconds_at", "rate", "test",
-                  "true_error", "residual", "outcome"],
+    return table("bolted_grids", frame, ["method", "grids", "cycles_at", "work_at", "over best one grid", "seconds_at",
+                                         "rate", "test", "true_error", "residual", "outcome"],
                  f"Table 1 on the bolted junction: work and seconds to a true error of {TARGET:g}",
                  f"{TRUE_ERROR} {note}", {"over best one grid": ".2f"})
 

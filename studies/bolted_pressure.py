@@ -46,11 +46,10 @@ def history(bolt: str, finest: int, steps: tuple[float, ...], preload: float = P
 def read_off(path: am.PathResult, steps: tuple[float, ...], flanges: Flanges, given: float | None = None
              ) -> pd.DataFrame:
     """One row a step, SI units; ``given`` is the bolt force where no bolt has one."""
-    return pd.DataFrame([{
-        "pressure": p, "thrust": flanges.thrust(p), "bolts": bolt_force(r) if given is None else given,
-        "joint": r.resultant("upper.joint").force[1], "opening": joint_opening(r), "open_to": open_to(r),
-        "seal": sealing_pressure(r, flanges), "cycles": r.cycles, "work": r.work_units,
-    } for p, r in zip((0.0, *steps), path, strict=True)])
+    return pd.DataFrame([{"pressure": p, "thrust": flanges.thrust(p), "bolts": bolt_force(r)
+                          if given is None else given, "joint": r.resultant("upper.joint").force[1],
+                          "opening": joint_opening(r), "open_to": open_to(r), "seal": sealing_pressure(r, flanges),
+                          "cycles": r.cycles, "work": r.work_units} for p, r in zip((0.0, *steps), path, strict=True)])
 
 
 def falls_below_zero(x: np.ndarray, y: np.ndarray) -> float:

@@ -79,13 +79,12 @@ def items(context: common.Context, ring: pd.DataFrame) -> list[Table | Figure]:
 def grid_table(rows: pd.DataFrame, ring: pd.DataFrame) -> Table:
     """The sector on its grids compared with the ring."""
     at = {p: ring.loc[np.isclose(ring["pressure"], p)].iloc[0] for p in (0.0, 4 * MPA, 8 * MPA)}
-    shown = pd.DataFrame({
-        "model": [f"sector, {1e3 * SIZES[k]:g} mm" for k in rows["number"]] + ["ring, axisymmetric"],
-        "nodes": [*rows["nodes"], np.nan],
-        "bolt force": [*(rows["force"] / MN), at[0.0]["bolts"] / MN],
-        "at 4 MPa": [*(rows["force at 4"] / MN), at[4 * MPA]["bolts"] / MN],
-        "at 8 MPa": [*(rows["force at 8"] / MN), at[8 * MPA]["bolts"] / MN],
-        "opening at 4 MPa": [*(1e6 * rows["opening"]), 1e6 * at[4 * MPA]["opening"]]})
+    shown = pd.DataFrame({"model": [f"sector, {1e3 * SIZES[k]:g} mm" for k in rows["number"]] + ["ring, axisymmetric"],
+                          "nodes": [*rows["nodes"], np.nan], "bolt force": [*(rows["force"] / MN),
+                                                                            at[0.0]["bolts"] / MN],
+                          "at 4 MPa": [*(rows["force at 4"] / MN), at[4 * MPA]["bolts"] / MN],
+                          "at 8 MPa": [*(rows["force at 8"] / MN), at[8 * MPA]["bolts"] / MN],
+                          "opening at 4 MPa": [*(1e6 * rows["opening"]), 1e6 * at[4 * MPA]["opening"]]})
     note = ("Force of all bolts without pressure, at 4 and at 8 MPa; mean opening at the bore; the ring on the grids "
             "of the table above. P1 tetrahedra as large as the wall are too stiff in bending, and shortened bolts "
             f"carry more on coarse meshes: from {1e3 * SIZES[0]:g} to {1e3 * SIZES[-1]:g} mm the force falls by "

@@ -161,9 +161,8 @@ def counts_table(frame: pd.DataFrame) -> Table:
 def local_table(context: Context, fixed: dict[str, Any]) -> Table:
     """What the sweeps of the truncated mode do."""
     levels = fixed["finest"] + 1
-    frame = context.study(local_smoothing, {"interface": INTERFACE[:3:2] if context.quick else INTERFACE,
-                                            "coarse": (1,) if context.quick else (1, 2)},
-                          levels=levels, rtol=1e-8, **fixed)
+    frame = context.study(local_smoothing, {"interface": INTERFACE[:3:2] if context.quick else INTERFACE, "coarse": (1,)
+                                            if context.quick else (1, 2)}, levels=levels, rtol=1e-8, **fixed)
     frame = frame.assign(**{"interface sweeps": frame["interface"], "coarse sweeps": frame["coarse"],
                             "test": "error 1e-08"})
     none, default = (frame[(frame["interface"] == n) & (frame["coarse"] == 1)].iloc[0] for n in (0, 2))

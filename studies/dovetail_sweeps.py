@@ -69,9 +69,8 @@ def zones(result: am.Result) -> dict[str, float]:
     depth, state = -c.x[mine, 1][order], c.state[mine][order]
     middle = np.r_[0.0, 0.5 * (depth[1:] + depth[:-1]), depth[-1]]
     stick, closed = np.flatnonzero(state == am.STICK), np.flatnonzero(state != am.OPEN)
-    return {"open_to": float(middle[closed[0]]) if closed.size else float("nan"),
-            "stick_from": float(middle[stick[0]]) if stick.size else float("nan"),
-            "stick_to": float(middle[stick[-1] + 1]) if stick.size else float("nan")}
+    return {"open_to": float(middle[closed[0]]) if closed.size else float("nan"), "stick_from": float(middle[stick[0]])
+            if stick.size else float("nan"), "stick_to": float(middle[stick[-1] + 1]) if stick.size else float("nan")}
 
 
 def beside_one_body(body: str, family: tuple[float, int], finest: float, rtol: float, times: int) -> dict[str, Any]:
@@ -155,12 +154,11 @@ def shape_table(clearances: pd.DataFrame, angles: pd.DataFrame) -> Table:
 
 def agreement_table(frame: pd.DataFrame) -> Table:
     """Multigrid compared with the active set method, and equilibrium."""
-    worst = pd.DataFrame([{
-        "joints": len(frame), "converged": int((frame["outcome"] == "CONVERGED").sum()),
-        "active set converged": int((frame["other_outcome"] == "CONVERGED").sum()),
-        "true error": frame["true_error"].max(), "difference": frame["difference"].max(),
-        "states that differ": int(frame["states_differ"].sum()),
-        "force error": frame["force_error"].max(), "slave + master": frame["balance"].max()}])
+    worst = pd.DataFrame([{"joints": len(frame), "converged": int((frame["outcome"] == "CONVERGED").sum()),
+                           "active set converged": int((frame["other_outcome"] == "CONVERGED").sum()),
+                           "true error": frame["true_error"].max(), "difference": frame["difference"].max(),
+                           "states that differ": int(frame["states_differ"].sum()),
+                           "force error": frame["force_error"].max(), "slave + master": frame["balance"].max()}])
     note = (f"Largest over all joints of these sweeps, relative A-norm, against the active set method to 1e-12: true "
             f"error of multigrid to an estimated error of {RTOL:g}; difference, and nodes whose states differ, of "
             f"multigrid to {TIGHT:g}. Force error: contact force over the pull, minus 1 (of the former). Slave + "

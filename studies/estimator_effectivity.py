@@ -80,12 +80,10 @@ def measured_costs(context: common.Context, names: tuple[str, ...]) -> pd.DataFr
     return pd.concat(found, ignore_index=True)
 
 
-def measured_goals(context: common.Context, names: tuple[str, ...], limits: dict[int, tuple[int, int]]
-                   ) -> pd.DataFrame:
+def measured_goals(context: common.Context, names: tuple[str, ...], limits: dict[int, tuple[int, int]]) -> pd.DataFrame:
     """Signed estimates of each case's goal on the meshes that follow it."""
     found = [context.study(runs.goal_loop, {"case": [name]}, most=limits[2][0] // 4, reference_nodes=2 * limits[2][0],
-                           timed=True)
-             for name in names if name in CASES and CASES[name].dim == 2]
+                           timed=True) for name in names if name in CASES and CASES[name].dim == 2]
     table = pd.concat(found, ignore_index=True)
     return pd.DataFrame(runs.rows_of(table, ("case", "exact", "reference", "reference_signed")))
 

@@ -43,10 +43,9 @@ def summary_table(steps: pd.DataFrame) -> common.Table:
                "least eta/error": later["residual_effectivity"].min(),
                "largest eta/error": later["residual_effectivity"].max(), "spread": spread,
                "with the start": _spread(group["residual_effectivity"]),
-               "least ZZ/error": later["zz_effectivity"].min(),
-               "largest ZZ/error": later["zz_effectivity"].max(), "cycles": later["cycles"].max(),
-               "needed": later["needed"].max(), "left": later["left"].max(), "rate": group["rate"].iloc[-1],
-               "largest rate": later["rate"].max()}
+               "least ZZ/error": later["zz_effectivity"].min(), "largest ZZ/error": later["zz_effectivity"].max(),
+               "cycles": later["cycles"].max(), "needed": later["needed"].max(), "left": later["left"].max(),
+               "rate": group["rate"].iloc[-1], "largest rate": later["rate"].max()}
         rows.append(row | {"missed": _missed(row)})
     frame = pd.DataFrame(rows)
     missed = frame[frame["missed"] != ""]

@@ -184,8 +184,7 @@ def pairs_note(frame: pd.DataFrame) -> str:
                      zip(errors, gain_of_start(frame, BAR, "monotone", errors),
                          gain_of_start(frame, BAR, "monotone, start to 1e-3", errors), strict=True)])
     printed = common.paper("table3_full_start")["seconds"]
-    losing = [problem for problem in common.PROBLEMS
-              if gain_of_start(frame, problem, "monotone", errors[-1:])[0] < 1]
+    losing = [problem for problem in common.PROBLEMS if gain_of_start(frame, problem, "monotone", errors[-1:])[0] < 1]
     return ("What the full start saves falls with the precision asked, which the paper does not state: on the "
             f"{BAR} (monotone mode) the work from zero over that from the full start is {spoken} true error; in "
             "brackets with a first coarse solution to 1e-3 only. The paper's CPU times give "

@@ -78,8 +78,7 @@ def effectivity(quantity: str, levels: int) -> dict[str, Any]:
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-8))
     estimate = am.Goal(wanted).indicate(hierarchy, result)
     return {"nodes": result.mesh.n_nodes, "value": estimate.value, "signed": estimate.signed,
-            "absolute": float(estimate.squares.sum()), "iterations": estimate.iterations,
-            "outcome": result.status.name}
+            "absolute": float(estimate.squares.sum()), "iterations": estimate.iterations, "outcome": result.status.name}
 
 
 def reference(quantity: str, max_nodes: int) -> dict[str, Any]:

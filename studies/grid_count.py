@@ -111,8 +111,7 @@ def run(context: Context) -> Section:
 def methods(context: Context, problem: str, divisions: int, levels: tuple[int, ...]) -> pd.DataFrame:
     """All methods on one problem and grid."""
     fixed = {"problem": problem, "divisions": divisions, "rtol": RTOL, "target": TARGET, "times": repeats(context)}
-    one = context.study(single_grid, {"condensed": (False, True), "omega": (1.0,)}, held=0, max_sweeps=200_000,
-                        **fixed)
+    one = context.study(single_grid, {"condensed": (False, True), "omega": (1.0,)}, held=0, max_sweeps=200_000, **fixed)
     parts = [one[~one["condensed"]], best(search(context, problem, divisions, False)), one[one["condensed"]],
              best(search(context, problem, divisions, True))]
     singles = pd.concat(parts, ignore_index=True)
@@ -178,8 +177,7 @@ def larger(context: Context, coarse: pd.DataFrame, fine: pd.DataFrame) -> pd.Dat
     work = works[2]**2 / works[1]
     sweeps = work * fine["cycles_at"][0] / fine["work_at"][0]
     seconds = work * begun["run_seconds"][0] / begun["work"][0]
-    condensed = context.study(single_grid, {"condensed": (True,), "omega": (1.0,)}, held=0, max_sweeps=200_000,
-                              **fixed)
+    condensed = context.study(single_grid, {"condensed": (True,), "omega": (1.0,)}, held=0, max_sweeps=200_000, **fixed)
     singles = pd.concat([
         pd.DataFrame([{"label": PREDICTED, "cycles_at": sweeps, "work_at": work, "seconds_at": seconds,
                        "outcome": "not run"}]),
@@ -199,8 +197,7 @@ def gain_table(name: str, frame: pd.DataFrame, problem: str, divisions: int) -> 
     frame = frame.assign(gain=frame["work_at"][0] / frame["work_at"],
                          **{"over best omega": frame["work_at"][1] / frame["work_at"],
                             "over condensed": frame["work_at"][3] / frame["work_at"],
-                            "gain in s": frame["seconds_at"][0] / frame["seconds_at"],
-                            "method": frame["label"],
+                            "gain in s": frame["seconds_at"][0] / frame["seconds_at"], "method": frame["label"],
                             "test": np.where(frame["label"] == PREDICTED, "-", f"error {RTOL:g}"),
                             "grids": [nodes_text(chain(divisions, n)) for n in frame["levels"]]})
     columns = ["method", "grids", "cycles_at", "work_at", "gain", "over best omega", "over condensed", "seconds_at",

@@ -350,8 +350,7 @@ def error_figure(rows: pd.DataFrame) -> Figure:
     figure, axes = plt.subplots(1, 2, figsize=(9.6, 4.0))
     for k, (case, part) in enumerate(rows.groupby("case", sort=False)):
         h = 1 / part["fineness"]
-        axes[0].loglog(h, 100 * part["l2"], marker="osv^"[k], color=CYCLE[k],
-                       label=f"{case}{order(h, part['l2'])}")
+        axes[0].loglog(h, 100 * part["l2"], marker="osv^"[k], color=CYCLE[k], label=f"{case}{order(h, part['l2'])}")
         axes[1].loglog(h, 100 * part["peak_error"].abs(), marker="osv^"[k], color=CYCLE[k], label=case)
         if case == "Cattaneo":
             axes[0].loglog(h, 100 * part["traction_l2"], marker="D", linestyle="--", color=CYCLE[k],
@@ -372,8 +371,7 @@ def uniform_figure(rows: pd.DataFrame) -> Figure:
     """L2 error over nodes."""
     figure, ax = plt.subplots(figsize=(5.6, 4.0))
     for k, (name, part) in enumerate(rows.groupby("refinement", sort=False)):
-        ax.loglog(part["nodes"], 100 * part["l2"], marker="os"[k], color=CYCLE[k],
-                  label=name)
+        ax.loglog(part["nodes"], 100 * part["l2"], marker="os"[k], color=CYCLE[k], label=name)
     ax.set(xlabel="nodes", ylabel="L2 error of the pressure [% of p0]")
     ax.grid(True)
     common.plain_ticks(ax.xaxis, ax.yaxis)

@@ -131,5 +131,4 @@ def random_gaps(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
         name="step", domain=am.Rectangle(width=side, height=side), material=am.PlaneStrain(**PLANE), law=law,
         contact=am.Contact("bottom", am.GapFunction(gap)), loads=tuple(loads), supports=(am.Support("right", x=0.0),))
     grids = am.Hierarchy.uniform(problem, [n * 2**k for k in range(4)])
-    return {"dim": 2, "kind": "gaps", "space": "plane", "law": type(law).__name__,
-            "nodes": grids.finest.n_nodes}, grids
+    return {"dim": 2, "kind": "gaps", "space": "plane", "law": type(law).__name__, "nodes": grids.finest.n_nodes}, grids

@@ -82,13 +82,12 @@ def headline(frame: pd.DataFrame) -> Table:
     def ours(problem: str, correction: str, start: str, coarse: str) -> pd.Series:
         return found.loc[problem, correction, start, coarse].reindex(SMOOTHINGS)
 
-    shown = pd.DataFrame({
-        "smoothings": SMOOTHINGS, "paper": printed["iterations"].reindex(SMOOTHINGS).to_numpy(),
-        "paper CPU": printed["printed"].reindex(SMOOTHINGS).to_numpy(),
-        "tight": ours("frictionless bar", "paper", "zero", COARSE[0]).to_numpy(),
-        "loose": ours("frictionless bar", "paper", "zero", COARSE[2]).to_numpy(),
-        "full start": ours("frictionless bar", "paper", "full", COARSE[0]).to_numpy(),
-        "friction 1": ours("Coulomb bar", "monotone", "full", COARSE[0]).to_numpy()})
+    shown = pd.DataFrame({"smoothings": SMOOTHINGS, "paper": printed["iterations"].reindex(SMOOTHINGS).to_numpy(),
+                          "paper CPU": printed["printed"].reindex(SMOOTHINGS).to_numpy(),
+                          "tight": ours("frictionless bar", "paper", "zero", COARSE[0]).to_numpy(),
+                          "loose": ours("frictionless bar", "paper", "zero", COARSE[2]).to_numpy(),
+                          "full start": ours("frictionless bar", "paper", "full", COARSE[0]).to_numpy(),
+                          "friction 1": ours("Coulomb bar", "monotone", "full", COARSE[0]).to_numpy()})
     counted = [name for name in shown if name not in ("smoothings", "paper CPU")]
     note = ("tight, loose: the frictionless bar from zero in the paper's mode, coarse problems to an error of 1e-8, or "
             "until a sweep changes them by what the outer test allows; full start: as tight, from the full start, "

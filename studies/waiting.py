@@ -41,13 +41,11 @@ def _once(family: str, size: int) -> dict[str, Any]:
     ready = time.perf_counter()
     prepared.solve(load, rtol=1e-8)
     setup, solve = ready - begin_glued, time.perf_counter() - ready
-    return {"nodes": grids.finest.n_nodes,
-            **{f"{name}_s": grids.timings.get(name, 0.0) for name in MESH},
-            **{f"{name}_s": result.timings.get(name, 0.0) for name in SOLVE},
-            "hierarchy_s": built - begin, "solve_s": solved - built, "wall_s": solved - begin,
-            "accounted": (sum(grids.timings.values()) + result.seconds) / (solved - begin),
-            "pyamg_setup_s": setup, "pyamg_solve_s": solve,
-            "solve_over_pyamg": (solved - built) / (setup + solve),
+    return {"nodes": grids.finest.n_nodes, **{f"{name}_s": grids.timings.get(name, 0.0) for name in MESH},
+            **{f"{name}_s": result.timings.get(name, 0.0) for name in SOLVE}, "hierarchy_s": built - begin,
+            "solve_s": solved - built, "wall_s": solved - begin,
+            "accounted": (sum(grids.timings.values()) + result.seconds) / (solved - begin), "pyamg_setup_s": setup,
+            "pyamg_solve_s": solve, "solve_over_pyamg": (solved - built) / (setup + solve),
             "wall_over_pyamg": (solved - begin) / (setup + solve)}
 
 

@@ -20,21 +20,17 @@ def test_examples_run(tmp_path, monkeypatch):
     strut, loop = blocks.pop(3), blocks.pop(2)
     for block in blocks[:3]:
         exec(compile(block, "README.md", "exec"), names)
-        assert names["result"].status is am.Status.CONVERGED
-        assert names["result"].residual < 1e-7
+        assert names["result"].status is am.Status.CONVERGED and names["result"].residual < 1e-7
     assert names["steps"].complete
     exec(compile(loop, "README.md", "exec"), names)
-    assert names["step"].outcome.startswith("max_nodes")
-    assert names["step"].nodes > 10_000
+    assert names["step"].outcome.startswith("max_nodes") and names["step"].nodes > 10_000
     with pytest.warns(RuntimeWarning, match="may not be unique"):
         exec(compile(strut, "README.md", "exec"), names)
     found = [set(names[name].contact.state.tolist()) - {am.OPEN} for name in ("open_", "slips", "sticks")]
     assert found == [set(), {am.SLIP}, {am.STICK}]
     exec(compile(blocks[3], "README.md", "exec"), names)
     table = names["study"].table()
-    assert len(table) == 8
-    assert (table["status"] == "done").all()
-    assert (table["outcome"] == "CONVERGED").all()
+    assert len(table) == 8 and (table["status"] == "done").all() and (table["outcome"] == "CONVERGED").all()
     written = {"contact.png", "run.npz", "bodies.png", "history.png", "adaptation.png", "results"}
     assert written <= {path.name for path in tmp_path.iterdir()}
 

@@ -14,11 +14,8 @@ from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
 
 __all__ = ["CONTACT", "Contact", "ContactProblem", "check_law"]
 
-CONTACT = "contact"
-"""Name of all contact boundaries together."""
-
-#: between the Young's moduli of two bodies
-_MOST_STIFFER = 1e15
+CONTACT = "contact"  # name of all contact boundaries together
+_MOST_STIFFER = 1e15  # between the Young's moduli of two bodies
 _LOADS = (Pressure, Traction, BodyForce, InitialStrain)
 
 
@@ -31,16 +28,9 @@ def check_law(law: object) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A boundary that may touch a rigid obstacle.
+    """The name of a boundary that may touch a rigid obstacle: a Plane, a GapFunction or an object with their methods.
 
-    Parameters
-    ----------
-    boundary : str
-        Name of the contact boundary.
-    obstacle : Plane, GapFunction or user-defined
-        The obstacle; an object with ``contact(points, normals)``.
-    allow_interference : bool
-        Accept negative initial gaps (an interference fit).
+    With ``allow_interference`` negative initial gaps (an interference fit) are accepted.
     """
 
     boundary: str
@@ -62,13 +52,10 @@ class ContactProblem:
     material : PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping of str to these
         Of all bodies, or of each body by its name.
     contact : Contact, ContactPair or sequence of them
-        The boundaries that may touch a rigid obstacle, or each other.
     law : Frictionless, Tresca, Coulomb or user-defined
-        The contact law, the same on all contact boundaries (its parameters may vary in space).
+        The same on all contact boundaries (its parameters may vary in space).
     loads : sequence of Pressure, Traction, BodyForce, InitialStrain
-        Loads on the bodies.
     supports : sequence of Support
-        Prescribed displacement components.
     domain : Domain, optional
         The geometry: Rectangle, Box, Polygon, Outline, Assembly, ...; not needed when every mesh is given by the user.
     name : str
@@ -98,7 +85,9 @@ class ContactProblem:
         checks.boundary_name("name", self.name)
         checks.instance("reference", self.reference, Mapping, "a mapping of names to values")
         for load in self.loads:
-            _check_load(load, self.dim)
+            if not isinstance(load, Pressure) and len(load.components) != self.dim and not (
+                    isinstance(load, InitialStrain) and self.dim == 2):
+                raise ValueError(f"{checks.shown(load)} has {len(load.components)} components in a {self.dim}D problem")
         for support in self.supports:
             support.components(self.dim)
         _check_contact(self.contact, self.dim)
@@ -215,26 +204,16 @@ def _materials(material: object) -> dict[str, Elastic]:
     return dict(material)
 
 
-def _check_load(load: Load, dim: int) -> None:
-    if isinstance(load, Pressure) or (isinstance(load, InitialStrain) and dim == 2):
-        return
-    if len(load.components) != dim:
-        raise ValueError(f"{checks.shown(load)} has {len(load.components)} components in a {dim}D problem")
-
-
 def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int) -> None:
     names = [c.boundary for c in contact]
+    rigid = {c.boundary for c in contact if isinstance(c, Contact)}
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"boundary {name!r} is named twice as contact boundary: swap slave and master of a pair, "
                              "or cut the boundary in two")
     for c in contact:
-        if isinstance(c, ContactPair) and c.master in names and not _rigid(contact, c.master):
+        if isinstance(c, ContactPair) and c.master in names and c.master not in rigid:
             raise ValueError(f"boundary {c.master!r} is the master of {c.slave!r} and slave of another pair: "
                              "swap slave and master in one of the pairs, or cut the boundary in two")
         if isinstance(c, Contact) and isinstance(c.obstacle, Plane) and c.obstacle.dim != dim:
             raise ValueError(f"the plane in front of {c.boundary!r} is {c.obstacle.dim}D, the material {dim}D")
-
-
-def _rigid(contact: tuple[Contact | ContactPair, ...], name: str) -> bool:
-    return any(isinstance(c, Contact) and c.boundary == name for c in contact)

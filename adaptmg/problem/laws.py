@@ -82,11 +82,8 @@ class Frictionless:
 class Tresca:
     """Tresca friction: |f_t| <= limit, independent of the pressure.
 
-    Parameters
-    ----------
-    limit : float, callable or array
-        On a ContactProblem a traction in Pa (number or function of position); on a DiscreteProblem the nodal
-        forces in N (number or array over the contact nodes).
+    On a ContactProblem the limit is a traction in Pa (number or function of position), on a DiscreteProblem it is the
+    nodal forces in N (number or array over the contact nodes).
     """
 
     limit: FieldLike | np.ndarray
@@ -106,10 +103,7 @@ class Tresca:
 class Coulomb:
     """Coulomb friction: |f_t| <= friction * p.
 
-    Parameters
-    ----------
-    friction : float, callable or array
-        The coefficient (number or function of position; on a DiscreteProblem also an array over the contact nodes).
+    The coefficient is a number or a function of position; on a DiscreteProblem also an array over the contact nodes.
     """
 
     friction: FieldLike | np.ndarray

@@ -22,12 +22,7 @@ _FROM_LIMIT = 1e-9  # closer to its limits, one modulus is of the size of roundi
 class Elastic:
     """Isotropic linear elasticity; use one of the subclasses.
 
-    Parameters
-    ----------
-    young : float
-        Young's modulus, Pa, > 0.
-    poisson : float
-        Poisson's ratio, -1 < poisson < 0.5 (P1 elements lock well before 0.5).
+    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5); P1 elements lock well before 0.5.
     """
 
     young: float

@@ -16,10 +16,9 @@ import numpy as np
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 
-__all__ = ["Arc", "Box", "Domain", "Outline", "Polygon", "Rectangle"]
+__all__ = ["Arc", "Box", "Domain", "Outline", "Polygon", "Rectangle", "corner"]
 
-# radii at the two ends of an arc may differ by this much of the radius
-_ROUND = 1e-9
+_ROUND = 1e-9  # radii at the two ends of an arc may differ by this much of the radius
 _CHORD = math.radians(3.0)
 
 
@@ -58,21 +57,14 @@ class Domain:
         return self._extremes().max(axis=0)
 
 
-def _corner(name: str, value: object, dim: int) -> tuple[float, ...]:
+def corner(name: str, value: object, dim: int) -> tuple[float, ...]:
+    """``value`` as ``dim`` finite numbers."""
     return tuple(map(float, check_arrays.vector(name, value, dim)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rectangle(Domain):
-    """An axis-parallel rectangle; boundaries ``bottom``, ``right``, ``top``, ``left``.
-
-    Parameters
-    ----------
-    width, height : float
-        m, > 0.
-    origin : pair of float
-        Lower left corner, m.
-    """
+    """An axis-parallel rectangle, lower left corner ``origin``; boundaries ``bottom``, ``right``, ``top``, ``left``."""
 
     width: float
     height: float
@@ -82,7 +74,7 @@ class Rectangle(Domain):
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.quantity, "width", "height", positive=True)
-        checks.convert(self, _corner, "origin", dim=2)
+        checks.convert(self, corner, "origin", dim=2)
 
     def _extremes(self) -> np.ndarray:
         return np.array([[0.0, 0.0], [self.width, self.height]]) + self.origin
@@ -96,14 +88,9 @@ class Rectangle(Domain):
 
 @dataclass(frozen=True, kw_only=True)
 class Box(Domain):
-    """An axis-parallel box; ``left``/``right`` are x, ``front``/``back`` y, ``bottom``/``top`` z.
+    """An axis-parallel box: ``width``, ``depth`` and ``height`` along x, y and z, m; lowest corner ``origin``.
 
-    Parameters
-    ----------
-    width, depth, height : float
-        Lengths along x, y and z, m, > 0.
-    origin : triple of float
-        Lowest corner, m.
+    Boundaries ``left`` and ``right`` lie at the ends of x, ``front`` and ``back`` of y, ``bottom`` and ``top`` of z.
     """
 
     width: float
@@ -115,7 +102,7 @@ class Box(Domain):
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.quantity, "width", "depth", "height", positive=True)
-        checks.convert(self, _corner, "origin", dim=3)
+        checks.convert(self, corner, "origin", dim=3)
 
     def _extremes(self) -> np.ndarray:
         return np.array([[0.0, 0.0, 0.0], [self.width, self.depth, self.height]]) + self.origin
@@ -134,26 +121,20 @@ def _check_edges(domain: Polygon | Outline, least: int) -> None:
     object.__setattr__(domain, "vertices", tuple(map(tuple, points.tolist())))
 
 
-def _check_area(area: float) -> None:
+def _area(vertices: tuple[tuple[float, float], ...], bulges: float = 0.0) -> float:
+    """The signed area of a polygon whose edges bulge outwards by ``bulges``, m^2."""
+    x, y = np.array(vertices).T
+    area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) + bulges
     if not area > 0:
         raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of {area}")
-
-
-def _polygon_area(vertices: tuple[tuple[float, float], ...]) -> float:
-    x, y = np.array(vertices).T
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    return area
 
 
 @dataclass(frozen=True, kw_only=True)
 class Polygon(Domain):
-    """A simple polygon.
+    """A simple polygon by its corners in counter-clockwise order, m.
 
-    Parameters
-    ----------
-    vertices : sequence of pairs of float
-        Corners in counter-clockwise order, m.
-    boundaries : sequence of str
-        ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
+    ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
     """
 
     vertices: tuple[tuple[float, float], ...]
@@ -162,7 +143,7 @@ class Polygon(Domain):
 
     def __post_init__(self) -> None:
         _check_edges(self, 3)
-        _check_area(_polygon_area(self.vertices))
+        _area(self.vertices)
 
     @property
     def polygon(self) -> Polygon:
@@ -216,10 +197,8 @@ class Outline(Domain):
 
     Parameters
     ----------
-    vertices : sequence of pairs of float
-        Corners in counter-clockwise order, m.
-    boundaries : sequence of str
-        ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
+    vertices, boundaries
+        As of a :class:`Polygon`.
     arcs : mapping of int to pair of float
         Edge i is the shorter arc about the centre ``arcs[i]``, m: less than 180 degrees, both vertices at the same
         distance from the centre. A full circle takes three edges or more. Other edges are straight.
@@ -232,14 +211,14 @@ class Outline(Domain):
 
     def __post_init__(self) -> None:
         _check_edges(self, 2)
-        arcs = {checks.integer("the edge number in arcs", i): _corner(f"arcs[{i}]", center, 2)
+        arcs = {checks.integer("the edge number in arcs", i): corner(f"arcs[{i}]", center, 2)
                 for i, center in checks.mapping("arcs", self.arcs, "edge numbers to centres").items()}
         object.__setattr__(self, "arcs", dict(sorted(arcs.items())))
         for i in arcs:
             if i >= len(self.vertices):
                 raise ValueError(f"arcs names edge {i}, but there are {len(self.vertices)} edges, counted from 0")
             self._check_arc(i)
-        _check_area(self.area)
+        _ = self.area
 
     def __hash__(self) -> int:
         return hash((self.vertices, self.boundaries, tuple(self.arcs.items())))
@@ -272,7 +251,7 @@ class Outline(Domain):
     @property
     def area(self) -> float:
         """Exact area, m^2."""
-        return _polygon_area(self.vertices) + sum(self.arc(i).bulge for i in self.arcs)
+        return _area(self.vertices, sum(self.arc(i).bulge for i in self.arcs))
 
     @property
     def lengths(self) -> tuple[float, ...]:
@@ -304,8 +283,6 @@ class Outline(Domain):
         points = [np.array(self.vertices)]
         for i in self.arcs:
             arc = self.arc(i)
-            # fractions of the angle at which the direction is a multiple of 90 degrees
-            quarter = 0.5 * math.pi
-            fractions = (quarter * np.arange(-6, 7) - arc.start) / arc.angle
+            fractions = (0.5 * math.pi * np.arange(-6, 7) - arc.start) / arc.angle
             points.append(arc.at(fractions[(fractions > 0) & (fractions < 1)]))
         return np.concatenate(points)

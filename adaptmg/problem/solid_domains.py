@@ -17,15 +17,14 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
+from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle, corner
 
 __all__ = ["Assembly", "Ball", "Combination", "Common", "Cut", "Cylinder", "Extrusion", "Fuse", "Moved", "Profile",
            "Revolution", "SolidDomain", "StepFile", "outline_of"]
 
 Triple = tuple[float, float, float]
 Profile = Polygon | Outline | Rectangle
-# relative to the profile: vertices nearer to the axis of revolution than this lie on it
-_ON_AXIS = 1e-12
+_ON_AXIS = 1e-12  # relative to the profile: vertices nearer to the axis of revolution lie on it
 _PROFILE = "a Polygon, an Outline or a Rectangle"
 _SOLID = "a Box or another solid (Cylinder, Ball, Revolution, Cut, ...)"
 
@@ -36,17 +35,8 @@ class SolidDomain(Domain):
     dim: ClassVar[int] = 3
 
 
-def _triple(name: str, value: object) -> Triple:
-    return tuple(map(float, check_arrays.vector(name, value, 3)))
-
-
 def _direction(name: str, value: object) -> Triple:
-    """A unit vector from a vector of any length > 0."""
-    vector = check_arrays.vector(name, value, 3)
-    length = float(np.linalg.norm(vector))
-    if not length > 0:
-        raise ValueError(f"{name} must not be zero, got {checks.shown(value)}")
-    return tuple(map(float, vector / length))
+    return tuple(map(float, check_arrays.direction(name, value, 3)))
 
 
 def outline_of(profile: Profile) -> Polygon | Outline:
@@ -58,14 +48,7 @@ def outline_of(profile: Profile) -> Polygon | Outline:
 class Cylinder(SolidDomain):
     """A circular cylinder; boundaries ``side``, ``bottom`` (around ``point``) and ``top``.
 
-    Parameters
-    ----------
-    point : triple of float
-        Centre of the bottom, m.
-    axis : triple of float
-        Direction from bottom to top, of any length; stored as a unit vector.
-    radius, height : float
-        m, > 0.
+    ``axis`` is the direction from bottom to top, of any length; it is stored as a unit vector.
     """
 
     point: Triple
@@ -75,7 +58,7 @@ class Cylinder(SolidDomain):
     boundaries: ClassVar[tuple[str, ...]] = ("side", "bottom", "top")
 
     def __post_init__(self) -> None:
-        checks.convert(self, _triple, "point")
+        checks.convert(self, corner, "point", dim=3)
         checks.convert(self, _direction, "axis")
         checks.convert(self, checks.quantity, "radius", "height", positive=True)
 
@@ -87,22 +70,14 @@ class Cylinder(SolidDomain):
 
 @dataclass(frozen=True)
 class Ball(SolidDomain):
-    """A ball; boundary ``surface``.
-
-    Parameters
-    ----------
-    centre : triple of float
-        m.
-    radius : float
-        m, > 0.
-    """
+    """A ball by its centre and radius, m; boundary ``surface``."""
 
     centre: Triple
     radius: float
     boundaries: ClassVar[tuple[str, ...]] = ("surface",)
 
     def __post_init__(self) -> None:
-        checks.convert(self, _triple, "centre")
+        checks.convert(self, corner, "centre", dim=3)
         checks.convert(self, checks.quantity, "radius", positive=True)
 
     def _extremes(self) -> np.ndarray:
@@ -162,16 +137,9 @@ class Revolution(SolidDomain):
 
 @dataclass(frozen=True)
 class Extrusion(SolidDomain):
-    """A plane profile in (x, y), extruded along z; boundaries are its edges, ``bottom`` and ``top``.
+    """A plane profile in (x, y), extruded from z = ``base`` by ``height``, m.
 
-    Parameters
-    ----------
-    polygon : Polygon or Outline
-        Profile. (A rectangle's own edges are called bottom and top: use a Box.)
-    height : float
-        m, > 0.
-    base : float
-        z of the bottom, m.
+    Boundaries are the edges of the Polygon or Outline, ``bottom`` and ``top``. (For a rectangle use a Box.)
     """
 
     polygon: Profile
@@ -199,15 +167,8 @@ class Extrusion(SolidDomain):
 class Moved(SolidDomain):
     """A solid that is first rotated about an axis through the origin, then moved; boundaries keep their names.
 
-    Parameters
-    ----------
-    solid : Box, Cylinder, Cut, ...
-    offset : triple of float
-        m.
-    angle : float
-        Degrees, right-handed about ``axis``.
-    axis : triple of float
-        Direction, of any length; stored as a unit vector.
+    The rotation is right-handed about ``axis`` (of any length, stored as a unit vector), ``angle`` in degrees; the
+    ``offset`` is in m.
     """
 
     solid: SolidDomain | Box
@@ -217,7 +178,7 @@ class Moved(SolidDomain):
 
     def __post_init__(self) -> None:
         checks.instance("solid", self.solid, (SolidDomain, Box), _SOLID)
-        checks.convert(self, _triple, "offset")
+        checks.convert(self, corner, "offset", dim=3)
         checks.convert(self, checks.quantity, "angle")
         checks.convert(self, _direction, "axis")
 
@@ -263,8 +224,8 @@ class Combination(SolidDomain):
     @property
     def boundaries(self) -> tuple[str, ...]:
         """Distinct names: those of a, then those of b; of some of them no face may be left."""
-        return tuple(dict.fromkeys([self.renamed("a", name) for name in self.a.boundaries]
-                                   + [self.renamed("b", name) for name in self.b.boundaries]))
+        both = ((part, name) for part in "ab" for name in getattr(self, part).boundaries)
+        return tuple(dict.fromkeys(self.renamed(*one) for one in both))
 
 
 class Cut(Combination):
@@ -381,8 +342,6 @@ class StepFile(Domain):
     def __post_init__(self) -> None:
         checks.convert(self, checks.file_path, "path")
         checks.convert(self, checks.quantity, "unit", positive=True)
-        if self.names is None:
-            object.__setattr__(self, "names", {})
         checks.convert(self, checks.mapping, "names", words="names to names")
         for old, new in self.names.items():
             checks.boundary_name("the keys of names", old)

@@ -13,22 +13,15 @@ import numpy as np
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 
-__all__ = ["COUPLINGS", "ContactPair", "GapFunction", "Obstacle", "Plane"]
+__all__ = ["ContactPair", "GapFunction", "Plane"]
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A rigid plane.
+    """A rigid plane through ``point``, m; its ``normal``, of any length, points towards the body.
 
     The contact normal of every node is minus the normal of the plane, so the linearised condition is exact however
     curved the body is: (x + u - point) . normal >= 0.
-
-    Parameters
-    ----------
-    point : sequence of float
-        A point of the plane, m.
-    normal : sequence of float
-        Its normal, pointing towards the body; any length > 0.
     """
 
     point: np.ndarray
@@ -38,14 +31,8 @@ class Plane:
         point = check_arrays.vector("point", self.point)
         if point.size not in (2, 3):
             raise ValueError(f"point must have 2 or 3 components, got {point.size}")
-        normal = check_arrays.vector("normal", self.normal, point.size)
-        length = np.linalg.norm(normal)
-        if not length > 0:
-            raise ValueError(f"normal must not be zero, got {checks.shown(self.normal)}")
-        normal = normal / length
-        normal.flags.writeable = False
         object.__setattr__(self, "point", point)
-        object.__setattr__(self, "normal", normal)
+        checks.convert(self, check_arrays.direction, "normal", n=point.size)
 
     @property
     def dim(self) -> int:
@@ -70,10 +57,7 @@ class Plane:
 class GapFunction:
     """An obstacle, described by the gap in front of the contact boundary.
 
-    Parameters
-    ----------
-    function : callable
-        Points (n, dim) in m -> gaps (n,) in m, measured along the outward normal of the body.
+    The function maps points (n, dim) in m to gaps (n,) in m, measured along the outward normal of the body.
     """
 
     function: Callable[[np.ndarray], np.ndarray]
@@ -84,11 +68,6 @@ class GapFunction:
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the outward normals and the gaps at boundary points; see :meth:`Plane.contact`."""
         return normals.copy(), checks.field("gap", self.function, points)
-
-
-Obstacle = Plane | GapFunction
-
-COUPLINGS = ("mortar", "nodes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +106,7 @@ class ContactPair:
         if self.slave == self.master:
             raise ValueError(f"slave and master are both {self.slave!r}: name two different boundaries; where a "
                              "surface may touch itself, cut it into two boundaries")
-        checks.choice("coupling", self.coupling, COUPLINGS)
+        checks.choice("coupling", self.coupling, ("mortar", "nodes"))
         checks.flag("allow_interference", self.allow_interference)
         if self.reach is not None:
             checks.convert(self, checks.quantity, "reach", positive=True)

@@ -48,9 +48,8 @@ def network(dim: int, law: str, seed: int = 0, *, fixed_tangent: bool = False) -
     load[number[0, 3]] -= 4.0 * normals[3]
     contact = ContactNodes(nodes=number[0], normals=normals, gaps=rng.uniform(0, 0.1, n),
                            slip_reference=0.05 * rng.normal(size=(n, dim)))
-    return local_system(DiscreteProblem(
-        matrix=sparse.csr_array(matrix.reshape(n * n * dim, -1)), load=load.ravel(), fixed=fixed.ravel(),
-        law=LAWS[law], contact=contact))
+    return local_system(DiscreteProblem(matrix=sparse.csr_array(matrix.reshape(n * n * dim, -1)), load=load.ravel(),
+                                        fixed=fixed.ravel(), law=LAWS[law], contact=contact))
 
 
 def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:

@@ -3,7 +3,7 @@
 from functools import cache
 
 import numpy as np
-from hostile_table import Hostile, each
+from hostile_table import Hostile, each, labelled, words
 from scipy import sparse
 
 import adaptmg as am
@@ -98,22 +98,20 @@ def _broken_matrices():
     def row(argument, call, make, labels=_FEW):
         return each(argument, lambda change: call(broken(make(), *change)), BREAKS, labels)
 
-    def into(**names):
-        return lambda value: discrete(**{name: value for name in names})
+    def into(value):
+        return discrete(matrix=value)
 
-    yield from row("csr matrix", into(matrix=1), matrix, tuple(BREAKS))
-    yield from row("bsr matrix", into(matrix=1), lambda: sparse.bsr_array(matrix(), blocksize=(2, 2)),
+    yield from row("csr matrix", into, matrix, tuple(BREAKS))
+    yield from row("bsr matrix", into, lambda: sparse.bsr_array(matrix(), blocksize=(2, 2)),
                    ("index too large", "indptr beyond", "data short"))
-    yield from row("csc matrix", into(matrix=1), lambda: sparse.csc_array(matrix()), ("index negative", "indptr short"))
-    yield from row("old csr_matrix matrix", into(matrix=1), lambda: sparse.csr_matrix(matrix()), ("index too large",))
-    yield from row("coupled matrix", lambda v: coupled(matrix=v), matrix, ("index too large",))
+    yield from row("csc matrix", into, lambda: sparse.csc_array(matrix()), ("index negative", "indptr short"))
+    yield from row("old csr_matrix matrix", into, lambda: sparse.csr_matrix(matrix()), _FEW[:1])
+    yield from row("coupled matrix", lambda v: coupled(matrix=v), matrix, _FEW[:1])
     yield from row("coupled weights", lambda v: coupled(weights=v), weights)
     yield from row("prolongations[0]", coarse, halved)
     yield from row("Level prolongation", lambda v: level(prolongation=v), prolongation)
-    yield from row("Level surface_prolongation", lambda v: level(surface_prolongation=v), prolongation,
-                   ("index too large",))
-    for axis, index in ((0, 10_000_000), (1, -3)):
-        yield Hostile(f"coo axis {axis}", lambda a=axis, i=index: discrete(matrix=_coo(a, i)), "matrix")
+    yield from row("Level surface_prolongation", lambda v: level(surface_prolongation=v), prolongation, _FEW[:1])
+    yield from each("coo matrix", lambda change: into(_coo(*change)), {"row": (0, 10_000_000), "column": (1, -3)})
 
 
 def _coo(axis, index):
@@ -126,64 +124,50 @@ def _arrays(shape):
     """What is not an array of real numbers of this shape."""
     return {"complex": np.full(shape, 1j), "text": np.full(shape, "0"), "nan": np.full(shape, np.nan),
             "bools": np.zeros(shape, dtype=bool), "None": None, "short": np.zeros((shape[0] - 1, *shape[1:])),
-            "flat or a column": np.zeros(2 * shape[0]) if len(shape) == 2 else np.zeros((*shape, 1)),
-            "ragged": [[1.0], [1.0, 2.0]]}
+            "column": np.zeros((*shape, 1)), "ragged": [[1.0], [1.0, 2.0]]}
 
 
 _INTEGERS = {"floats": [0.0, 5.0], "bools": [True, False], "text": ["0", "5"], "None": None, "one number": 5,
              "ragged": [[0], [1, 2]], "masked": np.ma.masked_array([0, 5], mask=[0, 1]), "huge": [0, 10**30],
              "wrapped": np.array([0, 2**32 + 5]), "uint64": np.array([0, 2**64 - 3], dtype=np.uint64),
              "mask": np.arange(N) < 2}
+_MASKS = {"integers": np.zeros(2 * N, dtype=int), "None": None, "short": np.zeros(2 * N - 1, dtype=bool),
+          "ragged": [[True], [True, False]]}
 
 
 def _wrong_arrays():
     yield from each("load", lambda v: discrete(load=v), _arrays((2 * N,)))
     yield from each("solve start", started, _arrays((25, 2)), ("complex", "text", "nan", "short", "ragged"))
     yield from each("ContactNodes nodes", lambda v: discrete(contact=contact(nodes=v)), _INTEGERS)
-    few = ("complex",)
-    for name, call, shape in (
-            ("fixed_values", lambda v: discrete(fixed_values=v), (2 * N,)),
-            ("near_nullspace", lambda v: discrete(near_nullspace=v), (2 * N, 1)),
-            ("coordinates", lambda v: discrete(coordinates=v), (N, 2)),
-            ("ContactNodes normals", lambda v: contact(normals=v), (2, 2)),
-            ("ContactNodes gaps", lambda v: contact(gaps=v), (2,)),
-            ("ContactNodes weights", lambda v: contact(weights=v), (2,)),
-            ("ContactNodes slip_reference", lambda v: contact(slip_reference=v), (2, 2)),
-            ("coupled load", lambda v: coupled(load=v), (2 * N,)),
-            ("coupled coordinates", lambda v: coupled(coordinates=v), (N, 2)),
-            ("solve reference", lambda v: am.solve(grids(), reference=v), (25, 2))):
-        yield from each(name, call, _arrays(shape), few)
-    masks = {"integers": np.zeros(2 * N, dtype=int), "None": None, "short": np.zeros(2 * N - 1, dtype=bool),
-             "ragged": [[True], [True, False]]}
-    yield from each("fixed", lambda v: discrete(fixed=v), masks)
-    yield from each("coupled fixed", lambda v: coupled(fixed=v), masks, ("None",))
-    boundary = {"floats": [0.5, 0.0], "wrapped": np.array([2**32, 0]), "bools": [False, True]}
-    yield from each("ContactNodes boundary", lambda v: contact(boundary=v, names=("a", "b")), boundary)
+    yield from each("fixed", lambda v: discrete(fixed=v), _MASKS)
+    for make, shapes in ((discrete, {"fixed_values": (2 * N,)}), (contact, {"gaps": (2,), "slip_reference": (2, 2)}),
+                         (coupled, {"load": (2 * N,), "coordinates": (N, 2), "fixed": (2 * N,)})):
+        for name, shape in shapes.items():
+            yield from words(make, name, np.full(shape, 1j))
+    yield from words(discrete, "coordinates", np.full((N, 2), 1j), 1e200 * np.random.default_rng(0).random((N, 2)))
+    yield from words(discrete, "near_nullspace", np.full((2 * N, 1), 1j), np.ones(2 * N), np.ones((2 * N, 0)),
+                     sparse.csr_array(np.ones((2 * N, 1))))
+    yield from words(contact, "normals", np.full((2, 2), 1j), [[0, 1e200], [0, 1]])
+    yield from words(contact, "weights", np.full(2, 1j), [1e-320, 1.0])
+    yield from words(contact, "boundary", [0.5, 0.0], np.array([2**32, 0]), [False, True], names=("a", "b"))
+    yield from words(am.solve, "reference", np.full((25, 2), 1j), grids=grids())
 
 
 def _wrong_matrices():
-    values = {"complex": matrix() * (1 + 0j), "bool": matrix().astype(bool), "text": "A", "None": None,
-              "dense": np.eye(2 * N), "one-dimensional": sparse.coo_array(np.ones(24)),
-              "empty": sparse.csr_array((0, 0)), "odd": sparse.eye_array(23).tocsr()}
-    yield from each("matrix", lambda v: discrete(matrix=v), values)
-    yield from each("coupled matrix", lambda v: coupled(matrix=v), values, ("dense", "odd"))
-    yield from each("coupled weights", lambda v: coupled(weights=v), {
-        "dense": np.eye(N), "None": None, "circle": sparse.csr_array(np.roll(np.eye(N), 1, axis=0)),
-        "of another size": sparse.csr_array((N + 1, N + 1))})
-    yield from each("prolongations", lambda v: am.Hierarchy.from_prolongations(discrete(), v), {
-        "None": None, "one matrix": sparse.csr_array((5, 3)), "text": "P",
-        "fine to coarse": [halved(), sparse.csr_array(np.ones((6, 3)))]})
-    yield from each("prolongations[0]", coarse, {
-        "dense": np.ones((N, 3)), "complex": 1j * halved(), "zero": 0 * halved(), "1e200": 1e200 * halved(),
-        "1e-300": 1e-300 * halved(), "without columns": sparse.csr_array((N, 0))})
-    yield from each("Level prolongation", lambda v: level(prolongation=v), {
-        "dense": np.ones((25, 9)), "complex": 1j * sparse.eye_array(25, 9).tocsr()})
-    yield from each("Level galerkin", lambda v: am.Level(None, galerkin=v), {
-        "dense": np.eye(4), "csr": sparse.eye_array(4).tocsr()})
-    yield from each("levels[1].prolongation", lambda v: two_levels(prolongation=v), {
-        "None": None, "short": sparse.eye_array(49, 18).tocsr()})
-    yield from each("levels[1].surface_prolongation", lambda v: two_levels(surface_prolongation=v), {
-        "short": sparse.eye_array(49, 18).tocsr()})
+    yield from words(discrete, "matrix", matrix() * (1 + 0j), matrix().astype(bool), "A", None, np.eye(2 * N),
+                     sparse.coo_array(np.ones(24)), sparse.csr_array((0, 0)), sparse.eye_array(23).tocsr())
+    yield from words(coupled, "matrix", np.eye(2 * N), sparse.eye_array(23).tocsr())
+    yield from words(coupled, "weights", np.eye(N), None, sparse.csr_array(np.roll(np.eye(N), 1, axis=0)),
+                     sparse.csr_array((N + 1, N + 1)))
+    yield from each("prolongations", lambda v: am.Hierarchy.from_prolongations(discrete(), v), labelled((
+        None, sparse.csr_array((5, 3)), "P", [halved(), sparse.csr_array(np.ones((6, 3)))])))
+    yield from each("prolongations[0]", coarse, labelled((
+        np.ones((N, 3)), 1j * halved(), 0 * halved(), 1e200 * halved(), 1e-300 * halved(), sparse.csr_array((N, 0)))))
+    yield from words(level, "prolongation", np.ones((25, 9)), 1j * sparse.eye_array(25, 9).tocsr())
+    yield from words(am.Level, "galerkin", np.eye(4), sparse.eye_array(4).tocsr(), discrete=None)
+    for name, *values in (("prolongation", None, short := sparse.eye_array(49, 18).tocsr()),
+                          ("surface_prolongation", short)):
+        yield from each(f"levels[1].{name}", lambda v, n=name: two_levels(**{n: v}), labelled(values))
 
 
 def _unsymmetric_block():
@@ -203,30 +187,16 @@ INPUTS = (
         matrix=sparse.bsr_array(matrix(), blocksize=(3, 3)), load=np.ones(23)), "load"),
     Hostile("soft unsymmetric block", lambda: discrete(
         matrix=_unsymmetric_block(), load=np.ones(4 * N), fixed=np.zeros(4 * N, dtype=bool)), "symmetric"),
-    Hostile("matrix 1e200", lambda: _solved(matrix=1e200 * matrix()), "matrix"),
-    Hostile("matrix 1e-300", lambda: _solved(matrix=1e-300 * matrix()), "matrix"),
-    Hostile("load 1e300", lambda: _solved(load=np.full(2 * N, 1e300)), "load"),
-    Hostile("gaps 1e300", lambda: _solved(contact=contact(gaps=[-1e300, 0.0], allow_interference=True)), "gaps"),
-    Hostile("start 1e300", lambda: started(np.full((25, 2), 1e300)), "start"),
-    Hostile("coordinates 1e200", lambda: discrete(coordinates=1e200 * np.random.default_rng(0).random((N, 2))),
-            "coordinates"),
-    Hostile("normals 1e200", lambda: contact(normals=[[0, 1e200], [0, 1]]), "normals"),
-    Hostile("weights 1e-320", lambda: contact(weights=[1e-320, 1.0]), "weights"),
-    Hostile("near_nullspace flat", lambda: discrete(near_nullspace=np.ones(2 * N)), "near_nullspace"),
-    Hostile("near_nullspace sparse", lambda: discrete(near_nullspace=sparse.csr_array(np.ones((2 * N, 1)))),
-            "near_nullspace"),
-    Hostile("near_nullspace empty", lambda: discrete(near_nullspace=np.ones((2 * N, 0))), "near_nullspace"),
+    *words(_solved, "matrix", 1e200 * matrix(), 1e-300 * matrix()), *words(_solved, "load", np.full(2 * N, 1e300)),
+    *each("solved gaps", lambda v: _solved(contact=contact(gaps=v, allow_interference=True)), {"1e300": [-1e300, 0.0]}),
+    *each("start", started, {"1e300": np.full((25, 2), 1e300)}),
     Hostile("near_nullspace zero", lambda: am.Hierarchy.algebraic(
         discrete(near_nullspace=np.zeros((2 * N, 2))), max_coarse=4), "near_nullspace"),
-    Hostile("coupled near_nullspace short", lambda: coupled(near_nullspace=np.ones((3, 1))), "near_nullspace"),
-    Hostile("vertices None", lambda: am.Polygon(vertices=None, boundaries=("a",)), "vertices"),
-    Hostile("vertices ragged", lambda: am.Polygon(vertices=((0, 0), (1,), (0, 1)), boundaries=("a", "b", "c")),
-            "vertices"),
-    Hostile("plane without dimension", lambda: am.Plane((), (0.0, 1.0)), "point"),
-    Hostile("friction list of text", lambda: am.Coulomb(["1"]), "friction"),
-    Hostile("factors ragged", lambda: am.LoadPath({"top": [[1.0], [1.0, 2.0]]}), "factors['top']"),
-    Hostile("factors text", lambda: am.LoadPath({"top": "12"}), "factors['top']"),
-    Hostile("factors generator", lambda: am.LoadPath({"top": (k for k in range(3))}), "factors['top']"),
+    *words(coupled, "near_nullspace", np.ones((3, 1))),
+    *words(am.Polygon, "vertices", None, ((0, 0), (1,), (0, 1)), boundaries=("a", "b", "c")),
+    *words(am.Plane, "point", (), normal=(0.0, 1.0)), *words(am.Coulomb, "friction", ["1"]),
+    *each("factors['top']", lambda v: am.LoadPath({"top": v}), labelled((
+        [[1.0], [1.0, 2.0]], "12", (k for k in range(3))))),
     *each("probe points", lambda v: am.solve(grids()).probe(v), {"complex": [[1j, 0.0]], "None": None}),
     *each("resultant about", lambda v: am.solve(grids()).resultant("contact", about=v), {"text": ["0", "0"]}),
     *each("SizeNear points", lambda v: am.SizeNear(v, size=0.1), {"number": 5.0}),

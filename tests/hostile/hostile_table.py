@@ -1,15 +1,11 @@
-"""The form of the tables of hostile inputs: each row is run in a child process, as it may end the process.
-
-A table belongs to a type of argument. A few representative arguments get all hostile values of the type, each other
-argument of the public API one or two.
-"""
+"""The form of the tables of hostile inputs: a few arguments get all hostile values of their type, others one or two."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-__all__ = ["TABLES", "Hostile", "each"]
+__all__ = ["TABLES", "Hostile", "each", "labelled", "words"]
 
 #: modules next to this one with a sequence INPUTS of Hostile rows
 TABLES = ("numbers_and_counts", "arrays_and_matrices", "names_and_objects", "user_parts", "domains", "result_files",
@@ -18,33 +14,29 @@ TABLES = ("numbers_and_counts", "arrays_and_matrices", "names_and_objects", "use
 
 @dataclass(frozen=True)
 class Hostile:
-    """One input that must be refused with a message.
-
-    Parameters
-    ----------
-    name : str
-        Unique in its table.
-    run : callable
-        Does it, in an empty directory; must raise.
-    says : str
-        Part of the message: the name of the argument (or of the file) that is wrong.
-    error : exception type or tuple of them
-        What must be raised.
-    writes : bool
-        Whether the row itself makes files (its own damaged input, say); otherwise no file may remain.
-    """
+    """One input that must be refused: ``run``, in an empty folder, raises ``error`` with ``says`` in its message."""
 
     name: str
     run: Callable[[], object]
     says: str
     error: type[Exception] | tuple[type[Exception], ...] = (ValueError, TypeError)
-    writes: bool = False
+    writes: bool = False  # the row makes files itself; otherwise no file may remain
 
 
 def each(argument: str, call: Callable[[object], object], values: Mapping[str, object], labels: Iterable[str] = (),
          **options: object) -> Iterator[Hostile]:
     """A row for each of ``values`` (or those of ``labels``); the last word of ``argument`` is what the message says."""
+    options = {"says": argument.rsplit(" ", 1)[-1]} | options
     for label in labels or values:
-        says = options.get("says", argument.rsplit(" ", 1)[-1])
-        rest = {name: value for name, value in options.items() if name != "says"}
-        yield Hostile(f"{argument}: {label}", lambda value=values[label]: call(value), says, **rest)
+        yield Hostile(f"{argument}: {label}", lambda value=values[label]: call(value), **options)
+
+
+def labelled(values: Iterable[object]) -> dict[str, object]:
+    """Values by a name of their type and their number."""
+    return {f"{getattr(value, '__name__', type(value).__name__)} {k}": value for k, value in enumerate(values)}
+
+
+def words(make: Callable[..., object], names: str, /, *values: object, **given: object) -> Iterator[Hostile]:
+    """A row for each value of each of these keyword arguments of ``make``."""
+    for name in names.split():
+        yield from each(f"{make.__name__} {name}", lambda v, name=name: make(**given, **{name: v}), labelled(values))

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from arrays_and_matrices import contact as nodes
 from arrays_and_matrices import discrete, grids
-from hostile_table import Hostile, each
+from hostile_table import Hostile, each, labelled, words
 from scipy import sparse
 
 import adaptmg as am
@@ -30,102 +30,97 @@ def triangle(boundaries):
 
 def _names():
     yield from each("Support boundary", lambda v: am.Support(v, x=0.0), NAMES)
-    few = ("with a surrogate",)
-    for argument, call in {
-            "ContactProblem name": lambda v: problem(name=v), "Pressure boundary": lambda v: am.Pressure(v, 1.0),
-            "DiscreteProblem name": lambda v: discrete(name=v), "ContactNodes names": lambda v: nodes(names=(v,)),
-            "ContactNodes masters": lambda v: nodes(masters=(v,)), "Polygon boundaries": lambda v: triangle((v,) * 3),
-            "LoadPath factors": lambda v: am.LoadPath({v: [1.0]}),
-            "material": lambda v: problem(material={v: am.PlaneStrain(young=1.0, poisson=0.0)}),
-            "ContactPair slave": lambda v: am.ContactPair(v, "b")}.items():
-        yield from each(argument, call, NAMES, few)
-    letters = {"letters": "abc", "None": None, "number": 5}
-    yield from each("Polygon boundaries", triangle, letters)
-    yield from each("ContactNodes names", lambda v: nodes(names=v), letters | {"empty": ()})
-    yield from each("ContactNodes masters", lambda v: nodes(masters=v), letters, ("letters",))
+    few = NAMES["with a surrogate"]
+    for make, name, given in ((problem, "name", {}), (am.Pressure, "boundary", {"value": 1.0}), (discrete, "name", {}),
+                              (am.ContactPair, "slave", {"master": "b"})):
+        yield from words(make, name, few, **given)
+    yield from words(problem, "material", {few: am.PlaneStrain(young=1.0, poisson=0.0)}, am.PlaneStrain, {},
+                     {"body": am.PlaneStrain})
+    yield from words(triangle, "boundaries", (few,) * 3, "abc", None, 5)
+    yield from words(nodes, "names", (few,), "abc", None, 5, ())
+    yield from words(nodes, "masters", (few,), "abc")
+    yield from words(am.LoadPath, "factors", {few: [1.0]}, "top")
     yield from each("resultant boundary", lambda v: am.solve(grids()).resultant(v), NAMES, ("a number",))
     yield Hostile("case unknown", lambda: am.cases.get("\ud800"), "there is no case")
 
 
 def _choices():
-    values = {"unknown": "glue", "surrogate": "\ud800", "list": ["forward"], "array": np.array(["forward", "backward"]),
-              "None": None}
-    yield from each("order", lambda v: am.ProjectedGaussSeidel(order=v), values)
-    yield from each("ContactPair coupling", lambda v: am.ContactPair("a", "b", coupling=v), values, ("unknown",))
-    yield from each("uniform diagonal", lambda v: am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4), diagonal=v),
-                    values,
-                    ("unknown",))
+    yield from words(am.ProjectedGaussSeidel, "order", "glue", "\ud800", ["forward"], None,
+                     np.array(["forward", "backward"]))
+    yield from words(am.ContactPair, "coupling", "glue", slave="a", master="b")
+    yield from words(am.Hierarchy.uniform, "diagonal", "glue", problem=bar(), divisions=(2, 4))
 
 
-#: what takes an instance, its class as the first of the wrong values
+def bar():
+    return am.cases.greco_bar()
+
+
+#: keyword arguments that take an instance, with wrong values: often its class
+_KEYWORDS = {
+    problem: {
+        "law": (am.Coulomb, None, 0.3), "domain": (am.Rectangle,), "contact": (am.Contact, None, "bottom", (), 3),
+        "loads": (am.Pressure, None, 5.0, "top", {"top": am.Pressure("top", 1.0)}), "supports": (None,),
+        "reference": ("x",)},
+    discrete: {"law": (am.Coulomb, "Coulomb"), "contact": (am.ContactNodes,), "coupling": ("W",),
+               "bodies": ([0, 1], {"a": np.array([0, 99])}, {"a": np.array([0.5])})},
+    am.Multigrid: {"cycle": (am.Cycle, "V"), "coarse": (am.CoarseSolve,),
+                   "smoother": (am.ProjectedGaussSeidel, None, "jacobi"),
+                   "correction": (am.Truncated, am.Monotone, "monotone", object())},
+    am.FullMultigrid: {"start": (am.NestedStart,)}, am.ActiveSet: {"linear": (am.Direct, am.AMG, "direct")},
+    am.Truncated: {"coarse_solve": (am.Direct, "direct"), "coarse_smoother": (am.ProjectedGaussSeidel, "direct")},
+    am.Hierarchy: {"levels": (None, "ab")}, am.GapFunction: {"function": (0.0,)}, am.cases.greco_bar: {
+        "law": (am.Coulomb,)}, am.BodyForce: {"components": (None,)},
+    am.StepFile: {"path": ("a\0", 3, Path)}, am.Revolution: {"polygon": (am.Polygon,)}, am.Moved: {"solid": (am.Ball,)},
+}
+_SOLVES = {
+    "solver": (am.FullMultigrid, am.ActiveSet, "multigrid"), "callback": (5,), "start": (am.Result, "zero"),
+    "reference": ("exact",)}
+_PATHS = {"path": (am.LoadPath, [0.5, 1.0]), "solver": (am.FullMultigrid,), "start": ("zero",), "callback": ("print",),
+          "progress": (1,)}
+#: other arguments: what takes them, and wrong values
 _OBJECTS = {
-    "law": (lambda v: problem(law=v), am.Coulomb, None, 0.3), "domain": (lambda v: problem(domain=v), am.Rectangle),
-    "material": (lambda v: problem(material=v), am.PlaneStrain, {"body": am.PlaneStrain}, {}),
-    "contact": (lambda v: problem(contact=v), am.Contact, None, "bottom", (), 3),
-    "loads": (lambda v: problem(loads=v), am.Pressure, None, 5.0, "top", {"top": am.Pressure("top", 1.0)}),
     "loads[0]": (lambda v: problem(loads=(v,)), am.Pressure, am.Support("top", x=0.0)),
-    "supports": (lambda v: problem(supports=v), None),
     "supports[0]": (lambda v: problem(supports=(v,)), am.Support, am.Pressure("top", 1.0)),
-    "reference": (lambda v: problem(reference=v), "x"),
     "obstacle": (lambda v: am.Contact("bottom", v), am.Plane, type("Data", (), {"contact": 5})()),
     "Assembly parts['a']": (lambda v: am.Assembly(parts={"a": v}), am.Rectangle),
-    "Moved solid": (am.Moved, am.Ball), "Cut b": (lambda v: am.Cut(am.Ball((0, 0, 0), 1.0), v), am.Ball),
-    "Revolution polygon": (am.Revolution, am.Polygon), "GapFunction function": (am.GapFunction, 0.0),
-    "Traction components": (lambda v: am.Traction("top", v), 5.0), "BodyForce components": (am.BodyForce, None),
-    "LoadPath factors": (am.LoadPath, "top"), "LoadPath factors['top']": (lambda v: am.LoadPath({"top": v}), None),
-    "case law": (lambda v: am.cases.greco_bar(law=v), am.Coulomb),
-    "DiscreteProblem law": (lambda v: discrete(law=v), am.Coulomb, "Coulomb"),
-    "DiscreteProblem contact": (lambda v: discrete(contact=v), am.ContactNodes),
-    "DiscreteProblem coupling": (lambda v: discrete(coupling=v), "W"),
-    "DiscreteProblem bodies": (lambda v: discrete(bodies=v), [0, 1], {"a": np.array([0, 99])}, {"a": np.array([0.5])}),
+    "Cut b": (lambda v: am.Cut(am.Ball((0, 0, 0), 1.0), v), am.Ball),
+    "Traction components": (lambda v: am.Traction("top", v), 5.0),
+    "LoadPath factors['top']": (lambda v: am.LoadPath({"top": v}), None),
     "coupled contact": (lambda v: discrete(make=am.DiscreteProblem.coupled, weights=sparse.csr_array((12, 12)),
                                            contact=v), None),
-    "Multigrid cycle": (lambda v: am.Multigrid(cycle=v), am.Cycle, "V"),
-    "Multigrid coarse": (lambda v: am.Multigrid(coarse=v), am.CoarseSolve),
-    "Multigrid smoother": (lambda v: am.Multigrid(smoother=v), am.ProjectedGaussSeidel, None, "jacobi"),
-    "Multigrid correction": (lambda v: am.Multigrid(correction=v), am.Truncated, am.Monotone, "monotone", object()),
-    "FullMultigrid start": (lambda v: am.FullMultigrid(start=v), am.NestedStart),
-    "ActiveSet linear": (lambda v: am.ActiveSet(linear=v), am.Direct, am.AMG, "direct"),
-    "coarse_solve": (lambda v: am.Truncated(coarse_solve=v), am.Direct, "direct"),
-    "coarse_smoother": (lambda v: am.Truncated(coarse_smoother=v), am.ProjectedGaussSeidel, "direct"),
-    "solve grids": (am.solve, None, am.Hierarchy, am.cases.greco_bar()),
-    "solver": (lambda v: am.solve(grids(), v), am.FullMultigrid, am.ActiveSet, "multigrid"),
-    "solve callback": (lambda v: am.solve(grids(), callback=v), 5),
-    "solve start": (lambda v: am.solve(grids(), am.Multigrid(), start=v), am.Result, "zero"),
-    "solve reference": (lambda v: am.solve(grids(), reference=v), "exact"),
-    "path": (lambda v: am.solve_path(grids(), v), am.LoadPath, [0.5, 1.0]),
-    "path solver": (lambda v: am.solve_path(grids(), am.LoadPath(), v), am.FullMultigrid),
-    **{f"path {name}": (lambda v, n=name: am.solve_path(grids(), am.LoadPath(), **{n: v}), wrong)
-       for name, wrong in (("start", "zero"), ("callback", "print"), ("progress", 1))},
-    "divisions": (lambda v: am.Hierarchy.uniform(am.cases.greco_bar(), v), None, "24", ("2", "4"), (), (None, 4)),
-    "sizes": (lambda v: am.Hierarchy.graded(am.cases.greco_bar(), v), None, "0.01", ()),
+    "solve grids": (am.solve, None, am.Hierarchy, bar()),
+    "divisions": (lambda v: am.Hierarchy.uniform(bar(), v), None, "24", ("2", "4"), (), (None, 4)),
+    "sizes": (lambda v: am.Hierarchy.graded(bar(), v), None, "0.01", ()),
     "uniform problem": (lambda v: am.Hierarchy.uniform(v, (2, 4)), None, am.ContactProblem),
     "from_meshes problem": (lambda v: am.Hierarchy.from_meshes(v, []), None),
     "graded problem": (lambda v: am.Hierarchy.graded(v, (0.01,)), None),
     "bisected problem": (lambda v: am.Hierarchy.bisected(v, grids()[0].mesh, 1), None),
-    "meshes": (lambda v: am.Hierarchy.from_meshes(am.cases.greco_bar(), v), None, 5),
-    "mesh": (lambda v: am.Hierarchy.from_meshes(am.cases.greco_bar(), [v]), 5, am.MeshArrays),
-    "transfer": (lambda v: am.Hierarchy.from_meshes(am.cases.greco_bar(), [grids()[0].mesh], transfer=v), am.L2,
-                 am.PseudoL2),
-    "levels": (lambda v: am.Hierarchy(levels=v), None, "ab"),
+    "meshes": (lambda v: am.Hierarchy.from_meshes(bar(), v), None, 5),
+    "mesh": (lambda v: am.Hierarchy.from_meshes(bar(), [v]), 5, am.MeshArrays),
+    "transfer": (lambda v: am.Hierarchy.from_meshes(bar(), [grids()[0].mesh], transfer=v), am.L2, am.PseudoL2),
     "levels[0]": (lambda v: am.Hierarchy(levels=(v,)), 1, am.Level, discrete),
     "Hierarchy problem": (lambda v: am.Hierarchy(levels=grids().levels, problem=v), "bar"),
     "Level discrete": (am.Level, None, sparse.eye_array(4)),
     "Level mesh": (lambda v: am.Level(discrete=grids()[0].discrete, mesh=v), "mesh.vol"),
     "from_prolongations discrete": (lambda v: am.Hierarchy.from_prolongations(v, [np.eye(3)]), am.DiscreteProblem,
-                    None),
+                                    None),
     "algebraic discrete": (am.Hierarchy.algebraic, am.DiscreteProblem),
     "single discrete": (am.Hierarchy.single, None, sparse.eye_array(24)),
     "structured domain": (lambda v: structured(v, 2), None, "square", am.Rectangle),
     "graded domain": (lambda v: graded(v, 0.1), None, 3, am.Rectangle),
-    "StepFile path": (am.StepFile, "a\0", 3, Path),
 }
 
 
 def _objects():
+    for make, names in _KEYWORDS.items():
+        for name, wrong in names.items():
+            yield from words(make, name, *wrong)
+    for solve, names, given in ((am.solve, _SOLVES, {}), (am.solve_path, _PATHS, {"path": am.LoadPath()})):
+        for name, wrong in names.items():
+            yield from each(f"{solve.__name__} {name}", lambda v, s=solve, n=name, g=given: s(grids(), **(g | {n: v})),
+                            labelled(wrong))
     for argument, (call, *wrong) in _OBJECTS.items():
-        yield from each(argument, call, {f"{getattr(v, '__name__', type(v).__name__)} {i}": v for i,
-                    v in enumerate(wrong)})
+        yield from each(argument, call, labelled(wrong))
 
 
 def _named_contact(**changes):
@@ -139,14 +134,13 @@ INPUTS = (
     Hostile("moduli 1e39 : 1", lambda: problem(material={name: am.PlaneStrain(young=young, poisson=0.3) for name, young
                                                          in (("a", 1e39), ("b", 1.0))}), "material: Young's moduli"),
     # "contact" is the name of all contact boundaries
-    Hostile("support on a boundary named contact", lambda: _named_contact(
-        supports=(am.Support("contact", x=0.0),)), "'contact'"),
-    Hostile("one of two contact boundaries named contact", lambda: _named_contact(
-        contact=[am.Contact(name, am.Plane((0, 0), (0, 1))) for name in ("bottom", "contact")]), "'contact'"),
-    Hostile("a master named contact", lambda: _named_contact(contact=am.ContactPair("bottom", "contact")), "'contact'"),
-    Hostile("one of several names of contact nodes", lambda: discrete(
-        contact=nodes(names=("a", "contact"), boundary=[0, 1])), "'contact'"),
-    Hostile("a master of contact nodes", lambda: discrete(
-        make=am.DiscreteProblem.coupled, weights=sparse.csr_array(([0.5], ([0], [1])), shape=(12, 12)),
-        contact=nodes(names=("a",), masters=("contact",))), "'contact'"),
+    *(Hostile(f"named contact: {name}", run, "'contact'") for name, run in {
+        "a support": lambda: _named_contact(supports=(am.Support("contact", x=0.0),)),
+        "one of two boundaries": lambda: _named_contact(
+            contact=[am.Contact(name, am.Plane((0, 0), (0, 1))) for name in ("bottom", "contact")]),
+        "a master": lambda: _named_contact(contact=am.ContactPair("bottom", "contact")),
+        "contact nodes": lambda: discrete(contact=nodes(names=("a", "contact"), boundary=[0, 1])),
+        "a master of nodes": lambda: discrete(
+            make=am.DiscreteProblem.coupled, weights=sparse.csr_array(([0.5], ([0], [1])), shape=(12, 12)),
+            contact=nodes(names=("a",), masters=("contact",)))}.items()),
 )

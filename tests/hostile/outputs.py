@@ -26,18 +26,10 @@ def path_result() -> am.PathResult:
     return am.PathResult((result(),), {"left": np.array([1.0])}, {}, 1)
 
 
-def page(path: object) -> None:
-    from adaptmg.export import Report
-
-    Report("a title").write(path)
-
-
 #: what writes, by the suffix of its file, "" for a folder
 WRITERS = {".npz": lambda path: result().save(path), ".vtu": lambda path: am.export.vtk(result(), path),
-           ".pvd": lambda path: am.export.vtk_series([result()], path), ".html": page,
-           "": lambda path: path_result().save(path)}
-
-
+           ".pvd": lambda path: am.export.vtk_series([result()], path),
+           ".html": lambda path: am.export.Report("a title").write(path), "": lambda path: path_result().save(path)}
 PATHS = {"None": None, "a number": 3, "empty": "", "a zero byte": "a\0.npz", "bytes": b"a", "a class": Path,
          "nobody's home": "~nobody-here/x"}
 
@@ -59,17 +51,17 @@ def _places():
         yield Hostile(f"{suffix} below a file", lambda w=write, s=suffix: _below_a_file(w, s), "file", OSError,
                       writes=True)
     npz = WRITERS[".npz"]
-    yield Hostile("a long name", lambda: npz("n" * 300 + ".npz"), "n" * 300, OSError)
-    yield Hostile("a circle of links", lambda: _circle(npz, ".npz"), "circle", OSError, writes=True)
-    yield Hostile("a folder", lambda: (Path("there.npz").mkdir(), npz("there.npz")), "there.npz", OSError, writes=True)
-    yield Hostile("no folder", lambda: npz("nowhere/x.npz"), "nowhere", OSError)
-    yield Hostile("a load path to a file", lambda: (Path("there").write_text(""), path_result().save("there")), "there",
-                  OSError, writes=True)
-    yield Hostile("a load path twice", lambda: (path_result().save("there"), path_result().save("there")), "there",
-                  ValueError, writes=True)
-    yield Hostile("a full device", lambda: npz("/dev/full"), "No space left", OSError)
-    yield Hostile("vtu of another suffix", lambda: am.export.vtk(result(), "r.vtk"), "path", ValueError)
-    yield Hostile("a series to a .vtu", lambda: am.export.vtk_series([result()], "r.vtu"), "path", ValueError)
+    for name, run, says, writes in (
+            ("a long name", lambda: npz("n" * 300 + ".npz"), "n" * 300, False),
+            ("a circle of links", lambda: _circle(npz, ".npz"), "circle", True),
+            ("a folder", lambda: (Path("there.npz").mkdir(), npz("there.npz")), "there.npz", True),
+            ("no folder", lambda: npz("nowhere/x.npz"), "nowhere", False),
+            ("a load path to a file", lambda: (Path("there").write_text(""), WRITERS[""]("there")), "there", True),
+            ("a full device", lambda: npz("/dev/full"), "No space left", False)):
+        yield Hostile(name, run, says, OSError, writes)
+    yield Hostile("a load path twice", lambda: (WRITERS[""]("there"), WRITERS[""]("there")), "there", ValueError, True)
+    for writer, name in ((".vtu", "r.vtk"), (".pvd", "r.vtu")):
+        yield Hostile(f"{writer} to {name}", lambda w=writer, n=name: WRITERS[w](n), "path", ValueError)
 
 
 def _contents():

@@ -37,10 +37,9 @@ def load(data: bytes) -> None:
     am.Result.load(FILE)
 
 
-def packed(arrays: dict[str, np.ndarray], meta: bytes | None, compressed: bool = True) -> bytes:
+def packed(arrays: dict[str, np.ndarray], meta: bytes | None) -> bytes:
     buffer = io.BytesIO()
-    more = {} if meta is None else {"meta": np.frombuffer(meta, dtype=np.uint8)}
-    (np.savez_compressed if compressed else np.savez)(buffer, **arrays, **more)
+    np.savez_compressed(buffer, **arrays, **({} if meta is None else {"meta": np.frombuffer(meta, dtype=np.uint8)}))
     return buffer.getvalue()
 
 
@@ -52,6 +51,11 @@ def zipped(method: int = zipfile.ZIP_DEFLATED, **entries: bytes) -> bytes:
     return buffer.getvalue()
 
 
+def refused(name: str, make) -> Hostile:
+    """A file with the content ``make(file, arrays, text)``, made of those of a good one."""
+    return Hostile(name, lambda: load(make(*whole())), FILE, ValueError, writes=True)
+
+
 def _files():
     """What is not an archive, or a broken one."""
     raw = {"empty": lambda d: b"", "junk": lambda d: bytes(range(256)) * 50, "zip magic": lambda d: b"PK\x03\x04",
@@ -61,14 +65,16 @@ def _files():
            "pickle": lambda d: pickle.dumps({"displacement": 1}),
            "one byte changed": lambda d: _flipped(d, b"displacement.npy"), "encrypted": _encrypted,
            "listed twice": lambda d: d.replace(b"contact.gap.npy", b"contact.u_n.npy"),
-           "an array behind a folder": lambda d: zipped(**{"../meta_npy": b"x"})}
-    for name, make in raw.items():
-        yield Hostile(name, lambda make=make: load(make(whole()[0])), FILE, ValueError, writes=True)
-    yield Hostile("a folder", lambda: (Path(FILE).mkdir(), am.Result.load(FILE)), FILE, ValueError, writes=True)
-    yield Hostile("a pipe", lambda: (os.mkfifo(FILE), am.Result.load(FILE)), FILE, ValueError, writes=True)
+           "an array behind a folder": lambda d: zipped(**{"../meta_npy": b"x"}),
+           "zeros without end": lambda d: zipped(displacement_npy=_npy(np.zeros((5_000_000, 2)))),
+           "4 GB in the directory": lambda d: _declared(d, 2**32 - 2),
+           "many entries": lambda d: zipped(zipfile.ZIP_STORED, **{f"{k}_npy": b"" for k in range(10_001)})}
+    yield from (refused(name, lambda d, arrays, text, make=make: make(d)) for name, make in raw.items())
+    for name, make in {"a folder": os.mkdir, "a pipe": os.mkfifo}.items():
+        yield Hostile(name, lambda make=make: (make(FILE), am.Result.load(FILE)), FILE, ValueError, writes=True)
     yield Hostile("no file", lambda: am.Result.load(FILE), FILE, FileNotFoundError)
-    yield Hostile("no bytes ever", lambda: am.Result.load("/dev/null"), "/dev/null", ValueError)
-    yield Hostile("bytes without end", lambda: am.Result.load("/dev/zero"), "/dev/zero", ValueError)
+    for name in ("/dev/null", "/dev/zero"):  # no bytes at all, bytes without end
+        yield Hostile(name, lambda name=name: am.Result.load(name), name, ValueError)
     yield from each("path", am.Result.load, {"None": None, "zero byte": "a\0b", "no such user": "~nobody-here/x"})
 
 
@@ -105,42 +111,33 @@ def _header(text: str, body: bytes = b"\0" * 64, version: int = 1, length: int |
 def _bombs():
     """Little that says it is much, or that would have Python run it."""
     shape = "{'descr': '<f8', 'fortran_order': False, 'shape': %s, }"
-    headers = {
-        "terabytes in a header": _header(shape % "(1000000000000,)"),
-        "sizes that wrap": _header(shape % "(4294967296, 4294967296)"), "negative size": _header(shape % "(-8,)"),
-        "objects": _npy(np.array([{}, None], dtype=object)),
-        "code in a header": _header("__import__('os').mkdir('was-here')"), "no shape": _header("{'descr': '<f8'}"),
-        "deep header": _header("(" * 5000 + ")" * 5000), "cut header": b"\x93NUMPY\x01\0",
-        "long header": _header(shape % "(8,)", version=2, length=2**32 - 1),
-        "records": _npy(np.zeros(3, dtype=[("a", "<f8")])), "too few bytes": _header(shape % "(9,)"),
-        "unknown type": _header((shape % "(8,)").replace("<f8", "<q99"))}
-    for name, content in headers.items():
-        yield Hostile(name, lambda c=content: load(zipped(displacement_npy=c)), FILE, ValueError, writes=True)
-    yield Hostile("zeros without end", lambda: load(zipped(displacement_npy=_npy(np.zeros((5_000_000, 2))))), FILE,
-                  ValueError, writes=True)
-    yield Hostile("4 GB in the directory", lambda: load(_declared(whole()[0], 2**32 - 2)), FILE, ValueError,
-                  writes=True)
-    yield Hostile("many entries", lambda: load(zipped(zipfile.ZIP_STORED, **{f"{k}_npy": b"" for k in range(10_001)})),
-                  FILE, ValueError, writes=True)
+    headers = {"terabytes in a header": _header(shape % "(1000000000000,)"),
+               "sizes that wrap": _header(shape % "(4294967296, 4294967296)"),
+               "negative size": _header(shape % "(-8,)"), "objects": _npy(np.array([{}, None], dtype=object)),
+               "code in a header": _header("__import__('os').mkdir('was-here')"),
+               "no shape": _header("{'descr': '<f8'}"), "deep header": _header("(" * 5000 + ")" * 5000),
+               "cut header": b"\x93NUMPY\x01\0", "long header": _header(shape % "(8,)", version=2, length=2**32 - 1),
+               "records": _npy(np.zeros(3, dtype=[("a", "<f8")])), "too few bytes": _header(shape % "(9,)"),
+               "unknown type": _header((shape % "(8,)").replace("<f8", "<q99"))}
+    yield from (refused(name, lambda *good, c=content: zipped(displacement_npy=c)) for name, content in headers.items())
 
 
 def _texts():
     """Wrong JSON."""
     texts = {"no text": None, "no JSON": b"{", "list": b"[1]", "bad UTF-8": b'{"format": "\xff"}',
              "deep": b"[" * 100_000 + b"]" * 100_000}
-    for name, text in texts.items():
-        yield Hostile(f"meta: {name}", lambda t=text: load(packed(whole()[1], t)), FILE, ValueError, writes=True)
+    yield from (refused(f"meta: {name}", lambda d, arrays, text, new=new: packed(arrays, new))
+                for name, new in texts.items())
     changes = {"format": 99, "status": "FINE", "names": "contact", "masters": ["a", "b"], "cycles": -1, "rate": True,
                "rtol": "small", "work_units": None, "timings": {"setup": "long"}, "path": [[0, "smooth"]],
                "levels": ["fine"], "versions": {"numpy": 2}, "problem_name": 3, "boundaries": ["bottom"],
                "bodies": [], "part_of": "a path"}
     for key, value in changes.items():
-        yield Hostile(f"meta: {key} {value!r}", lambda k=key, v=value: load(
-            packed(whole()[1], json.dumps(json.loads(whole()[2]) | {k: v}).encode())), FILE, ValueError, writes=True)
+        yield refused(f"meta: {key}", lambda d, arrays, text, new={key: value}: packed(
+            arrays, json.dumps(json.loads(text) | new).encode()))
     for key in ("status", "path", "versions"):
-        yield Hostile(f"meta without {key}", lambda k=key: load(packed(whole()[1], json.dumps(
-            {name: v for name, v in json.loads(whole()[2]).items() if name != k}).encode())), FILE, ValueError,
-            writes=True)
+        yield refused(f"meta without {key}", lambda d, arrays, text, key=key: packed(
+            arrays, json.dumps({name: v for name, v in json.loads(text).items() if name != key}).encode()))
 
 
 def _at(index: int, value: float):
@@ -170,11 +167,11 @@ def _arrays():
         "mesh.element_body": {"outside": _at(0, 1)}, "mesh.points": {"nan": _at(0, nan), "short": lambda a: a[1:]}}
     for name, kinds in changes.items():
         for label, change in kinds.items():
-            yield Hostile(f"{name} {label}", lambda n=name, c=change: load(packed(
-                whole()[1] | {n: c(whole()[1][n])}, whole()[2].encode())), FILE, ValueError, writes=True)
+            yield refused(f"{name} {label}", lambda d, arrays, text, n=name, c=change: packed(
+                arrays | {n: c(arrays[n])}, text.encode()))
     for name in ("displacement", "contact.node", "mesh.points"):
-        yield Hostile(f"without {name}", lambda n=name: load(packed(
-            {k: v for k, v in whole()[1].items() if k != n}, whole()[2].encode())), FILE, ValueError, writes=True)
+        yield refused(f"without {name}", lambda d, arrays, text, name=name: packed(
+            {k: v for k, v in arrays.items() if k != name}, text.encode()))
 
 
 INPUTS = (*_files(), *_bombs(), *_texts(), *_arrays())

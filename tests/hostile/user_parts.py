@@ -75,12 +75,10 @@ def _methods():
     counts = {"negative": -1.0, "nan": np.nan, "None": None, "text": "1", "array": np.ones(3), "huge": 10**400}
     yield from each("work of a smoother", lambda v: _by(smoother=_smoother(v), correction=am.Monotone()), counts)
 
-    transported = {
-        "None": lambda gap, slip, limit: None, "two": lambda gap, slip, limit: (gap, slip),
-        "short gap": lambda gap, slip, limit: (gap[:-1], slip, limit),
-        "complex": lambda gap, slip, limit: (gap * 1j, slip, limit),
-        "flat slip": lambda gap, slip, limit: (gap, slip.ravel(), limit),
-        "text": lambda gap, slip, limit: (gap, slip, "limit")}
+    transported = {"None": lambda gap, slip, limit: None, "two": lambda gap, slip, limit: (gap, slip),
+                   "short gap": lambda gap, slip, limit: (gap[:-1], slip, limit), "complex": lambda gap, slip,
+                   limit: (gap * 1j, slip, limit), "flat slip": lambda gap, slip, limit: (gap, slip.ravel(), limit),
+                   "text": lambda gap, slip, limit: (gap, slip, "limit")}
     yield from each("correction", lambda change: _by(correction=SimpleNamespace(
         needs_initial=False, transport=lambda *given: change(*am.Monotone().transport(*given)))), transported)
     yield from each("correction", lambda v: am.Multigrid(correction=SimpleNamespace(transport=v)),

@@ -74,8 +74,7 @@ class TestLaws:
             def bounds(self, n_contact):
                 return np.zeros(n_contact), np.full(n_contact, 0.5)
 
-        assert isinstance(Half(), Law)
-        assert problem(law=Half()).law.bounds(2)[1][1] == 0.5
+        assert isinstance(Half(), Law) and problem(law=Half()).law.bounds(2)[1][1] == 0.5
 
 
 class TestObstacles:
@@ -126,8 +125,7 @@ class TestDomains:
         assert square.polygon == polygon and square.area == 2
 
     def test_area_and_lengths_are_exact(self):
-        assert HALF.area == pytest.approx(math.pi, rel=1e-14)
-        assert HALF.lengths == pytest.approx((math.pi, 2.0, 2.0))
+        assert HALF.area == pytest.approx(math.pi, rel=1e-14) and HALF.lengths == pytest.approx((math.pi, 2.0, 2.0))
         assert self.HOLE.area == pytest.approx(9 - math.pi / 4, rel=1e-14)
         assert self.HOLE.arc(4).angle < 0 < HALF.arc(0).angle and self.HOLE.arc(0) is None
 

@@ -36,23 +36,18 @@ def test_spoilt_meshes_are_found():
     domain = am.Rectangle(width=1.0, height=1.0)
     mesh = am.mesh.structured(domain, 4)
     assert checks.mesh_faults(mesh, mesh, domain) == [] and abs(checks.smallest_angle(mesh) - 45) < 1e-9
-    moved = mesh.points.copy()
-    moved[0] = [0.1, 0.1]
-    spoilt = {"the size": dataclasses.replace(mesh, points=moved, source=None),
-              "outside": dataclasses.replace(mesh, elements=mesh.elements[1:], element_body=None, source=None),
-              "names": dataclasses.replace(mesh, boundaries=("a", *mesh.boundaries[1:]), source=None)}
-    for words, other in spoilt.items():
-        assert any(words in fault for fault in checks.mesh_faults(other, mesh, domain))
-
-
-def test_nodes_off_an_arc_are_found():
-    domain = problems._MAKERS["round"](np.random.default_rng(1)).domain
-    mesh = am.mesh.graded(domain, 0.01)
-    assert checks.mesh_faults(mesh, mesh, domain) == []
-    moved = mesh.points.copy()
-    moved[mesh.boundary_nodes("round")[2]] *= 1 + 1e-3
-    beside = dataclasses.replace(mesh, points=moved, source=None)
-    assert any("off it" in fault for fault in checks.mesh_faults(beside, mesh, domain))
+    arc = problems._MAKERS["round"](np.random.default_rng(1)).domain
+    bent = am.mesh.graded(arc, 0.01)
+    assert checks.mesh_faults(bent, bent, arc) == []
+    inside, off = mesh.points.copy(), bent.points.copy()
+    inside[0] = [0.1, 0.1]
+    off[bent.boundary_nodes("round")[2]] *= 1 + 1e-3
+    for words, good, where, change in (
+            ("the size", mesh, domain, {"points": inside}), ("off it", bent, arc, {"points": off}),
+            ("outside", mesh, domain, {"elements": mesh.elements[1:], "element_body": None}),
+            ("names", mesh, domain, {"boundaries": ("a", *mesh.boundaries[1:])})):
+        other = dataclasses.replace(good, source=None, **change)
+        assert any(words in fault for fault in checks.mesh_faults(other, good, where))
 
 
 def test_values_are_read_from_results():

@@ -16,8 +16,7 @@ sector = load("bolted_sector")
 def test_where_a_curve_falls_below_zero():
     x = np.array([0.0, 1.0, 2.0, 4.0])
     assert pressure.falls_below_zero(x, np.array([3.0, 1.0, -1.0, -9.0])) == pytest.approx(1.5)
-    assert np.isnan(pressure.falls_below_zero(x, np.ones(4)))
-    assert np.isnan(pressure.falls_below_zero(x, -np.ones(4)))
+    assert np.isnan(pressure.falls_below_zero(x, np.ones(4))) and np.isnan(pressure.falls_below_zero(x, -np.ones(4)))
 
 
 def test_limits_are_read_off_between_the_steps():
@@ -26,10 +25,8 @@ def test_limits_are_read_off_between_the_steps():
                          "bolts": [2.5e6, 2.5e6, 2.6e6], "opening": [0.0, 1e-6, 3e-6]})
     found = pressure.limits(rows, flanges)
     # seal - p falls from 4 MPa to -4 MPa between 2 and 4 MPa
-    assert found["leak"] == pytest.approx(3e6)
-    assert found["open"] == pytest.approx(3e6)
-    assert found["bolts at leak"] == pytest.approx(2.55e6)
-    assert found["opening at leak"] == pytest.approx(2e-6)
+    assert found["leak"] == pytest.approx(3e6) and found["open"] == pytest.approx(3e6)
+    assert found["bolts at leak"] == pytest.approx(2.55e6) and found["opening at leak"] == pytest.approx(2e-6)
 
 
 def test_meshes_are_shared_and_friction_is_not():
@@ -57,13 +54,10 @@ def test_bolted_junction(tables):
     tables = tables("bolted_junction", True)
     counts = tables["bolted_grids"].set_index("method")
     several = counts[~counts.index.str.startswith("one grid")]
-    assert (several["status"] == "CONVERGED").all()
-    assert (several["true error"] < 1e-6).all()
+    assert (several["status"] == "CONVERGED").all() and (several["true error"] < 1e-6).all()
     assert counts.loc["three grids, truncated", "over best one grid"] > 2
     cost = tables["bolted_cost"]
-    assert (cost["difference"] < 1e-8).all()
-    assert (cost["rate"] < 0.5).all()
-    assert (cost["over one body"] < 2.3).all()
+    assert (cost["difference"] < 1e-8).all() and (cost["rate"] < 0.5).all() and (cost["over one body"] < 2.3).all()
     starts = tables["bolted_start"].set_index(["mode", "start"])
     assert starts.loc[("three grids, truncated", "full"), "zero over full"] > 1
     leaks = tables["bolted_leak"]

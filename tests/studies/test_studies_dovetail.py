@@ -15,8 +15,7 @@ pictures = load("dovetail_pictures")
 
 def test_grids_of_a_chain_end_at_the_same_mesh():
     two, one = dovetail.chain(1, 2), dovetail.chain(1, 1)
-    assert len(two) == 2 and len(one) == 1
-    assert two.finest.mesh.points == pytest.approx(one.finest.mesh.points, abs=0)
+    assert len(two) == 2 and len(one) == 1 and two.finest.mesh.points == pytest.approx(one.finest.mesh.points, abs=0)
 
 
 def test_zone_ends_lie_half_way_between_nodes():
@@ -80,9 +79,7 @@ def test_a_quick_run(quick, tables):
     up, down = frame["lift"][:11].to_numpy(), frame["lift"][10:].to_numpy()[::-1]
     assert (np.diff(up) > 0).all() and (np.diff(down) > 0).all()
     # friction holds back on both ways
-    assert (down[1:-1] > up[1:-1]).all()
-    assert tables["dovetail_steps"]["all converged"].all()
+    assert (down[1:-1] > up[1:-1]).all() and tables["dovetail_steps"]["all converged"].all()
     # ten steps cost less than ten times one
     frame = tables["dovetail_history_cost"]
-    assert frame["complete"].all()
-    assert (frame["work ratio"] < 10).all()
+    assert frame["complete"].all() and (frame["work ratio"] < 10).all()

@@ -18,9 +18,7 @@ def test_constants_of_the_glued_problem_vanish_where_it_is_fixed():
     assert matrix.shape[0] == len(load_vector) == len(modes) == len(constants)
     kept = np.setdiff1d(np.arange(discrete.n_nodes), discrete.contact.nodes)
     fixed = discrete.fixed.reshape(-1, 2)[kept].reshape(-1)
-    assert fixed.any()
-    assert not constants[fixed].any()
-    assert (constants[~fixed].sum(axis=1) == 1).all()
+    assert fixed.any() and not constants[fixed].any() and (constants[~fixed].sum(axis=1) == 1).all()
 
 
 def test_counted_solver_counts_and_changes_nothing():
@@ -44,8 +42,7 @@ def test_medians_are_of_seconds_in_turns():
     assert order == ["first", "second"] * 3
     assert found == {"first: total_s": 2.0, "first: steps": 5, "second: total_s": 0.0}
     table = amg.long_form(pd.DataFrame([{"nodes": 9, **found}]))
-    assert table["method"].tolist() == ["first", "second"]
-    assert table["total_s"].tolist() == [2.0, 0.0]
+    assert table["method"].tolist() == ["first", "second"] and table["total_s"].tolist() == [2.0, 0.0]
 
 
 def test_negative_contact_weights_are_seen():
@@ -60,30 +57,24 @@ def test_transfers(tables):
     tables = tables("transfer_operators", True)
     kept = tables["transfer_properties"].set_index(["meshes", "transfer", "contact rows"]).loc["2D graded"]
     lumped = kept.index.get_level_values("transfer") == "LumpedL2"
-    assert (kept["affine error"][~lumped] < 1e-4).all()
-    assert kept.loc[("Interpolation", True), "affine error"] < 1e-12
-    assert kept.loc[("LumpedL2", True), "affine error"] > 1e-2
-    assert kept.xs(True, level="contact rows")["proven"].all()
+    assert (kept["affine error"][~lumped] < 1e-4).all() and kept.loc[("Interpolation", True), "affine error"] < 1e-12
+    assert kept.loc[("LumpedL2", True), "affine error"] > 1e-2 and kept.xs(True, level="contact rows")["proven"].all()
     assert not kept.loc[("PseudoL2", False), "proven"]
     assert (kept.loc[("Interpolation", True), "complexity"] <= kept["complexity"]).all()
     assert (kept["complexity"] <= kept.loc[("L2", True), "complexity"]).all()
     assert kept.loc["Interpolation", "least weight"].min() >= 0
     cycles = tables["transfer_cycles"]
     with_rows = cycles[cycles["contact rows"]]
-    assert (with_rows["status"] == "CONVERGED").all()
-    assert (with_rows["status, nested start"] == "CONVERGED").all()
+    assert (with_rows["status"] == "CONVERGED").all() and (with_rows["status, nested start"] == "CONVERGED").all()
     assert (with_rows["work, nested start"] <= with_rows["work from zero"]).all()
     refused = cycles[(cycles["transfer"] == "PseudoL2") & ~cycles["contact rows"] & (cycles["method"] != "default")]
     assert (refused["status"] == "REFUSED").all()
     for _, rows in tables["transfer_mesh_ratio"].groupby("coarser"):
-        assert (np.diff(rows["rate"]) > 0).all()
-        assert (np.diff(rows["largest ratio"]) > 0).all()
+        assert (np.diff(rows["rate"]) > 0).all() and (np.diff(rows["largest ratio"]) > 0).all()
     adapted = tables["transfer_adaptive"]
-    assert (adapted["status"] == "CONVERGED").all()
-    assert (adapted["work"] < adapted["work, monotone"]).all()
+    assert (adapted["status"] == "CONVERGED").all() and (adapted["work"] < adapted["work, monotone"]).all()
     apart = tables["transfer_size_ratio"]
-    assert (np.diff(apart["size ratio"]) > 0).all()
-    assert (np.diff(apart["rate"]) > 0).all()
+    assert (np.diff(apart["size ratio"]) > 0).all() and (np.diff(apart["rate"]) > 0).all()
     assert apart["rate"].iloc[0] < 0.6 < apart["rate"].iloc[-1]
 
 
@@ -94,11 +85,9 @@ def test_algebraic_multigrid(tables):
     assert (glued["status"] == "CONVERGED").all()
     by = {name: rows.set_index(["grid", "nodes"]) for name, rows in glued.groupby("method")}
     assert (by["AMG-CG, rigid-body modes"]["iterations"] < by["AMG-CG, constants"]["iterations"]).all()
-    assert (glued["energy error"] < 2e-8).all()
-    assert "linear solve" in front.linear(tables).text
+    assert (glued["energy error"] < 2e-8).all() and "linear solve" in front.linear(tables).text
     contact = tables["amg_contact"]
-    assert (contact["status"] == "CONVERGED").all()
-    assert (contact["true error"] < 5e-8).all()
+    assert (contact["status"] == "CONVERGED").all() and (contact["true error"] < 5e-8).all()
     steps = contact.pivot(index=["grid", "nodes"], columns="method", values="steps")
     assert (steps["ActiveSet, AMG, nested"] < steps["ActiveSet, AMG, cold"]).all()
     assert (steps["ActiveSet, direct, nested"] < steps["ActiveSet, direct, cold"]).all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from dataclasses import dataclass, field
 from types import ModuleType
 
 import pytest
@@ -14,11 +13,11 @@ from study_scripts import load
 common, together = load("common"), load("together")
 
 
-@dataclass
 class Runs:
     """Stands for a study: says when it begins and ends."""
 
-    seen: list = field(default_factory=list)
+    def __init__(self):
+        self.seen = []
 
     def run(self, progress=None, scheduler=None, throw=False):
         kind = "timed" if scheduler is None else "run"
@@ -27,48 +26,45 @@ class Runs:
         self.seen.append((kind, "ends"))
 
 
+def in_threads(section, counts):
+    threads = [threading.Thread(target=section, args=one) for one in counts]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+        assert not thread.is_alive()
+
+
 def test_timed_runs_wait_for_all_others_and_go_one_by_one():
     runs, turns = Runs(), together.Turns(4, object())
 
     def section(timed, plain):
         with turns.turn():
-            for _ in range(plain):
-                turns.run(runs, False)
-            for _ in range(timed):
-                turns.run(runs, True)
+            for kind in [False] * plain + [True] * timed:
+                turns.run(runs, kind)
 
-    threads = [threading.Thread(target=section, args=counts) for counts in ((1, 0), (1, 1), (2, 0), (0, 4))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(60)
-        assert not thread.is_alive()
-    kinds = [kind for kind, _ in runs.seen]
-    assert kinds.count("timed") == 8 and kinds.count("run") == 10
-    assert kinds == ["run"] * 10 + ["timed"] * 8
+    in_threads(section, ((1, 0), (1, 1), (2, 0), (0, 4)))
+    assert [kind for kind, _ in runs.seen] == ["run"] * 10 + ["timed"] * 8
     assert [what for _, what in runs.seen[10:]] == ["begins", "ends"] * 4
 
 
 def test_a_thread_has_its_turn_alone():
-    turns, inside = together.Turns(3, object()), []
+    turns, inside, most = together.Turns(3, object()), [], []
+
+    def enter():
+        inside.append(1)
+        most.append(len(inside))
+        time.sleep(0.02)
+        inside.pop()
 
     def section():
         with turns.turn():
-            inside.append(1)
-            assert len(inside) == 1
-            time.sleep(0.02)
-            inside.pop()
+            enter()
             with turns.alone():
-                inside.append(1)
-                assert len(inside) == 1
-                inside.pop()
+                enter()
 
-    threads = [threading.Thread(target=section) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(60)
-        assert not thread.is_alive()
+    in_threads(section, [()] * 3)
+    assert most == [1] * 6
 
 
 def test_long_texts_come_back_from_their_files(tmp_path):
