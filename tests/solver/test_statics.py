@@ -40,7 +40,8 @@ SPIN = (am.Pressure("top", 1.0), am.Traction("top", (lambda x: -(x[:, 1] - 2), l
 
 #: what stands
 STANDING = {
-    "on supports": plate(loads=weight(3.0, 5.0), supports=(*LEFT, am.Support("right", x=0.0), am.Support("top", y=0.0))),
+    "on supports": plate(loads=weight(3.0, 5.0), supports=(
+        *LEFT, am.Support("right", x=0.0), am.Support("top", y=0.0))),
     "between support and floor": plate(supports=LEFT), "by friction": plate(law=am.Coulomb(0.01)),
     "by adhesion": plate(law=am.Tresca(1e-3)), "without any load": plate(loads=(), supports=(
         *LEFT, am.Support("top", y=-1e-3))),
@@ -75,7 +76,8 @@ FALLING = {
     "solid free to slide": (block(supports=SIDES[:1]), "not unique: a translation along y"),
     "solid lifted": (block(law=am.Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)), "nothing holds a translation along z"),
     "solid spun": (block(law=am.Coulomb(0.1), loads=SPIN), "rotation about the axis along z through"),
-    "solid tipped": (block(law=am.Coulomb(9.0), loads=weight(4.1, 0.0, -1.0)), "rotation about the axis along y")}
+    "solid tipped": (block(law=am.Coulomb(9.0), loads=weight(4.1, 0.0, -1.0)),
+                     "rotation about the axis along y through")}
 
 
 @pytest.mark.parametrize("name", STANDING)
