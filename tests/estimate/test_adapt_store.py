@@ -18,7 +18,7 @@ from adaptive_loop import numbers_of, upset
 
 import adaptmg as am
 
-COARSE, NODES = 8e-3, 500
+COARSE, NODES, UPSET = 8e-3, 500, upset()
 #: a loop in another process; it is killed from outside, or by itself at the n-th file that it writes
 CHILD = """
 import os, signal, sys
@@ -73,7 +73,7 @@ def test_a_loop_that_is_broken_off_goes_on_with_the_same_numbers(tmp_path, whole
 KINDS = {
     "remesh": (2, {"engine": am.Remesh(refinements=0), "max_nodes": 300}),
     "coarsen": (2, {"engine": am.Bisect(coarsen=0.05), "max_nodes": 300}),
-    "levels": (2, {"start": am.Hierarchy.uniform(upset(), (2, 3, 6)), "max_nodes": 200}),
+    "levels": (2, {"problem": UPSET, "start": am.Hierarchy.uniform(UPSET, (2, 3, 6)), "max_nodes": 200}),
     "goal": (1, {"start": 10e-3, "indicator": am.Goal(am.Displacement((0.0, 0.02), "x")), "max_nodes": 90}),
     "path": (1, {"problem": am.cases.greco_bar(), "start": 10e-3, "adapt_on": "worst", "max_nodes": 90,
                  "load_path": am.LoadPath({"left": [0.5, 1.0]}, default=1.0)})}

@@ -145,6 +145,22 @@ def test_a_step_is_newtons(dim, law):
     assert law == "frictionless" or (True, False) in states
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_linear_solvers_are_told_of_symmetry_and_get_modes_of_what_moves(name):
+    class Watching:
+        def setup(self, matrix, near_nullspace=None, *, symmetric=True, preconditioner=None, **options):
+            dense = matrix.toarray()
+            assert (np.abs(dense - dense.T).max() < 1e-12 * np.abs(dense).max()) == symmetric
+            assert preconditioner is None or abs(preconditioner - preconditioner.T).max() < 1e-12 * abs(matrix).max()
+            assert not near_nullspace[(dense != 0).sum(axis=1) == 1].any()
+            seen.append(symmetric)
+            return am.Direct().setup(matrix, symmetric=symmetric)
+
+    seen = []
+    am.solve(grids(name), am.ActiveSet(linear=Watching()))
+    assert all(seen) is ("friction " not in name)
+
+
 def test_near_nullspace_without_coordinates_are_translations():
     local = network(3, "coulomb")
     modes = local_near_nullspace(local)
