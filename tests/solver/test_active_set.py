@@ -146,7 +146,7 @@ def test_a_step_is_newtons(dim, law):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_linear_solvers_are_told_of_symmetry_and_get_modes_of_what_moves(name):
+def test_linear_solvers_get_the_symmetry_and_modes_of_what_moves(name):
     class Watching:
         def setup(self, matrix, near_nullspace=None, *, symmetric=True, preconditioner=None, **options):
             dense = matrix.toarray()
