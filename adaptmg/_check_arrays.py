@@ -120,7 +120,6 @@ def square_blocks(name: str, value: object, size: int) -> sparse.bsr_array:
 
 
 def _check_compressed(name: str, value: Compressed) -> None:
-    """Check the index arrays of a csr, csc or bsr matrix."""
     height, width = value.blocksize if value.format == "bsr" else (1, 1)
     if value.shape[0] % height or value.shape[1] % width:
         raise ValueError(f"{name}: its shape {value.shape} is not a multiple of its blocks ({height}, {width})")

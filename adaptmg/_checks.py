@@ -50,31 +50,25 @@ def number(name: str, value: object) -> float:
     return result
 
 
-def _satisfies(name: str, value: object, condition: Callable[[float], bool], words: str) -> float:
-    result = number(name, value)
-    if not condition(result):
-        raise ValueError(f"{name} must be {words}, got {shown(value)}")
-    return result
+def _number_that(words: str, condition: Callable[[float], bool]) -> Callable[[str, object], float]:
+    """The check of a finite float that satisfies a condition."""
+    def check(name: str, value: object) -> float:
+        result = number(name, value)
+        if not condition(result):
+            raise ValueError(f"{name} must be {words}, got {shown(value)}")
+        return result
+
+    return check
 
 
-def positive(name: str, value: object) -> float:
-    """Return ``value`` as a finite float > 0."""
-    return _satisfies(name, value, lambda x: x > 0, "> 0")
-
-
-def nonnegative(name: str, value: object) -> float:
-    """Return ``value`` as a finite float >= 0."""
-    return _satisfies(name, value, lambda x: x >= 0, ">= 0")
-
-
-def tolerance(name: str, value: object) -> float:
-    """Return ``value`` as a float between 0 and 1, both excluded: a relative tolerance."""
-    return _satisfies(name, value, lambda x: 0 < x < 1, "> 0 and < 1, a share of the solution")
+positive = _positive = _number_that("> 0", lambda x: x > 0)
+nonnegative = _number_that(">= 0", lambda x: x >= 0)
+tolerance = _number_that("> 0 and < 1, a share of the solution", lambda x: 0 < x < 1)
 
 
 def quantity(name: str, value: object, *, positive: bool = False) -> float:
     """Return ``value`` as a float of a size that physics may have, below ``VAST``; ``positive``: > ``TINIEST`` too."""
-    result = _satisfies(name, value, lambda x: x > 0 or not positive, "> 0")
+    result = _positive(name, value) if positive else number(name, value)
     if not abs(result) <= VAST or (positive and not result >= TINIEST):
         bounds = f"between {TINIEST:g} and {VAST:g}" if positive else f"at most {VAST:g}"
         raise ValueError(f"{name} must be {bounds} in SI units, got {shown(value)}: otherwise energies leave the range "
@@ -137,9 +131,7 @@ def function_or(name: str, value: _T, check: Callable[[str, _T], object] = quant
 
 def items(name: str, value: _T | Iterable[_T], types: Types[_T], words: str = "") -> tuple[_T, ...]:
     """Return a sequence of instances of ``types`` as a tuple; one instance alone stands for a sequence of one."""
-    if isinstance(value, types):
-        return (value,)
-    entries = listed(name, value, words or _names(types))
+    entries = (value,) if isinstance(value, types) else listed(name, value, words or _names(types))
     return tuple(instance(f"{name}[{i}]", item, types, words) for i, item in enumerate(entries))
 
 

@@ -20,7 +20,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import lru_cache, wraps
+from functools import lru_cache, partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakKeyDictionary
@@ -45,7 +45,7 @@ def kernel(function: Callable | None = None, *, cache: bool = True, **options: o
     Division by zero is as in numpy: a test before each division would take time, here and in the compilation.
     """
     if function is None:
-        return lambda function: kernel(function, cache=cache, **options)
+        return partial(kernel, cache=cache, **options)
     compiled = numba.njit(**{"no_cfunc_wrapper": True, "error_model": "numpy"} | options)(function)
     if cache and isinstance(compiled, CPUDispatcher):  # NUMBA_DISABLE_JIT compiles nothing
         compiled._cache = _cache_of(function)
@@ -55,7 +55,7 @@ def kernel(function: Callable | None = None, *, cache: bool = True, **options: o
 def inner_kernel(function: Callable | None = None, **options: object) -> Any:
     """Compile a function that only kernels call; a call from Python is a TypeError."""
     if function is None:
-        return lambda function: inner_kernel(function, **options)
+        return partial(inner_kernel, **options)
     compiled = kernel(function, no_cpython_wrapper=True, **options)
     if isinstance(compiled, CPUDispatcher):
         compiled.__class__ = _Inner
@@ -142,19 +142,17 @@ class _Blas:
         self.renew()
 
     def renew(self) -> None:
-        """Nobody is inside."""
-        self.lock, self.inside = threading.RLock(), 0
+        self.lock, self.inside, self.here = threading.RLock(), 0, threading.local()
         self.before: list[tuple[LibController, int]] = []
-        self.here = threading.local()
 
     def enter(self) -> None:
         with self.lock:
             self.here.inside = getattr(self.here, "inside", 0) + 1
             if self.here.inside == 1:
                 # built on OpenMP a library counts its threads for each calling thread
-                self.here.before = _limit([library for library in self._found() if _by_thread(library)])
+                self.here.before = self._limited(by_thread=True)
             if self.inside == 0:
-                self.before = _limit([library for library in self._found() if not _by_thread(library)])
+                self.before = self._limited(by_thread=False)
             self.inside += 1
 
     def leave(self) -> None:
@@ -162,44 +160,32 @@ class _Blas:
             self.here.inside -= 1
             self.inside -= 1
             if self.here.inside == 0:
-                _give_back(self.here.before)
+                _set(self.here.before)
             if self.inside == 0:
-                _give_back(self.before)
+                _set(self.before)
 
-    def _found(self) -> list[LibController]:
-        """The libraries loaded by now: looked for again (some ms) when modules were imported since."""
+    def _limited(self, by_thread: bool) -> list[tuple[LibController, int]]:
+        """Hold libraries at one thread; returns the numbers before."""
         # imported inside the block it would bring another BLAS without a limit
         import scipy.linalg  # noqa: F401
         from threadpoolctl import ThreadpoolController
 
-        if self.modules != len(sys.modules):
+        if self.modules != len(sys.modules):  # looked for again (some ms) when modules were imported since
             self.controller, self.modules = ThreadpoolController(), len(sys.modules)
-        return [library for library in self.controller.lib_controllers if library.user_api == "blas"]
+        before = [(library, library.get_num_threads()) for library in self.controller.lib_controllers
+                  if library.user_api == "blas" and (getattr(library, "threading_layer", "") == "openmp") == by_thread]
+        _set([(library, 1) for library, _ in before])
+        return before
 
 
-def _by_thread(library: LibController) -> bool:
-    return getattr(library, "threading_layer", "") == "openmp"
-
-
-def _limit(libraries: list[LibController]) -> list[tuple[LibController, int]]:
-    before = [(library, library.get_num_threads()) for library in libraries]
-    for library, _ in before:
-        _set(library, 1)
-    return before
-
-
-def _give_back(before: list[tuple[LibController, int]]) -> None:
-    for library, threads in before:
-        _set(library, threads)
-
-
-def _set(library: LibController, threads: int) -> None:
-    """Set the number, whichever thread of Python set it before."""
-    # threadpoolctl 3.7 and later obey, in silence, only the thread that was first to set it
-    release = getattr(library, "clear_controlling_thread", lambda force: None)
-    release(force=True)
-    library.set_num_threads(threads)
-    release(force=True)
+def _set(numbers: list[tuple[LibController, int]]) -> None:
+    """Set the numbers of threads, whichever thread of Python set them before."""
+    for library, threads in numbers:
+        # threadpoolctl 3.7 and later obey, in silence, only the thread that was first to set it
+        release = getattr(library, "clear_controlling_thread", lambda force: None)
+        release(force=True)
+        library.set_num_threads(threads)
+        release(force=True)
 
 
 _BLAS = _Blas()
@@ -211,7 +197,7 @@ def _after_fork() -> None:
     global _RANDOM
     _RANDOM, before = threading.RLock(), _BLAS.before if _BLAS.inside else []
     _BLAS.renew()
-    _give_back(before)
+    _set(before)
 
 
 if hasattr(os, "register_at_fork"):
@@ -262,10 +248,7 @@ def made_on_demand(name: str, doc: str) -> property:
             held = owner.__dict__[name] = held.make(owner)
         return held
 
-    def keep(owner: object, given: object) -> None:
-        owner.__dict__[name] = given
-
-    return property(value, keep, doc=doc)
+    return property(value, lambda owner, given: owner.__dict__.__setitem__(name, given), doc=doc)
 
 
 Owner = TypeVar("Owner")
@@ -282,10 +265,8 @@ def remembered(function: Callable[[Owner], Value]) -> Callable[[Owner], Value]:
 
     @wraps(function)
     def asked(owner: Owner) -> Value:
-        try:
-            return known[owner]
-        except KeyError:
-            value = known[owner] = function(owner)
-            return value
+        if owner not in known:
+            known[owner] = function(owner)
+        return known[owner]
 
     return asked

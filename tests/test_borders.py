@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from bodies import pressed, stacked
 from scipy import sparse
 
 import adaptmg as am
@@ -13,9 +14,7 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.solver.record import Outcome
 
-
-def bar(**changes):
-    return am.cases.greco_bar(**changes)
+BAR = am.cases.greco_bar()
 
 
 def square(**changes):
@@ -48,7 +47,7 @@ def test_symmetry_of_a_soft_part_is_judged_by_its_own_stiffness(error):
 
 @pytest.mark.parametrize("scale", [1e-60, 1e60])
 def test_symmetry_does_not_depend_on_units(scale):
-    discrete = am.Hierarchy.uniform(bar(), (4,)).finest.discrete
+    discrete = am.Hierarchy.uniform(BAR, 4).finest.discrete
     assert dataclasses.replace(discrete, matrix=scale * discrete.matrix).n_nodes == 25
     wrong = (scale * sparse.csr_array(discrete.matrix)).tolil()
     wrong[0, 2] *= 1.01
@@ -58,22 +57,18 @@ def test_symmetry_does_not_depend_on_units(scale):
 
 @pytest.mark.parametrize("ratio", [1e-12, 1e12])
 def test_bodies_of_very_different_stiffness_pass(ratio):
-    problem = am.ContactProblem(
-        material={name: am.PlaneStrain(young=young, poisson=0.3) for name, young in
-                  (("upper", 1e11), ("lower", ratio * 1e11))}, law=am.Coulomb(0.3),
-        domain=am.Assembly(parts={"upper": am.Rectangle(width=1.0, height=1.0, origin=(0.0, 1.0)),
-                                  "lower": am.Rectangle(width=1.0, height=1.0)}),
-        contact=am.ContactPair("upper.bottom", "lower.top"), loads=am.Pressure("upper.top", 1e6),
-        supports=am.Support("lower.bottom", x=0.0, y=0.0))
-    grids = am.Hierarchy.uniform(problem, ({"upper": (3, 3), "lower": (4, 4)}, {"upper": (7, 7), "lower": (9, 9)}))
+    materials = (am.PlaneStrain(young=1e11, poisson=0.3), am.PlaneStrain(young=ratio * 1e11, poisson=0.3))
+    meshes = [stacked([(3, 2), (4, 3)]), stacked([(6, 4), (8, 6)])]
+    problem = pressed(meshes[0], [("upper.bottom", "lower.top")], materials, am.Coulomb(0.3))
+    grids = am.Hierarchy.from_meshes(problem, meshes)
     assert all(level.discrete.coupling is not None for level in grids.levels)
 
 
 def test_what_was_meant():
     problem = square()
     assert problem.loads == (am.Pressure("top", 1e6),) and problem.supports == (am.Support("right", x=0.0),)
-    grids = am.Hierarchy.uniform(bar(), 4)
-    assert len(grids) == len(am.Hierarchy.from_meshes(bar(), grids.finest.mesh)) == 1
+    grids = am.Hierarchy.uniform(BAR, 4)
+    assert len(grids) == len(am.Hierarchy.from_meshes(BAR, grids.finest.mesh)) == 1
     support = am.Support("right", x=np.float32(0.5), y=np.int64(0))
     assert support.x == 0.5 and type(support.x) is float and type(support.y) is float
     assert am.Multigrid(rtol=np.float64(1e-6), max_cycles=np.int32(7)).max_cycles == 7
@@ -82,7 +77,8 @@ def test_what_was_meant():
 
 
 def test_values_at_free_dofs_and_small_parts_of_a_field_stay():
-    discrete = am.Hierarchy.uniform(bar(law=am.Coulomb(lambda p: np.exp(-1e5 * p[:, 0]))), 4).finest.discrete
+    law = am.Coulomb(lambda p: np.exp(-1e5 * p[:, 0]))
+    discrete = am.Hierarchy.uniform(am.cases.greco_bar(law=law), 4).finest.discrete
     values = np.where(discrete.fixed, 1e-3, np.nan)
     assert dataclasses.replace(discrete, fixed_values=values).fixed_values.max() == 1e-3
     friction = discrete.law.friction
@@ -101,7 +97,7 @@ def test_a_result_that_is_not_finite_has_diverged():
         def run(self, hierarchy, run, start):
             return Outcome(np.full((hierarchy.finest.discrete.n_nodes, 2), np.nan), am.Status.LIMIT, 3, 1e-8)
 
-    grids = am.Hierarchy.uniform(bar(), (2, 4))
+    grids = am.Hierarchy.uniform(BAR, (2, 4))
     assert am.solve(grids, Nowhere(), throw=False).status is am.Status.DIVERGED
     with pytest.raises(am.NotConverged, match="DIVERGED"):
         am.solve(grids, Nowhere())

@@ -88,15 +88,13 @@ class ActiveSet:
         checks.offers("linear", self.linear, "setup", "Direct(), AMG(...) or offer setup()")
         if self.condensed is None:
             object.__setattr__(self, "condensed", isinstance(self.linear, Direct))
-        for name in ("condensed", "nested_start"):
-            checks.flag(name, getattr(self, name))
+        checks.convert(self, checks.flag, "condensed", "nested_start")
         if self.condensed and not isinstance(self.linear, Direct):
             raise ValueError("condensed=True needs linear=Direct(), got another linear solver")
-        object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
+        checks.convert(self, checks.tolerance, "rtol")
         checks.integer("max_steps", self.max_steps, 1)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level; see :class:`adaptmg.solver.record.Solver`."""
         nested = self.nested_start and start is None
         if nested:
             hierarchy.need_discretised("the nested start of ActiveSet")
@@ -125,11 +123,9 @@ class _NewtonTest(IterateTest):
     """
 
     stalled, settled = False, False
-    #: factor on the last step while the status changes
-    UNSETTLED = 10.0
+    UNSETTLED = 10.0  # factor on the last step while the status changes
 
     def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
-        """See :class:`~adaptmg.solver.iterate.StopTest`."""
         super().take_residual(residual, forces, floor, idle)
         if self.met and self.error_estimate == 0.0:
             return  # nothing strains
@@ -170,7 +166,6 @@ class _Newton:
         """Nothing: the start is measured."""
 
     def measure(self, stop: _NewtonTest) -> None:
-        """Residual, and the contact status that it decides."""
         residual = self._residual()
         tied = residual if self._centre is None else self._tied(residual)
         self._decide(tied, hold=self._hold_first and self.cycles == 0)
@@ -179,7 +174,6 @@ class _Newton:
         stop.take(self.unknowns, residual)
 
     def row(self, stop: _NewtonTest) -> dict[str, float]:
-        """See :class:`~adaptmg.solver.iterate.Iteration`."""
         active = self._equations.active
         return {"active": int(active.sum()), "slip": int((active & self._equations.slip).sum()), **stop.measures()}
 
@@ -213,7 +207,6 @@ class _Newton:
         return residual(self.local.system, self.local.load, self.unknowns)
 
     def _decide(self, residual: np.ndarray, hold: bool = False) -> None:
-        """The contact status that a residual decides, and its equations."""
         self._forces = self.equations_of.contact_residual(residual)
         self._linearise(self._factor, hold)
 
@@ -286,7 +279,6 @@ class Linearised:
 
     @property
     def symmetric(self) -> bool:
-        """Whether the matrix of the step is symmetric."""
         return not self.coupling.any()
 
     @property
@@ -351,7 +343,6 @@ def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) 
 def _equations(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, active: np.ndarray,
                slip: np.ndarray, trial: np.ndarray, size: np.ndarray, bound: np.ndarray,
                tangential: np.ndarray) -> Linearised:
-    """The equations of given states; see the module for the formula."""
     moving = slip & (size > 0)
     direction = np.where(moving[:, None], trial / np.where(moving, size, 1.0)[:, None], 0.0)
     coupling = np.where(active & moving, contact.friction, 0.0)
@@ -392,8 +383,7 @@ class LinearSteps(Protocol):
 class CondensedSteps:
     """Steps on the dense Schur complement; one sparse factorisation serves them all."""
 
-    #: reciprocal condition number below which the equations count as singular
-    SINGULAR = 1e-13
+    SINGULAR = 1e-13  # reciprocal condition number below which the equations count as singular
 
     def __init__(self, local: LocalProblem, run: Run) -> None:
         self.local, self.run = local, run
@@ -402,7 +392,6 @@ class CondensedSteps:
 
     @property
     def stiffness(self) -> np.ndarray:
-        """See :class:`LinearSteps`."""
         return self.condensed.matrix.diagonal().reshape(-1, self.local.system.dim)
 
     def contact_residual(self, residual: np.ndarray) -> np.ndarray:
@@ -412,7 +401,6 @@ class CondensedSteps:
         return force.reshape(-1, self.local.system.dim)
 
     def solve(self, equations: Linearised, spring: float) -> np.ndarray:
-        """See :class:`LinearSteps`."""
         with self.run.phase("solve"):
             n, dim = equations.force.shape
             matrix = self.condensed.matrix.copy()
@@ -445,8 +433,7 @@ class CondensedSteps:
 class SparseSteps:
     """Steps on the sparse matrix, of which only rows (and eliminated columns) of contact nodes change."""
 
-    #: relative residual to which an iterative linear solver solves each step
-    RTOL = 1e-2
+    RTOL = 1e-2  # relative residual to which an iterative linear solver solves each step
 
     def __init__(self, local: LocalProblem, linear: LinearSolver, run: Run) -> None:
         self.local, self.linear, self.run = local, linear, run
@@ -458,7 +445,6 @@ class SparseSteps:
 
     @property
     def stiffness(self) -> np.ndarray:
-        """See :class:`LinearSteps`."""
         system = self.local.system
         return self._matrix.diagonal().reshape(-1, system.dim)[system.nodes]
 
@@ -467,7 +453,6 @@ class SparseSteps:
         return residual.reshape(-1, self.local.system.dim)[self.local.system.nodes]
 
     def solve(self, equations: Linearised, spring: float) -> np.ndarray:
-        """See :class:`LinearSteps`."""
         system = self.local.system
         released = np.zeros((system.n_nodes, system.dim), dtype=bool)
         released[system.nodes] = equations.prescribed

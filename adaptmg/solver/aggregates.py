@@ -239,7 +239,6 @@ def _galerkin(zero, indptr, indices, data, diagonal, held, kept, offset, label, 
 
 @kernel
 def _restrict(zero, residual, held, kept, offset, label, sums):
-    """sums = B' residual."""
     dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
     sums[:] = 0.0
     for i in range(len(label)):
@@ -251,7 +250,6 @@ def _restrict(zero, residual, held, kept, offset, label, sums):
 
 @kernel
 def _prolong(zero, values, held, kept, offset, label, result):
-    """Result += B values."""
     dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
     for i in range(len(label)):
         if label[i] >= 0:
@@ -294,7 +292,6 @@ class CoarseMatrix:
             self._solve = None  # a motion that nothing holds: the sweeps alone are a preconditioner too
 
     def correct(self, residual: np.ndarray, result: np.ndarray) -> None:
-        """Result += B (B'(A + S)B)^-1 B' residual; both flat."""
         if self._solve is not None and len(self._sums):
             _restrict(self._zero, residual, *self._given, self._sums)
             _prolong(self._zero, self._solve(self._sums), *self._given, result)

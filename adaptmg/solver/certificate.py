@@ -10,10 +10,6 @@ claimed contact forces :math:`f = -p\,n + f_t`, their bound :math:`s + \mu p` an
 prescribed values, the claimed states, the balance of all forces, and the energy error
 (:mod:`adaptmg.solver.energy_error`). Forces are relative to loads and reactions, lengths to the largest
 displacement, energies to u'Au: never to a lifted nodal jump.
-
-The lines of a certificate: what a displacement and its contact forces violate, from the raw matrix.
-
-See :mod:`adaptmg.solver.certificate`; nothing here comes from the solvers.
 """
 
 from __future__ import annotations
@@ -30,6 +26,7 @@ from adaptmg.solver.aggregates import Aggregates
 from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, residual_energy
 
 __all__ = ["Certificate", "Condition", "ContactClaims", "Evidence", "certify"]
+
 
 @dataclass(frozen=True, repr=False)
 class Certificate:
@@ -62,10 +59,9 @@ class Certificate:
     displacement: float
     energy_norm: float
 
-    #: lines beyond this multiple of rtol contradict a solver that says it has converged (as for its residual)
-    FACTOR = 20.0
-    #: and an energy error beyond this
-    ENERGY_FACTOR = 3.0
+    #: lines beyond the first multiple of rtol, and an energy error beyond the second, contradict a solver that says it
+    #: has converged
+    FACTOR, ENERGY_FACTOR = 20.0, 3.0
     #: relative violations that rounding may excuse at most; no solver of this package reaches less than about 1e-12
     MOST_ROUNDING = 1e-9
 
@@ -77,7 +73,6 @@ class Certificate:
 
     @property
     def worst(self) -> Condition:
-        """The line with the largest relative violation."""
         return max(self.lines, key=lambda line: np.inf if np.isnan(line.relative) else line.relative)
 
     def contradictions(self, rtol: float, energy_factor: float = ENERGY_FACTOR) -> tuple[str, ...]:
@@ -90,12 +85,10 @@ class Certificate:
         return tuple(found)
 
     def as_dict(self) -> dict[str, object]:
-        """Numbers and strings alone, for files."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Certificate:
-        """The inverse of :meth:`as_dict`."""
         return cls(**(values | {"lines": tuple(Condition(**line) for line in values["lines"])}))
 
     def __repr__(self) -> str:
@@ -234,7 +227,6 @@ class Evidence:
                          _over(self.rounding, self.force))
 
     def prescribed(self) -> Condition:
-        """Distance from prescribed values."""
         return Condition("prescribed values", self.tally.furthest, self.tally.moved, "m",
                          _over(self.tally.furthest, self.length), 16 * _EPSILON)
 
@@ -260,7 +252,6 @@ class Evidence:
                 self._lengths("slip along the force", same_way))
 
     def states(self) -> tuple[Condition, Condition, Condition]:
-        """What the claimed states contradict."""
         state, slip = np.asarray(self.contact.state), np.linalg.norm(self.slip, axis=1)
         return (self._forces("open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)),
                 self._lengths("touching, open", np.where(state != _OPEN, np.maximum(self.gap, 0.0), 0.0)),

@@ -27,16 +27,8 @@ from adaptmg.solver.aggregates import Aggregates
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
 
-__all__ = [
-    "ROUNDING",
-    "Examined",
-    "Examiner",
-    "Sizes",
-    "contact_result",
-    "displacement_norm",
-    "energy_norm",
-    "euclidean_norm",
-]
+__all__ = ["ROUNDING", "Examined", "Examiner", "Sizes", "displacement_norm", "energy_norm", "euclidean_norm"]
+
 
 @dataclass(frozen=True, eq=False)
 class Examined:
@@ -220,8 +212,7 @@ def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> flo
 class Sizes:
     """Of the iterates of one problem."""
 
-    #: forces below this multiple of the rounding of a residual are rounding
-    IDLE = 1e3
+    IDLE = 1e3  # forces below this multiple of the rounding of a residual are rounding
 
     def __init__(self, problem: DiscreteProblem, frames: np.ndarray | None = None) -> None:
         self.load = euclidean_norm(problem.load)

@@ -50,7 +50,6 @@ class OrderedFactors:
         return cls(lu, order, permuted.diagonal())
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """One solve (n_dofs,)."""
         result = np.empty_like(rhs)
         result[self.order] = self.lu.solve(rhs[self.order])
         return result
@@ -147,20 +146,18 @@ _PIVOT = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """The Schur complement on the contact dofs and the way back."""
+    """The Schur complement on the contact dofs and the way back; see the module for the formulas."""
 
     problem: LocalProblem
     full: LocalProblem  # what was condensed
-    _interior: Interior
-
-    @property
-    def matrix(self) -> np.ndarray:
-        """S as an array (n, n) with n = n_contact * dim."""
-        return self._interior.schur
+    factors: OrderedFactors  # of M
+    contact: np.ndarray  # (n,) int: contact dofs, n = n_contact * dim
+    matrix: np.ndarray  # (n, n): S
+    shift: np.ndarray  # (n,): diagonal of Sigma at the contact dofs
 
     def restrict(self, unknowns: np.ndarray) -> np.ndarray:
         """The entries (n_contact * dim,) at contact nodes of a vector over all dofs."""
-        return unknowns[self._interior.contact]
+        return unknowns[self.contact]
 
     def recover(self, unknowns: np.ndarray) -> np.ndarray:
         """All unknowns from those at the contact nodes, local components."""
@@ -170,34 +167,22 @@ class Condensed:
 
     def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r"""Eliminate the interior from a residual; one solve."""
-        interior = self._interior
         rhs = residual.copy()
-        rhs[interior.contact] = 0.0
-        particular = interior.factors.solve(rhs)
-        return particular, residual[interior.contact] + interior.stiffness(particular[interior.contact])
+        rhs[self.contact] = 0.0
+        particular = self.factors.solve(rhs)
+        return particular, residual[self.contact] + self._stiffness(particular[self.contact])
 
     def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
         r"""The solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve."""
-        interior = self._interior
         rhs = np.zeros_like(particular)
-        rhs[interior.contact] = interior.stiffness(unknowns - particular[interior.contact])
-        result = particular + interior.factors.solve(rhs)
-        result[interior.contact] = unknowns
+        rhs[self.contact] = self._stiffness(unknowns - particular[self.contact])
+        result = particular + self.factors.solve(rhs)
+        result[self.contact] = unknowns
         return result
 
-
-@dataclass(frozen=True, eq=False)
-class Interior:
-    """The factorised interior; see the module for the formulas."""
-
-    factors: OrderedFactors  # of M
-    contact: np.ndarray  # (n_contact * dim,) int: contact dofs
-    schur: np.ndarray  # (n, n): S
-    shift: np.ndarray  # (n,): diagonal of Sigma at the contact dofs
-
-    def stiffness(self, unknowns: np.ndarray) -> np.ndarray:
+    def _stiffness(self, unknowns: np.ndarray) -> np.ndarray:
         """(S + Sigma) w_c: the right-hand side of M that makes w_c."""
-        return self.schur @ unknowns + self.shift * unknowns
+        return self.matrix @ unknowns + self.shift * unknowns
 
 
 def condense(local: LocalProblem) -> Condensed:
@@ -216,13 +201,12 @@ def condense(local: LocalProblem) -> Condensed:
     turn_held(dense.diagonal, dense.nodes, local.contact)
     problem = LocalProblem(system=dense, load=np.zeros(len(contact)), contact=local.contact, frames=local.frames,
                            discrete=local.discrete)
-    condensed = Condensed(problem, local, Interior(factors, contact, schur, shift))
+    condensed = Condensed(problem, local, factors, contact, schur, shift)
     problem.load = np.where(fixed, 0.0, condensed.reduce(local.load)[1])
     return condensed
 
 
 def _blocks(matrix: np.ndarray, dim: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All dim x dim blocks of a full matrix in BSR form."""
     n = len(matrix) // dim
     blocks = matrix.reshape(n, dim, n, dim).swapaxes(1, 2).reshape(-1, dim, dim)
     return blocks, np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, overload
@@ -30,7 +30,7 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, coarse_displacements, past_of
+from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     import pandas
 
 __all__ = ["PathLoop", "PathResult", "StepNotConverged", "solve_path", "step_solver"]
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathResult(Sequence[Result]):
@@ -81,9 +82,6 @@ class PathResult(Sequence[Result]):
 
     def __getitem__(self, index: int | slice) -> Result | tuple[Result, ...]:
         return self.results[index]
-
-    def __iter__(self) -> Iterator[Result]:
-        return iter(self.results)
 
     def __repr__(self) -> str:
         about = f" of {self.results[0].solver_name} for {self.results[0].problem_name}" if self.results else ""
@@ -150,7 +148,6 @@ _HEAD = "path.json"
 
 def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[str, object],
           norms: Sequence[float] = ()) -> dict[str, object]:
-    """What the steps of a path share."""
     return {"steps": steps, "factors": {name: list(map(float, values)) for name, values in factors.items()},
             "norms": list(norms), "fingerprint": dict(fingerprint)}
 
@@ -161,7 +158,6 @@ def _stored(k: int, result: Result) -> StepContent:
 
 
 def _results(store: StepStore, steps: int) -> tuple[Result, ...]:
-    """The finished steps of a path."""
     results = [step.result for step in store.steps()]
     if len(results) > steps:
         raise ValueError(f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
@@ -238,8 +234,10 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     checks.flag("throw", throw)
     checks.optional_callable("callback", callback, "the number and Result of a step")
     checks.optional_callable("progress", progress, "the number of a step and a row of its history")
-    loop = PathLoop(grids, path, solver, displacement_argument("start", start, grids.finest.discrete))
-    mark = {} if store is None else loop.fingerprint(depends)
+    start = displacement_argument("start", start, grids.finest.discrete)
+    loop = PathLoop(grids, path, solver, start)
+    mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, start,
+                                                depends)
     kept = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark))
     results = [] if kept is None else list(_results(kept, len(path)))
     for k, result in enumerate(results):
@@ -263,14 +261,12 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
 
 def step_solver(solver: Solver) -> StepSolver:
     """How a solver goes through the steps."""
-    if not isinstance(solver, Multigrid):
-        return _Restarted(solver, solver)
-    if solver.truncated is not None:
+    if isinstance(solver, Multigrid) and solver.truncated is not None:
         return TruncatedSteps(solver.truncated)
-    if not isinstance(solver, FullMultigrid):
-        return _Restarted(solver, solver)
-    plain = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
-    return _Restarted(solver, plain)
+    later = solver
+    if isinstance(solver, FullMultigrid):
+        later = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
+    return _Restarted(solver, later)
 
 
 class _Restarted:
@@ -292,19 +288,11 @@ class _Restarted:
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(eq=False)
-class _Recent:
-    """The displacement of a step on the finest level, and the forces that led there (n_dofs,), None if unknown."""
-
-    displacement: np.ndarray
-    forces: np.ndarray | None
-
-
 class PathLoop:
     """The steps of a path."""
 
     def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None) -> None:
-        self.grids, self.path, self.solver, self.start = grids, path, solver, start
+        self.grids, self.path, self.solver = grids, path, solver
         self.factors = path.resolved(_problem_with_names(grids))
         self.loads = _loads(grids)
         for k in range(len(path)):
@@ -314,12 +302,9 @@ class PathLoop:
         self.method = step_solver(solver)
         begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
         self.past = past_of(grids, begin, start is not None)
-        self.recent = [_Recent(begin, np.zeros_like(begin) if start is None else None)]
-
-    def fingerprint(self, depends: Mapping[str, object] | None) -> dict[str, object]:
-        """What the steps depend on."""
-        return fingerprint(self.grids, self.loads, self.factors, len(self.path), {"solver": self.solver}, self.start,
-                           depends)
+        #: displacements of the last two steps on the finest level, and the forces that led there, None if unknown
+        self.recent: list[tuple[np.ndarray, np.ndarray | None]] = [
+            (begin, np.zeros_like(begin) if start is None else None)]
 
     def described(self, k: int) -> str:
         """The factors of a step, for messages."""
@@ -329,7 +314,6 @@ class PathLoop:
         return {name: float(values[k]) for name, values in self.factors.items()}
 
     def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
-        """Solve a step and remember it."""
         finest = self.grids.finest.discrete
         run = Run(unit=finest.matrix.nnz, callback=None if progress is None else partial(progress, k))
         with run.phase("setup"):
@@ -356,7 +340,6 @@ class PathLoop:
         return result
 
     def replay(self, k: int, result: Result) -> None:
-        """Take over a finished step from a store."""
         grids = self._posed(k)
         if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
             raise ValueError(f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
@@ -398,31 +381,25 @@ class PathLoop:
         return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))
 
     def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
-        """Keep what the next step starts from."""
         discrete = grids.finest.discrete
         # from the result, as a path that goes on from its store has it
         displacement = discrete.relative(result.displacement).reshape(-1)
-        self.recent = [*self.recent[-1:], _Recent(displacement, forces)]
-        if coarse is not None:
-            levels = [*coarse, displacement]
-        elif grids.discretised:
-            levels = coarse_displacements(grids, displacement)
-        else:
-            levels = [displacement]
-        self.past = Past(levels, displacement, True)
+        self.recent = [*self.recent[-1:], (displacement, forces)]
+        self.past = past_of(grids, displacement, True) if coarse is None else Past(
+            [*coarse, displacement], displacement, True)
 
     def _extrapolated(self, forces: np.ndarray) -> np.ndarray:
         """The displacement for new forces if all goes on as between the last two steps, least squares in the forces."""
-        before, last = self.recent[0], self.recent[-1]
-        if len(self.recent) < 2 or before.forces is None:
-            return last.displacement
-        change = last.forces - before.forces
+        (before, forces_before), (last, last_forces) = self.recent[0], self.recent[-1]
+        if len(self.recent) < 2 or forces_before is None:
+            return last
+        change = last_forces - forces_before
         # not through BLAS, whose threads cost more than they gain
         size = float(np.einsum("i,i->", change, change))
         if size == 0.0:
-            return last.displacement
-        ratio = float(np.einsum("i,i->", forces - last.forces, change)) / size
-        return last.displacement + ratio * (last.displacement - before.displacement)
+            return last
+        ratio = float(np.einsum("i,i->", forces - last_forces, change)) / size
+        return last + ratio * (last - before)
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:

@@ -93,7 +93,6 @@ class KeptMultigrid(TruncatedRun):
                 finest.truncation.restore()
 
     def increment(self, start: NestedStart, past: list[np.ndarray]) -> list[np.ndarray]:
-        """The nested start of a step."""
         result: list[np.ndarray] = []
         for number, problem in enumerate(self.problems):
             if number == 0:
@@ -110,7 +109,6 @@ class KeptMultigrid(TruncatedRun):
         return result
 
     def finish(self, unknowns: np.ndarray, cold: bool, first_rate: float | None = None) -> Outcome:
-        """See :class:`TruncatedRun`."""
         outcome = super().finish(unknowns, cold, first_rate)
         self.spent = bool(self.run.fallback)
         return outcome
@@ -143,13 +141,15 @@ class TruncatedSteps:
 
     def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
             ) -> tuple[Outcome, list[np.ndarray] | None]:
-        """See :class:`StepSolver`."""
         multigrid, coarse, cold = self._kept(hierarchy, run), None, True
         if self.options.start is not None:
             *coarse, start = multigrid.increment(self.options.start, past.levels)
             cold = False
             with run.phase("start"):
-                if self._exact_enough(examiner, past, start):
+                # not where the nested start sets the tolerance
+                if (past.given and self.options.rtol != "discretisation"
+                        and examiner.relative_residual(past.extrapolated)
+                        <= self.EXTRAPOLATE * examiner.relative_residual(start)):
                     start = past.extrapolated
         else:
             start = better_start(examiner, past, run) if past.given else np.zeros(examiner.discrete.n_dofs)
@@ -158,20 +158,12 @@ class TruncatedSteps:
         return outcome, coarse
 
     def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> list[np.ndarray] | None:
-        """See :class:`StepSolver`."""
         coarse = None
         if self.options.start is not None:
             multigrid = self._kept(hierarchy, Run(unit=hierarchy.finest.matrix.nnz))
             coarse = multigrid.increment(self.options.start, past.levels)[:-1]
         self._hold(rtol)
         return coarse
-
-    def _exact_enough(self, examiner: Examiner, past: Past, nested: np.ndarray) -> bool:
-        """Whether to start from the extrapolated displacement; not where the nested start sets the tolerance."""
-        if not past.given or self.options.rtol == "discretisation":
-            return False
-        return (examiner.relative_residual(past.extrapolated)
-                <= self.EXTRAPOLATE * examiner.relative_residual(nested))
 
     def _kept(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
         if self.multigrid is None or self.multigrid.spent:

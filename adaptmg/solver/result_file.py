@@ -151,7 +151,6 @@ def read_arrays(path: Path) -> Arrays:
 
 
 def _check_sizes(file: BinaryIO) -> None:
-    """Refuse an archive that would unpack to more than a result can have."""
     with zipfile.ZipFile(file) as archive:
         listed = archive.infolist()
     size, unpacked = os.fstat(file.fileno()).st_size, sum(entry.file_size for entry in listed)

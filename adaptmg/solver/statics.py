@@ -98,7 +98,6 @@ class _Body:
         return [(f"the body of node {self.nodes[0]} ({len(self.nodes)} nodes)" if self.several else "", self.nodes)]
 
     def describe(self, coefficients: np.ndarray) -> str:
-        """The motion with these coefficients as text."""
         problem = self.problem
         relative = np.zeros((problem.n_nodes, problem.dim))
         relative[self.nodes] = (self.motions @ coefficients).reshape(len(self.nodes), -1)

@@ -81,7 +81,6 @@ class StepStore:
 
     @classmethod
     def read(cls, folder: Path, name: str) -> StepStore:
-        """Open the store in a folder."""
         file = folder / name
         try:
             with damage(file):
@@ -108,12 +107,10 @@ class StepStore:
         write_bytes(self.file, json.dumps(text, indent=1).encode())
 
     def put(self, number: int, step: StepContent) -> None:
-        """Keep a finished step."""
         part_of = {"step": number, "key": self._key_of(step.text), **({"text": step.text} if step.text else {})}
         write_result(self._step_file(number), step.result, part_of, step.arrays)
 
     def steps(self) -> list[StepContent]:
-        """Read the finished steps, from the first on."""
         numbers = self._numbers()
         for expected, number in enumerate(numbers):
             if number != expected:

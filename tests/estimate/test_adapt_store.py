@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from adaptive_loop import numbers_of, upset
 
 import adaptmg as am
 
-COARSE, NODES = 8e-3, 500
+COARSE, NODES, UPSET = 8e-3, 500, upset()
 #: a loop in another process; it is killed from outside, or by itself at the n-th file that it writes
 CHILD = """
 import os, signal, sys
@@ -39,9 +38,9 @@ for step in am.adapt(am.cases.upset_block(law=am.Coulomb(0.5)), 8e-3, engine=am.
 """
 
 
-def loop(store: Path | None, engine: object = None, **options: object):
-    options = {"max_nodes": NODES} | options
-    return am.adapt(upset(), COARSE, engine=am.Bisect() if engine is None else engine, store=store, **options)
+def loop(store: Path | None, **options: object):
+    return am.adapt(**{"problem": upset(), "start": COARSE, "engine": am.Bisect(), "max_nodes": NODES, "store": store}
+                    | options)
 
 
 @pytest.fixture(scope="module")
@@ -71,29 +70,21 @@ def test_a_loop_that_is_broken_off_goes_on_with_the_same_numbers(tmp_path, whole
     assert found[-1].outcome.startswith("max_nodes")
 
 
-def levels(**options: object):
-    problem = upset()
-    return am.adapt(problem, am.Hierarchy.uniform(problem, (2, 3, 6)), engine=am.Bisect(), max_nodes=200, **options)
+KINDS = {
+    "remesh": (2, {"engine": am.Remesh(refinements=0), "max_nodes": 300}),
+    "coarsen": (2, {"engine": am.Bisect(coarsen=0.05), "max_nodes": 300}),
+    "levels": (2, {"problem": UPSET, "start": am.Hierarchy.uniform(UPSET, (2, 3, 6)), "max_nodes": 200}),
+    "goal": (1, {"start": 10e-3, "indicator": am.Goal(am.Displacement((0.0, 0.02), "x")), "max_nodes": 90}),
+    "path": (1, {"problem": am.cases.greco_bar(), "start": 10e-3, "adapt_on": "worst", "max_nodes": 90,
+                 "load_path": am.LoadPath({"left": [0.5, 1.0]}, default=1.0)})}
 
 
-def goal(**options: object):
-    return am.adapt(upset(), 10e-3, am.Goal(am.Displacement((0.0, 0.02), "x")), engine=am.Bisect(), max_nodes=90,
-                    **options)
-
-
-def path(**options: object):
-    return am.adapt(am.cases.greco_bar(), 10e-3, engine=am.Bisect(), max_nodes=90, adapt_on="worst",
-                    load_path=am.LoadPath({"left": [0.5, 1.0]}, default=1.0), **options)
-
-
-@pytest.mark.parametrize("run, done", [
-    (partial(loop, engine=am.Remesh(refinements=0), max_nodes=300), 2),
-    (partial(loop, engine=am.Bisect(coarsen=0.05), max_nodes=300), 2), (levels, 2), (goal, 1), (path, 1)],
-    ids=["remesh", "coarsen", "levels", "goal", "path"])
-def test_every_kind_of_loop_goes_on_with_the_same_numbers(tmp_path, run, done):
-    once = list(run(store=None))
-    list(itertools.islice(run(store=tmp_path), done))
-    again = list(run(store=tmp_path))
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_loop_goes_on_with_the_same_numbers(tmp_path, kind):
+    done, options = KINDS[kind]
+    once = list(loop(None, **options))
+    list(itertools.islice(loop(tmp_path, **options), done))
+    again = list(loop(tmp_path, **options))
     assert numbers_of(again) == numbers_of(once)
     assert [repr(step.estimate) for step in again] == [repr(step.estimate) for step in once]
     assert [step.path and len(step.path) for step in again] == [step.path and len(step.path) for step in once]
@@ -133,9 +124,8 @@ def test_limits_may_change(copied, whole):
     ("transfer", {"transfer": am.L2()}), ("grids", {"start": 7e-3}), ("law", {"problem": upset(0.4)}),
     ("path", {"load_path": am.LoadPath({}, default=[0.5, 1.0])})])
 def test_a_store_of_something_else_is_refused(kept, what, options):
-    given = {"problem": upset(), "start": COARSE, "engine": am.Bisect(), "max_nodes": NODES, "store": kept} | options
     with pytest.raises(ValueError, match=f"another run.*{what}"):
-        am.adapt(**given)
+        loop(kept, **options)
 
 
 class Some:
@@ -148,19 +138,13 @@ class Some:
         return am.Doerfler(0.5 if isinstance(self.share, np.random.Generator) else self.share).mark(estimate)
 
 
-def between_nodes(bump: float) -> am.Coulomb:
-    """Friction that differs by the bump between the nodes of the first mesh only."""
-    return am.Coulomb(lambda x: 0.5 + bump * np.sin(np.pi * x[:, 0] / COARSE) ** 2)
-
-
 def test_laws_and_parts_of_the_user_are_compared_by_value(tmp_path):
     """A friction of other values between the nodes of the first mesh was answered with 4.12e-5 for 4.18e-5."""
-    def run(bump: float = 0.0, share: object = 0.5, **options: object):
-        problem = am.cases.upset_block(law=between_nodes(bump))
-        return am.adapt(problem, COARSE, mark=Some(share), engine=am.Bisect(), max_nodes=60, store=tmp_path, **options)
+    def run(bump: float = 0.0, share: object = 0.5, folder: str = "a", **options: object):
+        law = am.Coulomb(lambda x: 0.5 + bump * np.sin(np.pi * x[:, 0] / COARSE) ** 2)
+        return loop(tmp_path / folder, problem=am.cases.upset_block(law=law), mark=Some(share), max_nodes=60, **options)
 
-    once = list(run())
-    assert numbers_of(list(run())) == numbers_of(once)
+    assert numbers_of(list(run())) == numbers_of(list(run()))
     with pytest.raises(ValueError, match=r"another run: .*bump"):
         run(bump=-0.3)
     with pytest.raises(ValueError, match="another run: value of mark differs"):
@@ -169,22 +153,14 @@ def test_laws_and_parts_of_the_user_are_compared_by_value(tmp_path):
         run(share=np.random.default_rng(0))
     with pytest.raises(TypeError, match="depends must be a mapping"):
         run(depends=3)
-
-
-def test_what_cannot_be_compared_is_named_by_depends(tmp_path):
-    def run(version: int):
-        return am.adapt(upset(), COARSE, mark=Some(np.random.default_rng(0)), engine=am.Bisect(), max_nodes=60,
-                        store=tmp_path, depends={"mark": version})
-
-    assert numbers_of(list(run(1))) == numbers_of(list(run(1)))
+    named = [list(run(share=np.random.default_rng(0), folder="b", depends={"mark": 1})) for _ in range(2)]
+    assert numbers_of(named[0]) == numbers_of(named[1])
     with pytest.raises(ValueError, match="another run: depends mark differs"):
-        run(2)
-
+        run(share=np.random.default_rng(0), folder="b", depends={"mark": 2})
 
 
 
 def rewritten(file: Path, **changes: object) -> None:
-    """Another text in the file of a step."""
     with np.load(file) as archive:
         arrays = dict(archive)
     meta = json.loads(arrays.pop("meta").tobytes())
@@ -202,18 +178,16 @@ def test_a_damaged_or_foreign_step_is_named_and_can_be_made_again(copied, whole,
     change(copied / "step_0001.npz")
     with pytest.raises(ValueError, match=rf"step_0001\.npz.*({message}).*remove it"):
         list(loop(copied))
-    for file in copied.glob("step_*"):
-        if file.name >= "step_0001":
-            file.unlink()
+    for file in sorted(copied.glob("step_*"))[1:]:
+        file.unlink()
     assert numbers_of(list(loop(copied))) == whole
 
 
 def test_a_full_disk_is_said_with_the_file(tmp_path, monkeypatch):
-    """The steps before are kept, and the loop goes on when there is room."""
     steps = loop(tmp_path)
     next(steps)
 
-    def full(descriptor: int, content: bytes) -> int:
+    def full(*arguments: object) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch, pytest.raises(OSError, match=r"No space left on device: '.*step_0001\.npz'"):
@@ -234,17 +208,10 @@ def test_a_changed_head_is_refused(copied, changes, message):
         loop(copied)
 
 
-def test_folders_of_something_else_are_refused(copied, tmp_path):
-    list(itertools.islice(loop(tmp_path / "other", max_nodes=60, mark=am.Doerfler(0.4)), 1))
-    shutil.copy(tmp_path / "other" / "step_0000.npz", copied)
-    with pytest.raises(ValueError, match=r"step_0000\.npz belongs to another computation"):
-        list(loop(copied))
-    (copied / "step_0000.npz").unlink()
-    with pytest.raises(ValueError, match="missing"):
-        list(loop(copied))
-    (copied / "loop.json").unlink()
-    with pytest.raises(ValueError, match=r"holds no steps: there is no loop\.json"):
-        loop(copied)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="folder"):
-        loop(tmp_path / "file")
+def test_folders_of_something_else_are_refused(copied):
+    for change, message in ((lambda: (copied / "step_0000.npz").unlink(), "missing"),
+                            (lambda: (copied / "loop.json").unlink(), r"holds no steps: there is no loop\.json"),
+                            (lambda: shutil.rmtree(copied) or copied.write_text(""), "folder")):
+        change()
+        with pytest.raises(ValueError, match=message):
+            list(loop(copied))

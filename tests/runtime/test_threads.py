@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import threadpoolctl
-from bodies import bar_on_block
+from bodies import bar_hierarchy, bar_on_block
 
 import adaptmg as am
 from adaptmg._runtime import one_blas_thread, seeded
@@ -36,11 +36,11 @@ def uniform():
 
 
 def graded(**options):
-    return am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), **options)
+    return am.Hierarchy.graded(am.cases.greco_bar(), (10e-3, 5e-3), **options)
 
 
 def two_bodies():
-    return am.Hierarchy.uniform(bar_on_block(am.Coulomb(0.3)), [{"upper": k, "lower": (5 * k // 4, k)} for k in (4, 8)])
+    return bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 2)
 
 
 def block():
@@ -54,10 +54,6 @@ CASES = {"nested start": (uniform, am.FullMultigrid()), "graded": (graded, am.Fu
          "two bodies, active set": (two_bodies, am.ActiveSet()), "3D": (block, am.FullMultigrid()),
          "3D, active set": (block, am.ActiveSet()),
          "aggregation": (lambda: am.Hierarchy.algebraic(uniform().finest.discrete), am.Multigrid(rtol=1e-5))}
-
-
-def digests():
-    return {name: outcome(make(), solver) for name, (make, solver) in CASES.items()}
 
 
 def in_a_child(threads):
@@ -85,10 +81,9 @@ def test_two_threads_that_solve_at_once_find_what_one_after_the_other_finds():
             found[k] = outcome(grids[k], CASES[names[k]][1])
 
     workers = [threading.Thread(target=work, args=(first,)) for first in (0, 1)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join(timeout=120)
+    for act in (threading.Thread.start, lambda worker: worker.join(timeout=120)):
+        for worker in workers:
+            act(worker)
     assert found == alone
 
 
@@ -172,7 +167,7 @@ def test_user_defined_parts_see_one_thread():
 
     am.solve(uniform(), Asks())
     am.solve_path(uniform(), am.LoadPath(default=[1.0]), Asks())
-    am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3), transfer=Asks())
+    graded(transfer=Asks())
     problem = replace(am.cases.greco_bar(), law=am.Tresca(limit), reference={})
     am.discretise(problem, am.mesh.structured(problem.domain, 4))
     assert len(seen) >= 4 * len(blas_threads()) and set(seen) == {1}
@@ -188,4 +183,4 @@ def test_a_fork_inside_is_free_again():
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(digests()))
+    sys.stdout.write(json.dumps({name: outcome(make(), solver) for name, (make, solver) in CASES.items()}))

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +15,7 @@ from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.record import Outcome
 
 EXACT = am.ActiveSet(rtol=1e-12)
+STEEL = am.PlaneStrain(young=2.1e11, poisson=0.3)
 ROUNDING = 1e-13  # relative energy errors below say nothing
 LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(2e7), "coulomb": am.Coulomb(1.0)}
 
@@ -40,8 +39,6 @@ def exact(kind="coulomb", dim=2):
 
 @dataclass(frozen=True)
 class Returns:
-    """A solver that says it has converged to what it was given."""
-
     displacement: np.ndarray
     rtol: float = 1e-6
 
@@ -58,26 +55,12 @@ def energy(discrete, displacement):
     return np.sqrt(w @ (discrete.matrix @ w))
 
 
-def test_it_imports_nothing_of_the_solvers():
-    folder, names = Path(am.solver.__file__).parent, set()
-    for file in ("certificate.py", "energy_error.py", "aggregates.py"):
-        for node in ast.walk(ast.parse((folder / file).read_text(encoding="utf-8"))):
-            names |= {node.module} if isinstance(node, ast.ImportFrom) else set()
-            names |= {alias.name for alias in node.names} if isinstance(node, ast.Import) else set()
-    # of the smoother the arithmetic of small blocks, for the estimate of the energy error alone
-    assert {name for name in names if name.startswith("adaptmg")} <= {
-        "adaptmg._runtime", "adaptmg.discrete.problem", "adaptmg.discrete.coordinates", "adaptmg.solver.energy_error",
-        "adaptmg.solver.aggregates", "adaptmg.smoother.blocks"}
-
-
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("law", LAWS)
 def test_a_solution_violates_nothing(law, dim):
     certificate = exact(law, dim).certificate()
     assert not certificate.contradictions(1e-11)
-    for line in certificate.lines:
-        assert line.relative <= 1e-11, line
-    assert certificate.energy_error <= 1e-11
+    assert max(line.relative for line in certificate.lines) <= 1e-11 and certificate.energy_error <= 1e-11
 
 
 def test_the_scales_are_actual_forces_and_the_largest_displacement():
@@ -97,7 +80,6 @@ def bare():
 
 
 def posed(**contact):
-    """The problem with another contact."""
     return replace(bare(), contact=replace(bare().contact, **contact))
 
 
@@ -123,7 +105,6 @@ def with_a_penetrating_node():
 
 
 def glued():
-    """Contact nodes are fixed where they are."""
     u = np.zeros_like(exact().displacement)
     free = ~bare().fixed.reshape(u.shape)
     free[exact().contact.node] = False
@@ -215,16 +196,13 @@ class TestFaultyClaims:
                                     am.FullMultigrid(rtol=1e-4, correction=am.Monotone()),
                                     am.SingleGrid(rtol=1e-3, omega=1.8)], ids=repr)
 def test_the_energy_error_is_estimated(solver, law, dim):
-    discrete = grids(law, dim).finest.discrete
+    discrete, u = grids(law, dim).finest.discrete, exact(law, dim).displacement
     result = am.solve(grids(law, dim), solver, throw=False)
-    true = energy(discrete, result.displacement - exact(law, dim).displacement) / energy(
-        discrete, exact(law, dim).displacement)
     # where the solver ends far below its tolerance, both are rounding
     estimate, bound = (max(found.energy_error, ROUNDING)
                        for found in (result.certificate(), result.certificate(discrete, bound=True)))
-    true = max(true, ROUNDING)
-    assert 0.5 * true <= estimate <= 1.5 * true
-    assert 0.8 * true <= bound <= 1.2 * true
+    true = max(energy(discrete, result.displacement - u) / energy(discrete, u), ROUNDING)
+    assert 0.5 * true <= estimate <= 1.5 * true and 0.8 * true <= bound <= 1.2 * true
 
 
 def test_one_step_sees_what_is_smooth(monkeypatch):
@@ -248,7 +226,7 @@ def test_an_energy_error_beyond_the_tolerance_takes_converged_back():
 def test_rigid_motion_in_supports_is_no_excuse():
     """Errors count against the energy of the displacement, not against that of a jump at the support."""
     problem = am.ContactProblem(
-        material=am.PlaneStrain(young=2e11, poisson=0.3), domain=am.Rectangle(width=0.04, height=0.04),
+        material=STEEL, domain=am.Rectangle(width=0.04, height=0.04),
         contact=am.Contact("bottom", am.GapFunction(lambda x: np.full(len(x), 9.99e-3))), law=am.Coulomb(0.3),
         supports=(am.Support("top", x=0.0, y=-0.01),))
     hierarchy = am.Hierarchy.uniform(problem, (4, 8))
@@ -285,16 +263,16 @@ class TestFrictionAtSupports:
 
     def driven(self):
         problem = am.ContactProblem(
-            domain=am.Rectangle(width=40e-3, height=20e-3), material=am.PlaneStrain(young=2.1e11, poisson=0.3),
-            contact=am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1))), law=am.Coulomb(0.4),
-            loads=(am.Pressure("top", 1e7),), supports=(am.Support("left", x=1e-4), am.Support("right", x=1e-4)))
+            domain=am.Rectangle(width=40e-3, height=20e-3), material=STEEL, law=am.Coulomb(0.4),
+            contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))), loads=(am.Pressure("top", 1e7),),
+            supports=(am.Support("left", x=1e-4), am.Support("right", x=1e-4)))
         return am.Hierarchy.uniform(problem, ((4, 2), (8, 4)))
 
     def between(self):
         parts = {"pad": am.Rectangle(width=40e-3, height=20e-3),
                  "plate": am.Rectangle(width=80e-3, height=20e-3, origin=(-20e-3, -20e-3))}
         problem = am.ContactProblem(
-            domain=am.Assembly(parts=parts), material=am.PlaneStrain(young=2.1e11, poisson=0.3), law=am.Coulomb(0.4),
+            domain=am.Assembly(parts=parts), material=STEEL, law=am.Coulomb(0.4),
             contact=am.ContactPair("pad.bottom", "plate.top"), loads=(am.Pressure("pad.top", 1e7),),
             supports=(am.Support("pad.left", x=0.0), am.Support("pad.right", x=0.0),
                       am.Support("plate.bottom", x=1e-3, y=0.0)))
@@ -309,17 +287,15 @@ class TestFrictionAtSupports:
         assert not result.certificate().contradictions(1e-9)
         held = discrete.fixed.reshape(result.displacement.shape)[contact.node].any(axis=1)
         assert held.sum() == 2 and (contact.force_n[held] > 0).all()
-        none = contact.force_t * ~held[:, None]
-        found = certify(discrete, result.displacement, replace(contact, force_t=none))
-        assert "slip direction" in found.contradictions(1e-6)
-        twice = contact.force_t * (1 + held[:, None])
-        found = certify(discrete, result.displacement, replace(contact, force_t=twice))
-        assert "friction bound" in found.contradictions(1e-6)
-        stuck = replace(contact, state=np.where(held, am.STICK, contact.state))
-        assert certify(discrete, result.displacement, stuck).contradictions(1e-6) == ("slip, sticking",)
+
+        def found(**changes):
+            return certify(discrete, result.displacement, replace(contact, **changes)).contradictions(1e-6)
+
+        assert "slip direction" in found(force_t=contact.force_t * ~held[:, None])
+        assert "friction bound" in found(force_t=contact.force_t * (1 + held[:, None]))
+        assert found(state=np.where(held, am.STICK, contact.state)) == ("slip, sticking",)
         if make == "between":
             # the master must carry the friction of held nodes, too
             share = np.zeros_like(contact.master_force)
             share[np.argmax(np.abs(contact.master_force[:, 0])), 0] = 0.1 * np.abs(contact.master_force).max()
-            wrong = replace(contact, master_force=contact.master_force + share)
-            assert "equilibrium" in certify(discrete, result.displacement, wrong).contradictions(1e-6)
+            assert "equilibrium" in found(master_force=contact.master_force + share)

@@ -12,7 +12,6 @@ from smoother_problems import network
 import adaptmg as am
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh.structured import structured
-from adaptmg.smoother.residuals import natural_residual
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.factorisation import condense
 
@@ -29,13 +28,12 @@ def dense_condensation(local: LocalProblem) -> tuple[np.ndarray, np.ndarray]:
     return matrix[np.ix_(c, c)] - through @ matrix[np.ix_(i, c)], local.load[c] - through @ local.load[i]
 
 
-def bar(divisions: int = 6) -> LocalProblem:
-    problem = am.cases.greco_bar()
+def bar(divisions: int = 6, problem: am.ContactProblem = am.cases.greco_bar()) -> LocalProblem:  # noqa: B008
     return local_system(am.discretise(problem, structured(problem.domain, divisions)))
 
 
 def together(*problems: DiscreteProblem) -> DiscreteProblem:
-    """Several bodies side by side, contact nodes of the bodies in turns."""
+    """Several bodies, contact nodes of the bodies in turns."""
     shifts = np.cumsum([0, *(p.n_nodes for p in problems)])[:-1]
     order = np.argsort(np.concatenate([np.arange(len(p.contact)) for p in problems]), kind="stable")
 
@@ -49,12 +47,8 @@ def together(*problems: DiscreteProblem) -> DiscreteProblem:
         contact=ContactNodes(nodes=nodes, normals=joined("normals"), gaps=joined("gaps")))
 
 
-def block() -> LocalProblem:
-    problem = am.cases.greco_block(plane_strain=False)
-    return local_system(am.discretise(problem, structured(problem.domain, 3)))
-
-
-PROBLEMS = {"bar": bar, "block": block, "network": lambda: network(3, "coulomb", fixed_tangent=True),
+PROBLEMS = {"bar": bar, "block": lambda: bar(3, am.cases.greco_block(plane_strain=False)),
+            "network": lambda: network(3, "coulomb", fixed_tangent=True),
             "three bodies": lambda: local_system(together(*3 * [bar(3).discrete])),
             "no coordinates": lambda: local_system(replace(bar().discrete, coordinates=None))}
 
@@ -78,29 +72,6 @@ def test_condensation_is_that_of_dense_algebra_and_its_recovery_in_equilibrium(n
                   + condensed.matrix @ unknowns).max() < 1e-12 * forces.max()
 
 
-def test_reduce_and_complete_solve_a_system_with_the_whole_matrix():
-    local = bar()
-    condensed = condense(local)
-    residual = np.random.default_rng(1).normal(size=local.system.n_dofs)
-    residual[local.system.fixed] = 0.0
-    particular, force = condensed.reduce(residual)
-    springs = np.diag(local.system.matrix.diagonal()[contact_dofs(local)])
-    change = condensed.complete(particular, np.linalg.solve(condensed.matrix + springs, force))
-    matrix = local.system.matrix.toarray()
-    matrix[np.ix_(contact_dofs(local), contact_dofs(local))] += springs
-    assert change == pytest.approx(np.linalg.solve(matrix, residual), rel=1e-9, abs=1e-13 * np.abs(change).max())
-
-
-def test_smoothing_the_condensed_problem_solves_the_whole_one():
-    local = bar(4)
-    condensed = condense(local)
-    unknowns = np.zeros(len(condensed.problem.load))
-    am.ProjectedGaussSeidel().smooth(condensed.problem.system, condensed.problem.contact, condensed.problem.load,
-                                     unknowns, 400)
-    natural = natural_residual(local.system, local.contact, local.load, condensed.recover(unknowns))
-    assert np.linalg.norm(natural) < 1e-10 * np.linalg.norm(local.load)
-
-
 def test_a_body_without_support_and_contact_is_refused():
     held = bar(3).discrete
     loose = replace(held, fixed=np.zeros(held.n_dofs, dtype=bool))
@@ -110,12 +81,3 @@ def test_a_body_without_support_and_contact_is_refused():
                            gaps=both.contact.gaps[keep])
     with pytest.raises(ValueError, match="singular even with all contact dofs fixed"):
         condense(local_system(replace(both, contact=contact, law=am.Coulomb(1.0))))
-
-
-def test_a_body_held_by_contact_only_is_condensed():
-    floating = replace(bar(3).discrete, fixed=np.zeros(32, dtype=bool))
-    local = local_system(floating)
-    matrix = condense(local).matrix
-    values = np.linalg.eigvalsh(matrix)
-    assert (np.abs(values[:3]) < 1e-12 * values[-1]).all()
-    assert values[3] > 1e-3 * values[-1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,75 +11,52 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from adaptmg.discrete import discretise
-from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
-from adaptmg.mesh import structured
-from adaptmg.problem import (
-    BodyForce,
-    Box,
-    Contact,
-    ContactProblem,
-    Coulomb,
-    Frictionless,
-    GapFunction,
-    Law,
-    Plane,
-    PlaneStrain,
-    Pressure,
-    Rectangle,
-    Solid,
-    Support,
-    Traction,
-    Tresca,
-)
+import adaptmg as am
 from adaptmg.solver.statics import check_statics
 
-FLOOR = Contact("bottom", Plane(point=(0.0, 0.0), normal=(0.0, 1.0)))
-GROUND = Contact("bottom", Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0)))
-TOUCHING = GapFunction(lambda x: np.zeros(len(x)))
-FLAT = Rectangle(width=4.0, height=1.0)
-SLAB = Box(width=4.0, depth=4.0, height=1.0)
-PLATE, BLOCK = structured(FLAT, (8, 2)), structured(SLAB, (6, 6, 1))
+FLOOR = am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0)))
+GROUND = am.Contact("bottom", am.Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+TOUCHING = am.GapFunction(lambda x: np.zeros(len(x)))
+PLATE = am.mesh.structured(am.Rectangle(width=4.0, height=1.0), (8, 2))
+BLOCK = am.mesh.structured(am.Box(width=4.0, depth=4.0, height=1.0), (6, 6, 1))
 
 
-def plate(*, law: Law = Frictionless(), loads: tuple = (Pressure("top", 1.0),), supports: tuple = (),  # noqa: B008
-          contact: Contact | tuple[Contact, ...] = FLOOR) -> DiscreteProblem:
-    return discretise(ContactProblem(material=PlaneStrain(young=1e3, poisson=0.3), contact=contact, law=law,
-                                     loads=loads, supports=supports), PLATE)
+def posed(mesh, material, contact, law=am.Frictionless(), loads=(am.Pressure("top", 1.0),), supports=()):  # noqa: B008
+    return am.discretise(am.ContactProblem(material=material(young=1e3, poisson=0.3), contact=contact, law=law,
+                                           loads=loads, supports=supports), mesh)
 
 
-def block(*, law: Law = Frictionless(), loads: tuple = (Pressure("top", 1.0),), supports: tuple = (),  # noqa: B008
-          contact: Contact | tuple[Contact, ...] = GROUND) -> DiscreteProblem:
-    return discretise(ContactProblem(material=Solid(young=1e3, poisson=0.3), contact=contact, law=law, loads=loads,
-                                     supports=supports), BLOCK)
+plate = partial(posed, PLATE, am.PlaneStrain, contact=FLOOR)
+block = partial(posed, BLOCK, am.Solid, contact=GROUND)
 
 
-def weight(*direction: float) -> tuple[BodyForce]:
-    return (BodyForce(direction),)
+def weight(*direction: float) -> tuple[am.BodyForce]:
+    return (am.BodyForce(direction),)
 
 
-LEFT, TIPPING = (Support("left", x=0.0),), (Pressure("top", 0.3), Traction("left", (0.0, 1.0)))
-SIDES = (Support("left", x=0.0), Support("front", y=0.0))
-SPIN = (Pressure("top", 1.0), Traction("top", (lambda x: -(x[:, 1] - 2), lambda x: x[:, 0] - 2, 0.0)))
+LEFT, TIPPING = (am.Support("left", x=0.0),), (am.Pressure("top", 0.3), am.Traction("left", (0.0, 1.0)))
+SIDES = (am.Support("left", x=0.0), am.Support("front", y=0.0))
+SPIN = (am.Pressure("top", 1.0), am.Traction("top", (lambda x: -(x[:, 1] - 2), lambda x: x[:, 0] - 2, 0.0)))
 
 #: what stands
 STANDING = {
-    "on supports": plate(loads=weight(3.0, 5.0), supports=(*LEFT, Support("right", x=0.0), Support("top", y=0.0))),
-    "between support and floor": plate(supports=LEFT), "by friction": plate(law=Coulomb(0.01)),
-    "by adhesion": plate(law=Tresca(1e-3)), "without any load": plate(loads=(), supports=(
-        *LEFT, Support("top", y=-1e-3))),
-    "by friction at one node": plate(law=Coulomb(lambda x: np.where(x[:, 0] == 2.0, 0.1, 0.0))),
-    "enclosed": plate(loads=(), contact=tuple(Contact(name, TOUCHING) for name in FLAT.boundaries)),
-    "above a gap": plate(contact=Contact("bottom", Plane(point=(0.0, -1.0), normal=(0.0, 1.0))), supports=LEFT),
-    "small": plate(law=Coulomb(0.5), loads=weight(0.4e-9, -1e-9)),
-    "large": plate(law=Coulomb(0.5), loads=weight(0.4e9, -1e9)),
+    "on supports": plate(loads=weight(3.0, 5.0), supports=(
+        *LEFT, am.Support("right", x=0.0), am.Support("top", y=0.0))),
+    "between support and floor": plate(supports=LEFT), "by friction": plate(law=am.Coulomb(0.01)),
+    "by adhesion": plate(law=am.Tresca(1e-3)), "without any load": plate(loads=(), supports=(
+        *LEFT, am.Support("top", y=-1e-3))),
+    "by friction at one node": plate(law=am.Coulomb(lambda x: np.where(x[:, 0] == 2.0, 0.1, 0.0))),
+    "enclosed": plate(loads=(), contact=tuple(am.Contact(name, TOUCHING) for name in PLATE.boundaries)),
+    "above a gap": plate(contact=am.Contact("bottom", am.Plane(point=(0.0, -1.0), normal=(0.0, 1.0))), supports=LEFT),
+    "small": plate(law=am.Coulomb(0.5), loads=weight(0.4e-9, -1e-9)),
+    "large": plate(law=am.Coulomb(0.5), loads=weight(0.4e9, -1e9)),
     # 4 m of contact under a limit of .25 bear a side load of 1 on 4 m2
-    "below the limit": plate(law=Tresca(0.25), loads=weight(0.25 * 0.999, -1.0)),
+    "below the limit": plate(law=am.Tresca(0.25), loads=weight(0.25 * 0.999, -1.0)),
     # weight 1 on 4 m2 at lever 2 m against a push at lever 1/2 m: tips about the right foot beyond slope 4
-    "about to tip": plate(law=Coulomb(5.0), loads=weight(3.99, -1.0)),
-    "solid between supports": block(supports=SIDES), "solid by friction": block(law=Coulomb(0.1)),
-    "solid by adhesion": block(law=Tresca(0.1)), "solid that does not spin": block(law=Coulomb(2.0), loads=SPIN),
-    "solid about to tip": block(law=Coulomb(9.0), loads=weight(3.9, 0.0, -1.0))}
+    "about to tip": plate(law=am.Coulomb(5.0), loads=weight(3.99, -1.0)),
+    "solid between supports": block(supports=SIDES), "solid by friction": block(law=am.Coulomb(0.1)),
+    "solid by adhesion": block(law=am.Tresca(0.1)), "solid that does not spin": block(law=am.Coulomb(2.0), loads=SPIN),
+    "solid about to tip": block(law=am.Coulomb(9.0), loads=weight(3.9, 0.0, -1.0))}
 
 #: what does not, and the motion that is named
 FALLING = {
@@ -86,19 +64,20 @@ FALLING = {
                "nothing holds a translation along y: the supports leave it free"),
     "pushed": (plate(loads=weight(-0.01, -1.0)), "nothing holds a translation along -x"),
     "free to slide": (plate(), "the solution is not unique: a translation along x is left free"),
-    "beyond the limit": (plate(law=Tresca(0.25), loads=weight(0.25 * 1.001, -1.0)), "holds a translation along x"),
-    "tipped": (plate(law=Coulomb(5.0), loads=weight(4.01, -1.0)), r"nothing holds a rotation about \(4, 0\)"),
+    "beyond the limit": (plate(law=am.Tresca(0.25), loads=weight(0.25 * 1.001, -1.0)), "holds a translation along x"),
+    "tipped": (plate(law=am.Coulomb(5.0), loads=weight(4.01, -1.0)), r"nothing holds a rotation about \(4, 0\)"),
     # 1.2 down at x = 2 and 1 up at x = 0: .2 down at x = 12, beyond the right foot
-    "pulled up at one end": (plate(law=Coulomb(1.0), loads=TIPPING), "nothing holds a rotation about"),
+    "pulled up at one end": (plate(law=am.Coulomb(1.0), loads=TIPPING), "nothing holds a rotation about"),
     "no load": (plate(loads=(), supports=LEFT), "nothing presses the body against its obstacle: a translation along y"),
-    "squeezed": (plate(law=Coulomb(0.5), loads=(Pressure("left", 1.0), Pressure("right", 1.0))),
+    "squeezed": (plate(law=am.Coulomb(0.5), loads=(am.Pressure("left", 1.0), am.Pressure("right", 1.0))),
                  "nothing presses the body"),
-    "small": (plate(law=Coulomb(0.5), loads=weight(0.6e-9, -1e-9)), "nothing holds"),
-    "large": (plate(law=Coulomb(0.5), loads=weight(0.6e9, -1e9)), "nothing holds"),
+    "small": (plate(law=am.Coulomb(0.5), loads=weight(0.6e-9, -1e-9)), "nothing holds"),
+    "large": (plate(law=am.Coulomb(0.5), loads=weight(0.6e9, -1e9)), "nothing holds"),
     "solid free to slide": (block(supports=SIDES[:1]), "not unique: a translation along y"),
-    "solid lifted": (block(law=Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)), "nothing holds a translation along z"),
-    "solid spun": (block(law=Coulomb(0.1), loads=SPIN), "rotation about the axis along z through"),
-    "solid tipped": (block(law=Coulomb(9.0), loads=weight(4.1, 0.0, -1.0)), "rotation about the axis along y through")}
+    "solid lifted": (block(law=am.Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)), "nothing holds a translation along z"),
+    "solid spun": (block(law=am.Coulomb(0.1), loads=SPIN), "rotation about the axis along z through"),
+    "solid tipped": (block(law=am.Coulomb(9.0), loads=weight(4.1, 0.0, -1.0)),
+                     "rotation about the axis along y through")}
 
 
 @pytest.mark.parametrize("name", STANDING)
@@ -119,7 +98,7 @@ def test_block_on_an_incline(angle, friction):
     """Stands iff tan(angle) <= friction, and it does not tip (4 wide, 1 high: it slides first)."""
     if abs(np.tan(angle) - friction) < 1e-4:
         return
-    problem = plate(law=Coulomb(friction), loads=weight(np.sin(angle), -np.cos(angle)))
+    problem = plate(law=am.Coulomb(friction), loads=weight(np.sin(angle), -np.cos(angle)))
     if np.tan(angle) <= friction:
         check_statics(problem)
     else:
@@ -128,7 +107,7 @@ def test_block_on_an_incline(angle, friction):
 
 
 @pytest.mark.parametrize("direction", np.linspace(0, np.pi / 2, 7))
-@pytest.mark.parametrize("law", [Coulomb(0.5), Tresca(0.5)])
+@pytest.mark.parametrize("law", [am.Coulomb(0.5), am.Tresca(0.5)])
 def test_sliding_in_any_direction(direction, law):
     # the polygon with 16 sides is at most 1 / cos(pi / 16) = 1.02 too wide; weight 16 on 16 m2
     side = np.array([np.cos(direction), np.sin(direction)])
@@ -146,12 +125,12 @@ class TestBareProblems:
         problem = replace(plate(loads=weight(0.0, 1.0)), coordinates=None)
         with pytest.raises(ValueError, match="nothing holds a translation along y"):
             check_statics(problem)
-        turning = plate(law=Coulomb(1.0), loads=TIPPING)
+        turning = plate(law=am.Coulomb(1.0), loads=TIPPING)
         with pytest.raises(ValueError, match=r"nothing holds a rigid motion \(a combination of near_nullspace\)"):
             check_statics(replace(turning, coordinates=None))
 
     def test_modes_need_not_be_orthonormal(self):
-        problem = plate(law=Coulomb(0.5), loads=weight(0.4, -1.0))
+        problem = plate(law=am.Coulomb(0.5), loads=weight(0.4, -1.0))
         mixed = problem.near_nullspace @ np.array([[1.0, 2, 3, 4], [0, 5.0, 6, 1], [0, 0, 1e3, 1]])
         check_statics(replace(problem, near_nullspace=mixed))
         with pytest.raises(ValueError, match="nothing holds"):
@@ -159,7 +138,7 @@ class TestBareProblems:
 
     def test_modes_that_are_no_rigid_motions(self):
         # in skew coordinates of the user's: nothing is known about the shape of the motion, but it is found
-        problem = plate(law=Coulomb(1.0), loads=TIPPING)
+        problem = plate(law=am.Coulomb(1.0), loads=TIPPING)
         shaken = problem.coordinates + np.random.default_rng(0).random(problem.coordinates.shape)
         with pytest.raises(ValueError, match="nothing holds a motion that is not rigid"):
             check_statics(replace(problem, coordinates=shaken))
@@ -178,12 +157,12 @@ class TestBareProblems:
 
     def test_two_bodies_are_checked_one_by_one(self):
         """A pressed plate, and a second one that no support and no contact holds."""
-        one = plate(supports=(Support("left", x=0.0),))
+        one = plate(supports=(am.Support("left", x=0.0),))
         n, points = one.n_dofs, one.coordinates
-        contact = ContactNodes(nodes=one.contact.nodes, normals=one.contact.normals, gaps=one.contact.gaps)
-        pair = DiscreteProblem(matrix=sparse.block_diag([one.matrix, one.matrix], format="csr"),
+        contact = am.ContactNodes(nodes=one.contact.nodes, normals=one.contact.normals, gaps=one.contact.gaps)
+        pair = am.DiscreteProblem(matrix=sparse.block_diag([one.matrix, one.matrix], format="csr"),
                                load=np.r_[one.load, np.zeros(n)], fixed=np.r_[one.fixed, np.zeros(n, dtype=bool)],
-                               law=Frictionless(), contact=contact, coordinates=np.vstack([points, points + 10.0]))
+                               law=am.Frictionless(), contact=contact, coordinates=np.vstack([points, points + 10.0]))
         with pytest.raises(ValueError, match=f"not unique: .* of the body of node {n // 2} "):
             check_statics(pair)
         held = pair.fixed.copy()
@@ -194,9 +173,9 @@ class TestBareProblems:
 
     def test_lone_nodes_are_no_bodies(self):
         # nodes decoupled from all others (eliminated by the user, say) are held by their own diagonal
-        one = plate(supports=(Support("left", x=0.0),))
-        lonely = DiscreteProblem(matrix=sparse.block_diag([one.matrix, sparse.eye_array(6)], format="csr"),
+        one = plate(supports=(am.Support("left", x=0.0),))
+        lonely = am.DiscreteProblem(matrix=sparse.block_diag([one.matrix, sparse.eye_array(6)], format="csr"),
                                  load=np.r_[one.load, np.ones(6)], fixed=np.r_[one.fixed, np.zeros(6, dtype=bool)],
-                                 law=Frictionless(), contact=one.contact,
+                                 law=am.Frictionless(), contact=one.contact,
                                  coordinates=np.vstack([one.coordinates, np.zeros((3, 2))]))
         check_statics(lonely)
