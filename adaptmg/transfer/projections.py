@@ -303,8 +303,7 @@ def _quadrature(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -
     columns = locator.mesh.elements[found.element]
     scaled = found.weights.reshape(len(elements), len(weights), fine.dim + 1) * fine.volumes[elements][:, None, None]
     values = np.einsum("eqj,q,qv->eqjv", scaled, weights, shape)
-    return (np.repeat(elements, len(weights) * columns.shape[1]), columns.ravel(),
-            values.reshape(-1, columns.shape[1]))
+    return (np.repeat(elements, len(weights) * columns.shape[1]), columns.ravel(), values.reshape(-1, columns.shape[1]))
 
 
 @kernel
