@@ -200,8 +200,8 @@ class Patches:
     """The elements around every node."""
 
     indptr: np.ndarray  # (n_nodes + 1,)
-    elements: np.ndarray  # (n_elements * (dim + 1),)s: element and the node's number in it, node by node
-    corners: np.ndarray  # (n_elements * (dim + 1),)s: element and the node's number in it, node by node
+    elements: np.ndarray  # (n_elements * (dim + 1),): node by node
+    corners: np.ndarray  # the same shape: the number of the node in that element
 
     @classmethod
     def of(cls, mesh: MeshArrays) -> Patches:
