@@ -74,8 +74,13 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     normals, weights, gaps = (np.concatenate([getattr(part, name) for part in parts])[order]
                               for name in ("normals", "weights", "gaps"))
     _check_supports(problem, mesh, nodes, boundary, fixed[nodes] & (np.abs(normals) > 1e-8))
+    if slip_reference is not None:
+        if np.shape(slip_reference) != mesh.points.shape:
+            raise ValueError(f"slip_reference must be a displacement of all nodes, shape {mesh.points.shape}, got "
+                             f"{np.shape(slip_reference)}")
+        slip_reference = check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
     contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
-                           slip_reference=_at_contact(slip_reference, mesh, nodes),
+                           slip_reference=slip_reference,
                            allow_interference=any(contact.allow_interference for contact in problem.contact),
                            names=problem.contact_boundaries, masters=problem.masters)
     return contact, _followed(parts, mesh.n_nodes)
@@ -161,12 +166,3 @@ def _check_supports(problem: ContactProblem, mesh: MeshArrays, nodes: np.ndarray
                      f"boundary {problem.contact[owner[i]].boundary!r} at their common node {nodes[i]} "
                      f"{tuple(mesh.points[nodes[i]].tolist())}: contact could never open there; free that component, "
                      "or end one of the boundaries before the other begins")
-
-
-def _at_contact(slip_reference: np.ndarray | None, mesh: MeshArrays, nodes: np.ndarray) -> np.ndarray | None:
-    if slip_reference is None:
-        return None
-    if np.shape(slip_reference) != mesh.points.shape:
-        raise ValueError(f"slip_reference must be a displacement of all nodes, shape {mesh.points.shape}, got "
-                         f"{np.shape(slip_reference)}")
-    return check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]

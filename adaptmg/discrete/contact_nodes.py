@@ -13,17 +13,8 @@ from adaptmg import _checks as checks
 from adaptmg.problem.contact_problem import CONTACT
 from adaptmg.problem.laws import Law
 
-__all__ = [
-    "SMALLEST",
-    "ContactNodes",
-    "bounded",
-    "check_bounds",
-    "check_size",
-    "checked_bodies",
-    "checked_mask",
-    "checked_matrix",
-    "with_positive_diagonal",
-]
+__all__ = ["SMALLEST", "ContactNodes", "bounded", "check_bounds", "check_size", "checked_bodies", "checked_mask",
+           "checked_matrix", "with_positive_diagonal"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactNodes:

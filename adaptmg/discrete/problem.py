@@ -103,11 +103,10 @@ class DiscreteProblem(Unknowns):
         return result
 
     @classmethod
-    def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law,
-                contact: ContactNodes, weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
+    def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law, contact: ContactNodes,
+                weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
                 coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | OnDemand | None = None,
-                name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None
-                ) -> DiscreteProblem:
+                name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None) -> DiscreteProblem:
         """Several bodies in contact, from their uncoupled matrix and load.
 
         Parameters as of the class, in displacements. ``contact`` are the slave nodes; their gaps and slips are

@@ -38,25 +38,13 @@ __all__ = ["Supports", "injected_gap", "injected_limit", "injected_slip", "large
 
 @dataclass(frozen=True, eq=False)
 class Supports:
-    """The sets S_k of a contact prolongation, from :func:`supports`.
+    """The sets S_k of a contact prolongation, from :func:`supports`."""
 
-    Attributes
-    ----------
-    n_fine : int
-        Number of fine contact nodes.
-    indptr : (n_coarse_contact + 1,) array
-    nodes : (n,) array
-        Fine contact nodes of S_k, ascending.
-    weights : (n,) array
-        P_ik > 0.
-    main : (n_coarse_contact,) array
-        Fine contact node of the largest weight in S_k, the first of equals; -1 where S_k is empty.
-    """
-
-    n_fine: int
-    indptr: np.ndarray
-    nodes: np.ndarray
-    weights: np.ndarray
+    n_fine: int  # number of fine contact nodes
+    indptr: np.ndarray  # (n_coarse_contact + 1,)
+    nodes: np.ndarray  # (n,): fine contact nodes of S_k, ascending
+    weights: np.ndarray  # (n,): P_ik > 0
+    #: (n_coarse_contact,): fine contact node of the largest weight in S_k, the first of equals; -1 where S_k is empty
     main: np.ndarray
 
     def injected(self, values: np.ndarray, empty: float) -> np.ndarray:
@@ -117,24 +105,12 @@ def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
 
 def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = None, *,
                 angle: float = 1e-6) -> np.ndarray:
-    r"""Safe reference slips U_k of the tangential correction.
+    """Safe reference slips U_k (n_coarse_contact, dim - 1) of the tangential correction, m.
 
-    Parameters
-    ----------
-    sets : Supports
-    slip : (n_fine_contact, dim - 1) array
-        u_t - u_t^previous of the current iterate, m.
-    stick : (n_fine_contact,) bool array, optional
-        Nodes whose slip counts as zero; default none.
-    angle : float
-        3D: slips within this angle (rad, below pi/2) of the shortest in S_k count as parallel to it. The guarantee then
-        holds up to angle * sum_i g_i sum_k P_ik |E_k|.
-
-    Returns
-    -------
-    (n_coarse_contact, dim - 1) array
-        m: 0 unless all slips in S_k have one sign (3D: one direction) and none is zero or sticks, else the shortest; 0
-        where S_k is empty.
+    0 unless all slips u_t - u_t^previous (n_fine_contact, dim - 1) in S_k have one sign (3D: one direction) and none is
+    zero or in ``stick`` (n_fine_contact,), else the shortest; 0 where S_k is empty. In 3D slips within ``angle`` (rad,
+    below pi/2) of the shortest count as parallel to it; the guarantee then holds up to
+    angle * sum_i g_i sum_k P_ik |E_k|.
     """
     if not 0 <= checks.number("angle", angle) < np.pi / 2:
         raise ValueError(f"angle must be >= 0 and below pi/2, got {angle!r}")

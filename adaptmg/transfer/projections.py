@@ -200,8 +200,8 @@ class Patches:
     """The elements around every node."""
 
     indptr: np.ndarray  # (n_nodes + 1,)
-    elements: np.ndarray  # (n_elements * (dim + 1),)s: element and the node's number in it, node by node
-    corners: np.ndarray  # (n_elements * (dim + 1),)s: element and the node's number in it, node by node
+    elements: np.ndarray  # (n_elements * (dim + 1),): node by node
+    corners: np.ndarray  # the same shape: the number of the node in that element
 
     @classmethod
     def of(cls, mesh: MeshArrays) -> Patches:
@@ -303,8 +303,7 @@ def _quadrature(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -
     columns = locator.mesh.elements[found.element]
     scaled = found.weights.reshape(len(elements), len(weights), fine.dim + 1) * fine.volumes[elements][:, None, None]
     values = np.einsum("eqj,q,qv->eqjv", scaled, weights, shape)
-    return (np.repeat(elements, len(weights) * columns.shape[1]), columns.ravel(),
-            values.reshape(-1, columns.shape[1]))
+    return (np.repeat(elements, len(weights) * columns.shape[1]), columns.ravel(), values.reshape(-1, columns.shape[1]))
 
 
 @kernel

@@ -1,7 +1,5 @@
 """DiscreteProblem and ContactNodes refuse what no solver could make sense of."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -35,14 +33,11 @@ class TestContactNodes:
                 array[0] = 1.0
 
     @pytest.mark.parametrize(("changes", "error", "message"), [
-        ({"nodes": [0.0, 2.0]}, TypeError, "nodes must be an array of integers"),
         ({"nodes": [2, 2]}, ValueError, "distinct"),
         ({"nodes": [-1, 2]}, ValueError, "distinct and >= 0"),
         ({"nodes": np.zeros(0, dtype=int), "normals": np.zeros((0, 2)), "gaps": []}, ValueError, "nodes is empty"),
-        ({"normals": [[0.0, -1.0]]}, ValueError, "normals must have shape"),
         ({"normals": np.ones((2, 4)) / 2}, ValueError, "normals must have shape"),
         ({"normals": [[0.0, -1.0], [0.6, -0.9]]}, ValueError, "contact node 1 has length 1.08"),
-        ({"normals": [[0.0, np.nan], [0.6, -0.8]]}, ValueError, "normals must be finite; 1 entries are not"),
         ({"gaps": [0.0]}, ValueError, "gaps must have shape"),
         ({"gaps": [0.0, -1e-3]}, ValueError, "got -0.001 at contact node 1; for an interference fit"),
         ({"gaps": [0.0, np.inf]}, ValueError, "gaps must be finite"),
@@ -70,22 +65,13 @@ class TestDiscreteProblem:
         np.testing.assert_array_equal(discrete(coordinates=points, near_nullspace=own).near_nullspace, own)
 
     @pytest.mark.parametrize(("changes", "error", "message"), [
-        ({"matrix": np.eye(6)}, TypeError, "scipy sparse"),
         ({"matrix": sparse.eye_array(6, 5).tocsr()}, ValueError, "must be square"),
-        ({"matrix": sparse.eye_array(7).tocsr()}, ValueError, "multiple of 2 rows"),
         ({"matrix": sparse.csr_array((6, 6))}, ValueError, "matrix is zero"),
-        ({"matrix": sparse.diags_array([1, 1, np.nan, 1, 1, 1]).tocsr()}, ValueError, "matrix must be finite"),
         ({"matrix": sparse.diags_array([1, 1, 1, -1, 1, 1.0]).tocsr()}, ValueError, r"entry 3 \(node 1\) is -1"),
         ({"matrix": (sparse.eye_array(6) + sparse.eye_array(6, k=1) * 1e-3).tocsr()}, ValueError, "must be symmetric"),
-        ({"load": np.zeros(5)}, ValueError, r"load must have shape \(6,\), got \(5,\)"),
-        ({"load": np.full(6, np.nan)}, ValueError, "load must be finite; 6 entries"),
-        ({"fixed": np.zeros(6)}, TypeError, "fixed must be a boolean mask over the 6 dofs"),
-        ({"fixed": np.zeros(4, dtype=bool)}, ValueError, "fixed must have shape"),
         ({"fixed_values": np.zeros(4)}, ValueError, "fixed_values must have shape"),
-        ({"law": 0.3}, TypeError, "law must be"),
         ({"law": Coulomb(np.ones(3))}, ValueError, "array over the 2 contact nodes"),
         ({"law": Tresca(lambda x: x[:, 0])}, TypeError, "evaluated at the nodes first"),
-        ({"contact": None}, TypeError, "contact must be ContactNodes"),
         ({"contact": contact(nodes=[0, 3])}, ValueError, "node 3 does not exist; there are 3 nodes"),
         ({"coordinates": np.zeros((3, 3))}, ValueError, "coordinates must have shape"),
         ({"near_nullspace": np.zeros((4, 3))}, ValueError, "near_nullspace must have shape"),

@@ -1,7 +1,5 @@
 """Friction at contact nodes of which a support holds a tangential component: a pad held at its sides, a block."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from bodies import assert_agrees, assert_balanced
@@ -135,14 +133,6 @@ class TestObstacle:
                        am.Multigrid(rtol=1e-10), am.SingleGrid(condensed=True, rtol=1e-10)):
             result = am.solve(levels, solver, reference=exact)
             assert result.history["true_error"][-1] <= 3e-10
-
-    def test_a_fixed_normal_component_stays_refused(self):
-        problem = am.cases.greco_bar()
-        held = am.ContactProblem(domain=problem.domain, material=problem.material, contact=problem.contact,
-                                 law=problem.law, loads=problem.loads, supports=(am.Support("bottom", y=0.0),))
-        with pytest.raises(ValueError, match="normal to contact"):
-            am.Hierarchy.uniform(held, (4, 8))
-
 
 def test_a_user_is_told_where_no_node_can_take_the_place():
     problem = pad(3)

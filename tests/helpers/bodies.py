@@ -1,11 +1,11 @@
 """Bodies in contact: stacks with exact states, the bar on a block, bodies in a corner."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from saddle import Parts, held_alike, solve_saddle
+from scipy.spatial.transform import Rotation
 
 import adaptmg as am
 from adaptmg.discrete.rigid_modes import rigid_motions
@@ -14,19 +14,22 @@ from adaptmg.mesh.arrays import MeshArrays
 
 EXACT = am.ActiveSet(rtol=1e-12)
 SOFT, STIFF = am.PlaneStrain(young=7e10, poisson=0.34), am.PlaneStrain(young=2.1e11, poisson=0.28)
+#: of the lower and the upper body
+MATERIALS = {2: (STIFF, SOFT), 3: (am.Solid(**vars(STIFF)), am.Solid(**vars(SOFT)))}
 P = 5e7
 
 
-def strains(material, pressure=P):
-    """(lateral, axial) strain under a uniaxial pressure in plane strain."""
-    E, nu = material.young, material.poisson
-    return nu * (1 + nu) / E * pressure, -(1 - nu**2) / E * pressure
+def rotation(turn):
+    """The matrix of an angle in the plane, or of a rotation vector."""
+    if np.ndim(turn):
+        return Rotation.from_rotvec(turn).as_matrix()
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, -s], [s, c]])
 
 
-def turned(mesh, angle):
+def turned(mesh, turn):
     """A mesh turned about the origin."""
-    c, s = np.cos(angle), np.sin(angle)
-    return MeshArrays(mesh.points @ np.array([[c, s], [-s, c]]), mesh.elements, mesh.facets, mesh.facet_labels,
+    return MeshArrays(mesh.points @ rotation(turn).T, mesh.elements, mesh.facets, mesh.facet_labels,
                       mesh.boundaries, element_body=mesh.element_body, bodies=mesh.bodies)
 
 
@@ -59,6 +62,7 @@ def stacked(divisions, width=1.0):
     """A mesh of blocks "lower", "middle" (with three divisions), "upper", all 1 wide but the last."""
     names = ("lower", "upper") if len(divisions) == 2 else ("lower", "middle", "upper")
     parts = {name: am.Rectangle(width=width if name == "upper" else 1.0, height=0.6, origin=(0.0, 0.6 * k))
+             if len(divisions[0]) == 2 else am.Box(width=1.0, depth=1.0, height=0.6, origin=(0.0, 0.0, 0.6 * k))
              for k, name in enumerate(names)}
     return merged({name: structured(parts[name], n) for name, n in zip(names, divisions, strict=True)})
 
@@ -67,23 +71,29 @@ def uniaxial(mesh, materials):
     """Exact displacement of a stack under the pressure P, zero at the origin."""
     exact, base = np.zeros(mesh.points.shape), 0.0
     for k, material in enumerate(materials):
-        nodes = np.unique(mesh.elements[mesh.element_body == k])
-        lateral, axial = strains(material)
-        x = mesh.points[nodes]
-        exact[nodes] = np.column_stack([lateral * x[:, 0], base + axial * (x[:, 1] - 0.6 * k)])
+        nodes, nu = np.unique(mesh.elements[mesh.element_body == k]), material.poisson
+        plane = isinstance(material, am.PlaneStrain)
+        axial = -P / material.young * (1 - nu**2 if plane else 1)
+        exact[nodes] = -axial * nu / (1 - nu if plane else 1) * mesh.points[nodes]
+        exact[nodes, -1] = base + axial * (mesh.points[nodes, -1] - 0.6 * k)
         base += 0.6 * axial
     return exact
 
 
 def pressed(mesh, pairs, materials, law=None):
-    """A stack under the pressure P with rollers below and at the left."""
+    """A stack under the pressure P with rollers below, at the left, and in front."""
+    dim, sides = mesh.dim, {"left": "x", "front": "y"}
     return am.ContactProblem(
         material=dict(zip(mesh.bodies, materials, strict=True)), contact=tuple(am.ContactPair(*p) for p in pairs),
         law=am.Frictionless() if law is None else law, loads=(am.Pressure("upper.top", P),),
-        supports=(am.Support("lower.bottom", y=0.0), *(am.Support(f"{body}.left", x=0.0) for body in mesh.bodies)))
+        supports=(am.Support("lower.bottom", **{"xyz"[dim - 1]: 0.0}), *(
+            am.Support(f"{body}.{side}", **{sides[side]: 0.0}) for side in list(sides)[:dim - 1]
+            for body in mesh.bodies)))
 
 
 UPPER_ON_LOWER, LOWER_ON_UPPER = ("upper.bottom", "lower.top"), ("lower.top", "upper.bottom")
+PAIRS = pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
+DIMS = pytest.mark.parametrize("dim", [2, 3])
 CORNER = {"seat": am.Polygon(vertices=[(-1, -1), (1, -1), (1, 0), (0, 0), (0, 1), (-1, 1)],
                              boundaries=("bottom", "right", "floor", "wall", "top", "left")),
           "block": am.Rectangle(width=1.0, height=1.0),

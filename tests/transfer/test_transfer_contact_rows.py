@@ -1,7 +1,5 @@
 """Interpolation along the contact boundary."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -35,15 +33,6 @@ def test_on_a_flat_boundary_it_is_the_interpolation(coarse, fine):
     np.testing.assert_allclose(rows @ coarse.points, fine.points[nodes], atol=1e-14)
     np.testing.assert_allclose((rows - Interpolation().build(coarse, fine)[nodes]).toarray(), 0, atol=1e-7)
 
-
-def test_on_a_circle():
-    coarse, fine = disk(4), disk(9, turn=0.2)
-    nodes = np.unique(fine.facets)
-    rows = surface_interpolation(coarse, fine, coarse.facets, nodes)
-    assert rows.data.min() >= 0 and np.isin(rows.indices, np.unique(coarse.facets)).all()
-    np.testing.assert_allclose(rows.sum(axis=1), 1, atol=1e-15)
-    sagitta = 1 - np.cos(np.pi / 24)
-    assert np.linalg.norm(rows @ coarse.points - fine.points[nodes], axis=1).max() <= sagitta * (1 + 1e-12)
 
 def quarter_ring(n):
     """A quarter ring with radii 1 and 2; facets and nodes of its inner arc."""

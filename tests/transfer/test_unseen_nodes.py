@@ -1,7 +1,5 @@
 """Meshes that are locally finer than the next one: coarse nodes of which the next level takes nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -44,16 +42,6 @@ def test_the_product_of_two_steps_is_that_of_their_product():
     assert galerkin_product(middle, seen(P1, P2)).toarray() == pytest.approx(both, abs=1e-12 * np.abs(both).max())
     # with what unseen nodes are lent it is not
     assert not np.allclose(galerkin_product(middle, P1).toarray(), both, rtol=1e-3)
-
-
-def test_what_is_seen_keeps_its_pattern():
-    nodal = sparse.csr_array(np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
-    finer = sparse.csr_array(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
-    found = seen(nodal, finer)
-    assert found.toarray().tolist() == [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]]
-    assert (found.indices == nodal.indices).all() and (found.indptr == nodal.indptr).all()
-    assert nodal[1, 0] == 0.5
-    assert seen(nodal, None) is nodal
 
 
 def test_user_prolongations_too():

@@ -48,7 +48,8 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
         normals = surface_normals(mesh.points, slave, fixed=fixed)
         surfaces = Surfaces(mesh.points, slave, master, normals, excluded, axisymmetric)
         found = _coupled(pair, surfaces)
-        hanging = _hanging_over(surfaces, found)
+        # slave nodes of which the master covers too little
+        hanging = found.nodes[found.weights < _LEAST_COVERED * _lumped(surfaces)[found.nodes]]
         if 0 < len(hanging) < len(found) and pair.coupling == "mortar":
             found = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
@@ -89,11 +90,6 @@ def _lumped(surfaces: Surfaces) -> np.ndarray:
     measure = np.linalg.norm(area_vectors(surfaces.points, surfaces.slave), axis=1)
     share = measure[:, None] * shape_integrals(surfaces.points, surfaces.slave, surfaces.axisymmetric)
     return np.bincount(surfaces.slave.ravel(), weights=share.ravel(), minlength=len(surfaces.points))
-
-
-def _hanging_over(surfaces: Surfaces, found: MortarInterface) -> np.ndarray:
-    """Slave nodes (n,) of which the master covers too little."""
-    return found.nodes[found.weights < _LEAST_COVERED * _lumped(surfaces)[found.nodes]]
 
 
 def _facet_heights(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:

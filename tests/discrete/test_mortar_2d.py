@@ -1,7 +1,5 @@
 """Mortar coupling in 2D: patch tests, reproduction of linear fields, gaps, partial coverage, crosspoints, refusals."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mortar import mortar_2d
-from scipy import sparse
 from uncompiled import uncompile
 
 from adaptmg.discrete.mortar import segments as module
@@ -109,15 +106,6 @@ class TestFlat:
         np.testing.assert_allclose(found.coupling.sum(axis=1), 1, atol=1e-14 * conditioning + 1e-13)
         assert not found.coupling[:, slave.ravel()].count_nonzero()
 
-    @pytest.mark.parametrize("axisymmetric", [False, True])
-    @pytest.mark.parametrize("gap", [0.0, 0.2])
-    def test_matching_meshes_give_a_permutation(self, axisymmetric, gap):
-        x = random_line(np.random.default_rng(0), 12)
-        found = mortar_2d(*two(line(x, gap), line(x, up=True), seed=3), axisymmetric=axisymmetric)
-        expected = sparse.csr_array((np.ones(13), (np.arange(13), 25 - np.arange(13))), shape=(13, 26))
-        assert found.coupling.nnz == 13 and abs(found.coupling - expected).max() < 1e-12
-        np.testing.assert_array_equal(found.nodes, np.arange(13))
-
     @pytest.mark.parametrize("covered", [1.01e-3, 1e-2, 0.5])
     @pytest.mark.parametrize("axisymmetric", [False, True])
     def test_small_coverage_stays_stable(self, covered, axisymmetric):
@@ -182,13 +170,6 @@ class TestCrosspoints:
         np.testing.assert_allclose(found.gaps, [0.5])
         np.testing.assert_allclose(found.weights, [1.0])
 
-    def test_edges_between_excluded_nodes_are_skipped(self):
-        xs = np.linspace(0, 1, 5)
-        found = mortar_2d(*two(line(xs), line(xs, up=True)), excluded=(0, 1))
-        np.testing.assert_array_equal(found.nodes, [2, 3, 4])
-        assert found.coupling[:, [9, 0]].count_nonzero() == 0
-        assert np.sum(found.coupling.T @ found.weights) == pytest.approx(found.weights.sum(), rel=1e-14)
-
     def test_nothing_left(self):
         with pytest.raises(ValueError, match="every node of the slave surface is excluded"):
             mortar_2d(*two(line([0.0, 1.0]), line([0.0, 1.0], up=True)), excluded=range(2))
@@ -208,14 +189,6 @@ class TestAxisymmetric:
         loads = 2 * np.pi * np.hypot(1, slope) * hats_over(rm, [(0.0, 2.0)], lambda x: x)
         np.testing.assert_allclose((found.coupling.T @ found.weights)[8:][::-1], loads, atol=1e-11)
         np.testing.assert_allclose(found.coupling @ points, points[found.nodes], atol=1e-11)
-
-    def test_a_cylinder(self):
-        points, slave, master, _ = two(line(np.linspace(0, 1, 5)), line(np.linspace(0, 1, 8), up=True))
-        turned = points[:, ::-1] * [1, -1] + [0.5, 0]
-        found = mortar_2d(turned, slave, master, surface_normals(turned, slave), axisymmetric=True)
-        assert found.weights.sum() == pytest.approx(np.pi)
-        assert len(found) == 5
-
 
 class TestRefusals:
     DATA = two(line(np.linspace(0, 1, 4), 0.1), line(np.linspace(0, 1, 3), up=True))
@@ -251,13 +224,6 @@ class TestRefusals:
         points, slave, master, normals = self.DATA
         normals = np.where(np.arange(7)[:, None] < 4, normals, np.nan)
         assert_same(mortar_2d(points, slave, master, normals), mortar_2d(*self.DATA))
-
-
-def test_rounding_is_swept_to_the_largest_entry():
-    matrix = sparse.csr_array(np.array([[1 - 3e-14, 1e-14, 2e-14, 0.0], [0.0, 0.25, 1e-12, 0.75 - 1e-12]]))
-    swept = module._without_rounding(matrix.copy())
-    assert swept.nnz == 4
-    np.testing.assert_allclose(swept.toarray(), [[1, 0, 0, 0], [0, 0.25, 1e-12, 0.75 - 1e-12]], rtol=1e-15)
 
 
 class TestNormals:

@@ -1,16 +1,15 @@
-"""Bodies in contact in 2D: exact states on any meshes, chains of bodies, the hierarchies they are solved on."""
-
-from __future__ import annotations
+"""Bodies in contact: exact states on any meshes, chains of bodies, the hierarchies they are solved on."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from bodies import (
+    DIMS,
     EXACT,
-    LOWER_ON_UPPER,
-    SOFT,
-    STIFF,
+    MATERIALS,
+    PAIRS,
     UPPER_ON_LOWER,
     P,
     assert_state,
@@ -20,6 +19,7 @@ from bodies import (
     held_at_points,
     in_the_corner,
     pressed,
+    rotation,
     stacked,
     turned,
     uniaxial,
@@ -29,33 +29,37 @@ import adaptmg as am
 from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import graded, merged, structured
 
+INDEPENDENT = {2: [(4, 2), (7, 3)], 3: [(3, 1, 1), (2, 2, 1)]}
+
 
 class TestPatch:
-    @pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
+    @DIMS
+    @PAIRS
     @pytest.mark.parametrize("solver", [EXACT, am.FullMultigrid(rtol=1e-12)], ids=["active set", "multigrid"])
-    def test_flat(self, pair, solver):
-        meshes = [stacked([(3 * k, 2 * k), (4 * k, 3 * k)]) for k in (1, 2)]
-        grids = am.Hierarchy.from_meshes(pressed(meshes[0], [pair], (STIFF, SOFT)), meshes)
-        result = am.solve(grids, solver)
-        assert_state(result, uniaxial(meshes[-1], (STIFF, SOFT)))
-        assert result.resultant(pair[0]).force[1] == pytest.approx(P if pair[0] == "upper.bottom" else -P, rel=1e-12)
+    def test_flat(self, dim, pair, solver):
+        meshes = [stacked([(3 * k, 2 * k), (4 * k, 3 * k)] if dim == 2 else [(2 * k, k, k), (k, 3 * k, k)])
+                  for k in (1, 2)]
+        result = am.solve(am.Hierarchy.from_meshes(pressed(meshes[0], [pair], MATERIALS[dim]), meshes), solver)
+        assert_state(result, uniaxial(meshes[-1], MATERIALS[dim]))
+        force = P if pair == UPPER_ON_LOWER else -P
+        assert result.resultant(pair[0]).force == pytest.approx([*[0] * (dim - 1), force], rel=1e-12, abs=1e-11 * P)
+        moment = -force / 2 if dim == 2 else [-force / 2, force / 2, 0]
+        assert result.resultant(pair[1]).moment == pytest.approx(moment, rel=1e-9, abs=1e-9 * P)
 
-    @pytest.mark.parametrize("pairs", [
-        (UPPER_ON_MIDDLE, MIDDLE_ON_LOWER) for UPPER_ON_MIDDLE in (("upper.bottom", "middle.top"),
-                                                                   ("middle.top", "upper.bottom"))
-        for MIDDLE_ON_LOWER in (("middle.bottom", "lower.top"), ("lower.top", "middle.bottom"))])
-    def test_three_blocks(self, pairs):
-        mesh, materials = stacked([(4, 2), (7, 3), (3, 2)]), (SOFT, STIFF, SOFT)
-        problem = pressed(mesh, pairs, materials)
-        assert_state(am.solve(discretise(problem, mesh), EXACT), uniaxial(mesh, materials))
+    @DIMS
+    @pytest.mark.parametrize("pairs", [(a, b) for a in (("upper.bottom", "middle.top"), ("middle.top", "upper.bottom"))
+                                       for b in (("middle.bottom", "lower.top"), ("lower.top", "middle.bottom"))])
+    def test_three_blocks(self, dim, pairs):
+        mesh = stacked([(4, 2), (7, 3), (3, 2)] if dim == 2 else [(3, 1, 1), (2, 2, 1), (1, 3, 2)])
+        materials = (*MATERIALS[dim][::-1], MATERIALS[dim][1])
+        assert_state(am.solve(discretise(pressed(mesh, pairs, materials), mesh), EXACT), uniaxial(mesh, materials))
 
-    @pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
+    @PAIRS
     @pytest.mark.parametrize("covered", [0.02, 0.24, 0.6, 1.0])
     def test_overhanging(self, covered, pair):
         # the last edge that touches at all is covered by this fraction
-        n = 5
+        n, materials = 5, MATERIALS[2]
         mesh = stacked([(7, 3), (n, 4)], width=n / (3 + covered))
-        materials = (STIFF, SOFT)
         problem = pressed(mesh, [pair], materials)
         load = np.zeros(mesh.points.shape)
         for a, b in mesh.boundary_facets("upper.bottom"):
@@ -74,41 +78,52 @@ class TestPatch:
         assert result.resultant(pair[0]).force == pytest.approx([0, sign * P], rel=1e-11, abs=1e-9 * P)
         assert result.resultant(pair[1]).force == pytest.approx([0, -sign * P], rel=1e-11, abs=1e-9 * P)
 
-    @pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
+    @PAIRS
     @pytest.mark.parametrize("inner", [0.0, 0.3], ids=["disks", "rings"])
     def test_axisymmetric(self, inner, pair):
-        materials = [am.Axisymmetric(young=m.young, poisson=m.poisson) for m in (STIFF, SOFT)]
+        materials = [am.Axisymmetric(**vars(m)) for m in MATERIALS[2]]
         flat = stacked([(4, 2), (7, 3)])
         mesh = replace(flat, points=flat.points + np.array([inner, 0.0]), source=None)
         problem = pressed(mesh, [pair], materials)
         held = problem.supports if inner == 0 else problem.supports[:1]
-        exact, base = np.zeros(mesh.points.shape), 0.0
-        for k, material in enumerate(materials):
-            nodes = np.unique(mesh.elements[mesh.element_body == k])
-            r, z = mesh.points[nodes].T
-            exact[nodes] = P / material.young * np.column_stack([material.poisson * r, 0.6 * k - z]) + [0, base]
-            base -= 0.6 * P / material.young
         result = am.solve(am.Hierarchy.from_meshes(replace(problem, supports=held), [mesh]), EXACT)
-        assert_state(result, exact)
+        assert_state(result, uniaxial(mesh, materials))
         force = np.pi * ((1 + inner)**2 - inner**2) * P
         assert result.resultant("lower.top").force[1] == pytest.approx(-force, rel=1e-11)
 
-    @pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
-    @pytest.mark.parametrize("angle", [0.3, 2.0, -1.1])
-    def test_turned(self, angle, pair):
-        materials = (STIFF, SOFT)
-        flat = stacked([(4, 2), (7, 3)])
-        mesh = turned(flat, angle)
-        c, s = np.cos(angle), np.sin(angle)
-        exact = uniaxial(flat, materials) @ np.array([[c, s], [-s, c]])
+    @PAIRS
+    @pytest.mark.parametrize("turn", [0.3, 2.0, -1.1, (0.3, -0.5, 1.1), (2.0, 0.4, -0.7)])
+    def test_turned(self, turn, pair):
+        dim = 3 if np.ndim(turn) else 2
+        flat, materials, Q = stacked(INDEPENDENT[dim]), MATERIALS[dim], rotation(turn)
+        mesh, exact = turned(flat, turn), uniaxial(flat, materials) @ Q.T
         problem = replace(pressed(mesh, [pair], materials), supports=(),
                           loads=(am.Pressure("upper.top", P), am.Pressure("lower.bottom", P)))
-        # two corners of the lower body hold it; contact leaves the upper one the motion along it
-        along, across = (0, 1) if abs(c) > abs(s) else (1, 0)
-        fixed = [(0, 0), (0, 1), (4, across), (mesh.n_nodes - 1, along)]
-        assert_state(am.solve(held_at_points(problem, mesh, exact, fixed), EXACT), exact)
+        if dim == 2:  # two corners of the lower body hold it; contact leaves the upper one the motion along it
+            along, across = (0, 1) if abs(Q[0, 0]) > abs(Q[1, 0]) else (1, 0)
+            held = [(0, 0), (0, 1), (4, across), (mesh.n_nodes - 1, along)]
+        else:
+            held = [far_node(flat, body, (a, b, up)) for body, up in (("lower", -1), ("upper", 1))
+                    for a, b in ((-1, -1.1), (1, -1.1), (-1.1, 1))]
+            held = [(node, d) for node in held[:-1] for d in range(3)]
+        result = am.solve(held_at_points(problem, mesh, exact, held), EXACT)
+        assert_state(result, exact)
+        normal = Q[:, -1] * (-1 if pair == UPPER_ON_LOWER else 1)
+        np.testing.assert_allclose(result.contact.normal, np.tile(normal, (len(result.contact), 1)), atol=1e-12)
 
-    @pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
+    @DIMS
+    @PAIRS
+    def test_node_to_node(self, dim, pair):
+        mesh, found = stacked([(3, 2), (3, 1)] if dim == 2 else [(3, 2, 1), (3, 2, 2)]), {}
+        for coupling in ("mortar", "nodes"):
+            problem = replace(pressed(mesh, [pair], MATERIALS[dim]), contact=am.ContactPair(*pair, coupling=coupling))
+            found[coupling] = am.solve(discretise(problem, mesh), EXACT)
+            assert_state(found[coupling], uniaxial(mesh, MATERIALS[dim]))
+            assert (found[coupling].contact.pair == " on ".join(pair)).all()
+        np.testing.assert_array_equal(found["mortar"].contact.node, found["nodes"].contact.node)
+        np.testing.assert_allclose(found["mortar"].contact.weights, found["nodes"].contact.weights, rtol=1e-12)
+
+    @PAIRS
     def test_inclined_and_stuck(self, pair):
         # steeper than the interface, the friction cone holds the upper part
         lower = am.Polygon(vertices=[(0, 0), (1, 0), (1, 0.7), (0, 0.4)], boundaries=("bottom", "right", "top", "left"))
@@ -130,6 +145,54 @@ class TestPatch:
             assert (result.contact.state == am.STICK).all()
         with pytest.raises(ValueError, match=r"nothing holds.*body 'upper'"):
             am.solve(discretise(replace(problem, law=am.Coulomb(0.25)), meshes[0]))
+
+    def test_a_chain_of_bodies(self):
+        """A block is slave below and master beside: what follows it follows the floor too."""
+        seat = structured(am.Box(width=2.0, depth=1.0, height=0.5, origin=(0.0, 0.0, -0.5)), (5, 3, 1))
+        block = structured(am.Box(width=1.0, depth=1.0, height=1.0), (3, 2, 3))
+        beside = structured(am.Box(width=0.7, depth=1.0, height=1.0, origin=(1.0, 0.0, 0.0)), (2, 3, 2))
+        soft, mesh = MATERIALS[3][1], merged({"seat": seat, "block": block, "beside": beside})
+        outside = ("seat.bottom", "seat.left", "seat.right", "block.left", "block.top", "beside.right", "beside.top")
+        pairs = (am.ContactPair("block.bottom", "seat.top"), am.ContactPair("beside.left", "block.right"),
+                 am.ContactPair("beside.bottom", "seat.top"))
+        problem = am.ContactProblem(
+            material=soft, contact=pairs, law=am.Coulomb(0.3),
+            loads=tuple(am.Pressure(name, P) for name in (*outside, "seat.top")) + tuple(
+                am.Pressure(f"{body}.{side}", P) for body in mesh.bodies for side in ("front", "back")))
+        exact = -(1 - 2 * soft.poisson) * P / soft.young * mesh.points
+        corners = [far_node(mesh, "seat", way) for way in ((-1, -1, -1), (1, -1, -1), (-1, 1, -1))]
+        load = np.zeros(mesh.points.shape)
+        for a in mesh.boundary_facets("seat.top"):  # where a block stands, it presses itself: take that off again
+            if mesh.points[a, 0].max() <= 1.7 + 1e-12:
+                load[a, 2] += P * 0.5 * np.linalg.norm(np.cross(*(mesh.points[a[1:]] - mesh.points[a[0]]))) / 3
+            elif mesh.points[a, 0].min() < 1.7:
+                load[a, 2] += P * covered_moments(mesh.points[a][:, :2], 1.7)
+        discrete = held_at_points(problem, mesh, exact, [(node, d) for node in corners for d in range(3)], load)
+        weights = discrete.coupling.weights
+        assert (weights @ weights).nnz
+        result = am.solve(am.Hierarchy((am.Level(discrete, mesh),)), EXACT)
+        assert_state(result, exact)
+        assert result.resultant("block.right").force == pytest.approx([-P, 0, 0], rel=1e-9, abs=1e-9 * P)
+        np.testing.assert_allclose(result.resultant("seat.top").force, [0, 0, -1.7 * P], atol=1e-9 * P)
+
+
+def covered_moments(triangle, edge):
+    """Integrals of the three linear shape functions over the part of a triangle (3, 2) with x < edge."""
+    x = triangle[:, 0]
+    part = []
+    for i in range(3):
+        j = (i + 1) % 3
+        if x[i] <= edge:
+            part.append(np.eye(3)[i])
+        if (x[i] - edge) * (x[j] - edge) < 0:
+            s = (edge - x[i]) / (x[j] - x[i])
+            part.append((1 - s) * np.eye(3)[i] + s * np.eye(3)[j])
+    total = np.zeros(3)
+    for b, c in pairwise(part[1:]):
+        corners = np.array([part[0], b, c])
+        p = corners @ triangle
+        total += 0.5 * abs(np.linalg.det(p[1:] - p[0])) * corners.mean(axis=0)
+    return total
 
 
 class TestCorner:
@@ -173,19 +236,16 @@ class TestHierarchies:
         return reference
 
     def test_graded_with_sizes_by_body(self):
-        problem = bar_on_block(am.Coulomb(0.5))
-        grids = am.Hierarchy.graded(
-            problem, sizes=[{"upper": h, "lower": 1.4 * h} for h in (16e-3, 8e-3, 4e-3)],
-            contact_ratio={"upper": 2.0, "lower": 3.0})
-        self.check(grids)
+        self.check(am.Hierarchy.graded(
+            bar_on_block(am.Coulomb(0.5)), sizes=[{"upper": h, "lower": 1.4 * h} for h in (16e-3, 8e-3, 4e-3)],
+            contact_ratio={"upper": 2.0, "lower": 3.0}))
 
     @pytest.mark.filterwarnings("ignore:bisected, levels=3")
     def test_bisected(self):
         problem = bar_on_block(am.Coulomb(0.5))
-        grids = am.Hierarchy.bisected(problem, structured(problem.domain, {"upper": 3, "lower": (5, 4)}), 3)
-        self.check(grids)
+        self.check(am.Hierarchy.bisected(problem, structured(problem.domain, {"upper": 3, "lower": (5, 4)}), 3))
 
-    def test_given_meshes_and_one_level(self, tmp_path):
+    def test_given_meshes_and_one_level(self):
         problem = bar_on_block(am.Coulomb(0.5))
         meshes = [structured(problem.domain, {"upper": k, "lower": k + 1}) for k in (3, 5, 9)]
         grids = am.Hierarchy.from_meshes(replace(problem, domain=None), meshes, transfer=am.L2())

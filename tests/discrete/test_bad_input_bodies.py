@@ -1,7 +1,5 @@
 """Bad input with several bodies: the message names the body, the pair or the boundary, and says what to do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mortar coupling of curved surfaces in 2D: order of accuracy, exact rays, which master edge counts, the search."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

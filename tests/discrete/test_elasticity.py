@@ -1,7 +1,5 @@
 """Stiffness, stress and initial strains of every kind of body, one or several: against NGSolve and closed forms."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,7 +15,7 @@ from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import hoop_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh import MeshArrays, structured
-from adaptmg.problem import BodyForce, Box, PlaneStrain, PlaneStress, Pressure, Rectangle, Solid, Support, Traction
+from adaptmg.problem import BodyForce, Box, PlaneStrain, PlaneStress, Pressure, Rectangle, Solid, Support
 from adaptmg.problem.loads import InitialStrain
 from adaptmg.problem.materials import Axisymmetric
 
@@ -124,10 +122,8 @@ def test_stiffness_equals_ngsolve_in_sorted_symmetric_blocks(mesh, material):
 
 
 @EACH_KIND
-def test_matrix_and_stress_are_those_of_each_body(kind):
+def test_stress_is_that_of_each_body(kind):
     mesh, materials = BOTH[kind.dim], two(kind)
-    separate = [stiffness(one, materials[name]).toarray() for name, one in PARTS[kind.dim].items()]
-    np.testing.assert_array_equal(stiffness(mesh, materials).toarray(), sparse.block_diag(separate).toarray())
     one = materials["upper"]
     np.testing.assert_array_equal(stiffness(mesh, one).data, stiffness(mesh, {"lower": one, "upper": one}).data)
     u = 1e-3 * np.random.default_rng(0).normal(size=mesh.points.shape)
@@ -198,16 +194,7 @@ def test_patch_test(mesh, material):
     assert u @ matrix @ u == pytest.approx(work, rel=1e-12)
     if not isinstance(material, dict):
         expected = STEEL.lame * np.trace(strain) * np.eye(3) + 2 * STEEL.shear_modulus * strain
-        np.testing.assert_allclose(stress, np.broadcast_to(expected, stress.shape),
-                                   atol=1e-11 * np.abs(expected).max())
-
-
-def test_bar_under_axial_tension():
-    # free sides: sigma_zz = q and nothing else, u = (-nu q r, q z) / E, the axis held
-    q = 5e7
-    u = solved(SOLID, STEEL, [Traction("top", (0.0, q))], [Support("bottom", y=0.0), Support("left", x=0.0)])
-    np.testing.assert_allclose(u, SOLID.points * [-STEEL.poisson * q / STEEL.young, q / STEEL.young], atol=1e-16)
-    np.testing.assert_allclose(full_stress(SOLID, STEEL, u)[:, 1, 1], q, rtol=1e-10)
+        np.testing.assert_allclose(stress, np.broadcast_to(expected, stress.shape), atol=1e-11 * np.abs(expected).max())
 
 
 def test_lame_cylinder_converges():
@@ -283,15 +270,6 @@ class TestInitialStrain:
         np.testing.assert_allclose(u, 0.27e-3 * (mesh.points - mesh.points.min(axis=0)), atol=1e-16)
         np.testing.assert_allclose(von_mises(stress), 2.1e8, rtol=1e-10)
 
-    @MESHES
-    def test_virtual_work_in_axisymmetry(self, mesh):
-        strain, (c, d), volume = np.array([2e-4, -5e-4, 9e-4]), (0.7, -1.3), measures(mesh, True).sum()
-        stress = STEEL.lame * strain.sum() + 2 * STEEL.shear_modulus * strain
-        load = load_vector(mesh, [InitialStrain("body", tuple(strain))], STEEL)
-        assert load @ (mesh.points * [c, d]).reshape(-1) == pytest.approx(stress @ [c, d, c] * volume, rel=1e-12)
-        two = load_vector(mesh, [InitialStrain("body", (2e-4, -5e-4))], STEEL)
-        np.testing.assert_array_equal(two, load_vector(mesh, [InitialStrain("body", (2e-4, -5e-4, 0.0))], STEEL))
-
     def test_linear_in_position_is_exact(self):
         # virtual work on v = (x, 0, 0): (lambda + 2 mu) int e with e = k (y + z), 2 x 1.5 x 1
         mesh, material, k = PARTS[3]["lower"], Solid(young=2.1e11, poisson=0.3), 1e-3
@@ -304,6 +282,8 @@ class TestInitialStrain:
         modulus = STEEL.lame + 2 * STEEL.shear_modulus
         assert load @ (RING.points * [0.0, 1.0]).reshape(-1) == pytest.approx(
             modulus * k * 2 * np.pi * HEIGHT * (OUTER**3 - INNER**3) / 3, rel=1e-12)
+        plane = load_vector(RING, [InitialStrain("body", (2e-4, -5e-4))], STEEL)
+        np.testing.assert_array_equal(plane, load_vector(RING, [InitialStrain("body", (2e-4, -5e-4, 0.0))], STEEL))
 
     def test_several_add_up(self):
         mesh, materials = BOTH[2], two(PlaneStress)

@@ -1,7 +1,5 @@
 """Node-to-node coupling: partners, gaps, weights in 2D, axisymmetry and 3D, and every refusal."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mortar import mortar_2d, node_to_node
@@ -43,7 +41,8 @@ def test_matching_lines(gap, axisymmetric):
     np.testing.assert_allclose(found.gaps, gap)
     mortar = mortar_2d(*data, axisymmetric=axisymmetric)
     np.testing.assert_allclose(found.weights, mortar.weights)
-    assert abs(found.coupling - mortar.coupling).max() < 1e-12
+    assert abs(found.coupling - mortar.coupling).max() < 1e-12 and mortar.coupling.nnz == len(partner)
+    np.testing.assert_array_equal(mortar.nodes, np.arange(len(partner)))
 
 
 def test_surfaces_in_3d():
@@ -57,10 +56,8 @@ def test_surfaces_in_3d():
 
 
 def test_concentric_rings():
-    angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    ring = np.column_stack([np.cos(angles), np.sin(angles)])
-    i = np.arange(40)
-    slave = np.column_stack([i, np.roll(i, -1)])
+    angles, i = np.linspace(0, 2 * np.pi, 40, endpoint=False), np.arange(40)
+    ring, slave = np.column_stack([np.cos(angles), np.sin(angles)]), np.column_stack([i, np.roll(i, -1)])
     points = np.concatenate([ring, 1.2 * ring])
     found = node_to_node(points, slave, slave[:, ::-1] + 40, surface_normals(points, slave))
     np.testing.assert_allclose(found.gaps, 0.2)
@@ -85,18 +82,14 @@ def test_refusals(monkeypatch):
     points, slave, master, normals, _ = lines(np.linspace(0, 1, 5), 0.1)
     with pytest.raises(ValueError, match=f"^{NEVER_FACING}"):
         node_to_node(points, slave, master[:, ::-1], normals)
+    turned = np.where((master == 9).any(axis=1, keepdims=True), master[:, ::-1], master)
+    with pytest.raises(ValueError, match=r"slave node 3 .* and faces the same way"):
+        node_to_node(points, slave, turned, normals)
     with pytest.raises(ValueError, match=r"slave node 0 .* has no partner"):
         node_to_node(points, slave, master[1:], normals)
     monkeypatch.setattr(pairs, "_OFFSET", 4.0)
     with pytest.raises(ValueError, match=r"slave nodes 0 .* and 1 .* have the same partner 8"):
         node_to_node(points, slave, master[3:], normals, excluded=(2, 3, 4))
-
-
-def test_a_facet_that_faces_away_is_named():
-    points, slave, master, normals, _ = lines(np.linspace(0, 1, 5), 0.1)
-    turned = np.where((master == 9).any(axis=1, keepdims=True), master[:, ::-1], master)
-    with pytest.raises(ValueError, match=r"slave node 3 .* and faces the same way"):
-        node_to_node(points, slave, turned, normals)
 
 
 def test_a_node_on_the_axis(monkeypatch):

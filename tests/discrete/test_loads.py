@@ -1,7 +1,5 @@
 """Load vectors: resultant force and moment are exact, functions of position included; supports prescribe."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 from test_elasticity import BOTH, EACH_KIND, HEIGHT, INNER, MESHES, OUTER, PARTS, RING, STEEL, measures, two
 
 from adaptmg.discrete import fixed_dofs, load_vector
-from adaptmg.discrete.facets import area_vectors, shape_integrals
+from adaptmg.discrete.facets import area_vectors
 from adaptmg.mesh import structured
 from adaptmg.problem import BodyForce, Box, PlaneStrain, Pressure, Rectangle, Support, Traction
 
@@ -89,13 +87,6 @@ class TestAxisymmetric:
         assert work == pytest.approx(2 * np.pi * k * HEIGHT * (OUTER**4 - INNER**4) / 4, rel=1e-12)
         work = load_vector(RING, [Traction("top", (0.0, lambda x: k * x[:, 0]))], STEEL) @ v
         assert work == pytest.approx(2 * np.pi * k * HEIGHT * (OUTER**3 - INNER**3) / 3, rel=1e-12)
-
-    def test_shape_integrals(self):
-        facets, r = RING.boundary_facets("top"), RING.points[:, 0]
-        share = np.linalg.norm(area_vectors(RING.points, facets), axis=1)[:, None] * shape_integrals(
-            RING.points, facets, axisymmetric=True)
-        assert share.sum() == pytest.approx(np.pi * (OUTER**2 - INNER**2), rel=1e-12)
-        assert np.sum(share * r[facets]) == pytest.approx(2 * np.pi * (OUTER**3 - INNER**3) / 3, rel=1e-12)
 
     @MESHES
     def test_pressure_all_around(self, mesh):

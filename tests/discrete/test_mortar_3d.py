@@ -1,7 +1,5 @@
 """Mortar coupling in 3D: consistency, patch test, gaps, visibility; and the polygon kernels below it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mortar import mortar_3d
@@ -269,8 +267,7 @@ def test_reach_and_depth():
 
 @pytest.mark.parametrize("width", [1e-3, 1e-4, 1e-6])
 def test_a_narrow_strip_of_coverage_is_stable(width):
-    flat, slave, master = joined(square(30, 7, up=DOWN, z=0.1), square(30, 8, up=UP, low=(-1, -0.1),
-                                                                      high=(width, 1.1)))
+    flat, slave, master = joined(square(30, 7, up=DOWN, z=0.1), square(30, 8, up=UP, low=(-1, -0.1), high=(width, 1.1)))
     interface = couple(rigid(flat, 3), slave, master)
     np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-10)
     np.testing.assert_allclose(interface.gaps, 0.1, atol=1e-10)
@@ -287,48 +284,6 @@ def test_what_does_not_fit_is_refused():
                   master, normals)
     with pytest.raises(ValueError, match="normals must point out"):
         mortar_3d(points, slave, master, -normals)
-
-
-@pytest.fixture(params=["compiled", "plain"])
-def way(request, monkeypatch):
-    """Kernels as they are, and as Python runs them."""
-    if request.param == "plain":
-        uncompile(monkeypatch, kernels)
-
-
-def test_clipping_is_symmetric_and_moments_are_exact(way):
-    rng = np.random.default_rng(0)
-    out, spare = np.empty((kernels.ROOM, 2)), np.empty((kernels.ROOM, 2))
-    first, second = np.empty(kernels.MOMENTS), np.empty(kernels.MOMENTS)
-    for coincident in (False, True):
-        a, b = (triangle[[0, 1, 2] if np.linalg.det(triangle[1:] - triangle[0]) > 0 else [0, 2, 1]]
-                for triangle in rng.random((2, 3, 2)))
-        if coincident:
-            b = a[[1, 2, 0]] + 0.3 * (a[1] - a[0])
-        n = kernels.clip(a, 3, b, 3, out, spare)
-        kernels.polygon_moments(out, n, first)
-        kernels.polygon_moments(out, kernels.clip(b, 3, a, 3, out, spare), second)
-        np.testing.assert_allclose(first, second, atol=1e-14)
-    kernels.polygon_moments(np.array([[1.0, 1], [3, 1], [3, 2], [1, 2]]), 4, first)
-    np.testing.assert_allclose(first, [2, 2, 1.5, 4 / 12, 0, 1 / 12], atol=1e-15)
-
-
-def test_visible_and_hidden_parts_add_up(way):
-    rng = np.random.default_rng(1)
-    triangles = rng.random((40, 3, 2))
-    clockwise = np.linalg.det(triangles[:, 1:] - triangles[:, :1]) < 0
-    triangles[clockwise] = triangles[clockwise][:, ::-1]
-    stack, states = np.empty((100, 3, 2)), np.empty((100, 2), dtype=np.int64)
-    scratch = np.empty((2, kernels.ROOM, 2))
-    visible, common, whole = np.empty((3, kernels.MOMENTS))
-    for a, b in zip(triangles[::2], triangles[1::2], strict=True):
-        # given twice, the blocker hides no more than once
-        kernels.add_visible(a, 3, np.array([b, b]), np.array([0, 1]), 2, 1e-10, stack, states, scratch, visible)
-        kernels.polygon_moments(scratch[0], kernels.clip(a, 3, b, 3, scratch[0], scratch[1]), common)
-        kernels.polygon_moments(a, 3, whole)
-        assert visible[0] + common[0] == pytest.approx(whole[0], abs=1e-14)
-        np.testing.assert_allclose(visible[0] * visible[1:3] + common[0] * common[1:3], whole[0] * whole[1:3],
-                                   atol=1e-14)
 
 
 def test_kernels_without_jit(monkeypatch):
