@@ -27,6 +27,7 @@ import numpy as np
 import pandas as pd
 from matplotlib import pyplot as plt
 from paper_runs import listed, span
+from scipy import sparse
 from transfer_adaptive import adaptive_items
 
 import adaptmg as am
@@ -126,9 +127,16 @@ def properties(dim: int, sizes: tuple[float, ...], contact_ratio: float, transfe
     return {"nodes": finest.discrete.n_nodes, "contact_nodes": len(finest.discrete.contact), "levels": len(hierarchy),
             "mesh_ratio": max(level.mesh_ratio for level in hierarchy.levels[1:]), "build_s": own,
             "build_ratio": own / base, "row_entries": finest.prolongation.nnz / finest.prolongation.shape[0],
-            "complexity": levels.operator_complexity, "discretised_complexity": hierarchy.operator_complexity,
+            "complexity": sum(level.system.nonzeros for level in levels.levels) / levels.levels[-1].system.nonzeros,
+            "discretised_complexity": hierarchy.operator_complexity,
             "min_weight": min(float(level.prolongation.data.min()) for level in hierarchy.levels[1:]),
-            "affine_error": affine_error(hierarchy), "proven": all(level.proven for level in levels.levels)}
+            "affine_error": affine_error(hierarchy),
+            "proven": all(proven(level.contact_prolongation) for level in levels.levels[1:])}
+
+
+def proven(weights: sparse.csr_array) -> bool:
+    """Whether the monotone correction is proven for contact rows of a transfer: they are >= 0 with sums 1."""
+    return bool((weights.data >= 0).all() and np.abs(weights.sum(axis=1) - 1).max(initial=0.0) < 1e-10)
 
 
 def negative_contact_weights(hierarchy: am.Hierarchy) -> bool:

@@ -118,19 +118,6 @@ def test_first_tables_of_sections_stand_open_as_far_as_there_is_room(tmp_path):
         assert ["open" in a for a in page.all("details", "table")] == [bool(x) for x in wanted]
 
 
-def test_headers_have_words_and_units(tmp_path):
-    names = {"total_s": "total [s]", "mesh_ratio": "mesh ratio", "u_n": "u_n", "plain": "plain", "a_b c": "a_b c",
-             "peak_mb": "peak [MB]", "x_1": "x_1"}
-
-    def fill(report):
-        report.section("s")
-        report.table(pd.DataFrame({name: [1] for name in names}), "t", units={"mesh_ratio": ""})
-
-    page, _ = made(tmp_path, fill)
-    shown = " ".join(page.text("th", "span").split())
-    assert " ".join(names.values()) in shown
-
-
 def test_what_is_the_same_in_every_row_is_said_once(tmp_path):
     frame = pd.DataFrame({name: [1, 2, 3] for name in "abcdefg"}).assign(same="x <y>", g=2.5)
 
@@ -159,9 +146,7 @@ def test_a_long_text_shows_its_first_sentences_and_folds_the_rest(tmp_path):
     assert page.text("span") == "1e-6 2.5e-12" and "To" in page.text("p")  # numbers are not broken
     text = " ".join(f"Sentence number {k} is here." for k in range(100))
     page, _ = made(tmp_path, lambda r: r.section("s", text))
-    assert len(page.all("details", "more")) == 1
-    shown = " ".join(page.text("p").split())
-    assert all(f"number {k} " in shown for k in range(100))
+    assert len(page.all("details", "more")) == 1 and " ".join(page.text("p").split()).count("Sentence") == 100
     assert lead("Short. Text.", 420) == ("Short. Text.", "")
     seen, rest = lead(text, 420)
     assert seen.endswith(".") and f"{seen} {rest}" == text and len(seen) < 1.3 * 420
@@ -198,26 +183,16 @@ def test_bad_arguments_are_refused(tmp_path):
     plt.close("all")
 
 
-def column(values, spec=""):
-    """The only column of a table."""
-    return columns_of(pd.DataFrame({"x": values}), None, {"x": spec} if spec else None)[0]
-
-
-@pytest.mark.parametrize(("values", "shown"), [
-    ([0.0534, 0.015004, 12.0], ["0.05340", "0.01500", "12.00"]),
-    ([0.1, 0.25, 1.0], ["0.1", "0.25", "1"]),  # chosen, not measured
-    ([1.0, 2.0, np.nan], ["1", "2", "-"]), ([1, 2, 30], ["1", "2", "30"]),
-    ([1234.56, 7.0], ["1235", "7.000"]), ([0.1, np.inf, 1 / 3], ["0.1000", "inf", "0.3333"]),
-    (["1.50", "b"], ["1.50", "b"])])
-def test_measured_numbers_keep_their_zeros_and_chosen_ones_none(values, shown):
-    assert column(values).texts == shown
-
-
-def test_given_formats_are_kept():
-    assert column([1.26, 2.0], spec=".1f").texts == ["1.3", "2.0"]
-    assert column([0.123456, 2.0], spec=".2g").texts == ["0.12", "2.0"]
-    assert column([3.2e-15, 0.0], spec=".1e").texts == ["3.2e-15", "0"]
-    assert column(pd.array([1.26, None], "Float64"), spec=".2g").texts == ["1.3", "-"]
+@pytest.mark.parametrize(("values", "spec", "shown"), [
+    ([0.0534, 0.015004, 12.0], "", ["0.05340", "0.01500", "12.00"]),
+    ([0.1, 0.25, 1.0], "", ["0.1", "0.25", "1"]),  # chosen, not measured
+    ([1.0, 2.0, np.nan], "", ["1", "2", "-"]), ([1, 2, 30], "", ["1", "2", "30"]), (["1.5", "b"], "", ["1.5", "b"]),
+    ([1234.56, 7.0], "", ["1235", "7.000"]), ([0.1, np.inf, 1 / 3], "", ["0.1000", "inf", "0.3333"]),
+    ([1.26, 2.0], ".1f", ["1.3", "2.0"]), ([0.123456, 2.0], ".2g", ["0.12", "2.0"]),
+    ([3.2e-15, 0.0], ".1e", ["3.2e-15", "0"]), (pd.array([1.26, None], "Float64"), ".2g", ["1.3", "-"])])
+def test_measured_numbers_keep_their_zeros_chosen_ones_none_and_formats_hold(values, spec, shown):
+    (column,) = columns_of(pd.DataFrame({"x": values}), None, {"x": spec} if spec else None)
+    assert column.texts == shown
 
 
 def test_identifiers_become_words_and_their_unit():

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 from browser import dom, measure, needs_browser, screenshot
+from matplotlib.figure import Figure
 from PIL import Image
 
 from adaptmg.export import Report
@@ -23,7 +23,9 @@ def page(tmp_path_factory):
     many = pd.DataFrame({f"a column of number {k}": np.arange(90) * 10.0**(k - 8) for k in range(18)})
     many.insert(0, "method", [f"{'long ' * (k % 7)}method{k}" for k in range(90)])
     for k in range(3):
-        report.card("Table", "What it says in words. " * 8, table=answers(k), units={"paper": "CPU", "ours": "work"})
+        answers = pd.DataFrame({"grids": ["a method of two words", "289/81", "1089/289/81/25", "another method"],
+                                "paper": [1.0, 7.2, 21.7, 27.3], "ours": np.arange(4) * 8.25, f"new {k}": 1.0})
+        report.card("Table", "What it says in words. " * 8, table=answers, units={"paper": "CPU", "ours": "work"})
     for _ in range(2):
         report.card("Picture", "What it says, in words that are not few. " * 15, figure=drawing())
     report.section("Sorted")
@@ -39,16 +41,9 @@ def page(tmp_path_factory):
     return report.write(tmp_path_factory.mktemp("page") / "report.html")
 
 
-def answers(k: int) -> pd.DataFrame:
-    """A table of the first screen."""
-    names = ["a method of two words", "289/81", "1089/289/81/25", "another method"]
-    return pd.DataFrame({"grids": names, "paper": [1.0, 7.2, 21.7, 27.3], "ours": np.arange(4) * 8.25, f"new {k}": 1.0})
-
-
-def drawing(width: float = 6.0):
-    """A small figure."""
-    figure, ax = plt.subplots(figsize=(width, 3))
-    ax.plot([1, 2, 3])
+def drawing(width: float = 6.0) -> Figure:
+    figure = Figure(figsize=(width, 3))
+    figure.subplots().plot([1, 2, 3])
     return figure
 
 
@@ -121,7 +116,6 @@ return found;
 
 @pytest.fixture(scope="module")
 def found(page, tmp_path_factory):
-    """All that is measured, in one go: a browser takes seconds to start."""
     return measure(tmp_path_factory.mktemp("browser"), page.read_text(encoding="utf-8"), SCRIPT)
 
 

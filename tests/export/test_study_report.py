@@ -8,7 +8,7 @@ import pytest
 from pages import Page
 
 from adaptmg.export import study_report
-from adaptmg.export.study_page import Axis, axes_of_study, curves, numbers
+from adaptmg.export.study_page import Axis, axes_of_study, curves
 
 
 def table(repeats: int = 2) -> pd.DataFrame:
@@ -23,7 +23,6 @@ def table(repeats: int = 2) -> pd.DataFrame:
 
 
 def written(tmp_path, frame, **options) -> Page:
-    """The page of it."""
     path = study_report(frame, tmp_path / "r.html", **({"parameters": ["sweeps", "friction", "seed"]} | options))
     return Page(path.read_text(encoding="utf-8"))
 
@@ -96,12 +95,6 @@ def test_lines_are_medians_and_bands_span_the_runs():
     many = pd.DataFrame({"a": [1] * 101 + [2] * 101, "r": [*range(101)] * 2})
     band = curves(many, Axis("a", ""), "r").axes[0].collections[0].get_paths()[0].vertices[:, 1]
     assert band.min() == 25.0 and band.max() == 75.0  # of many runs the middle half
-
-
-def test_what_counts_as_numbers():
-    assert numbers(pd.Series([1, None, 2.5])).tolist()[2] == 2.5
-    for values in ([True, False], ["1", "2"], [None, None], [1, "x"], [1, True], [1j, 2]):
-        assert numbers(pd.Series(values, dtype=object)) is None
 
 
 def test_bad_arguments_are_refused(tmp_path):

@@ -8,18 +8,15 @@ import pytest
 from made import cube, result_on, square
 from made_bodies import two_bodies
 from matplotlib.colors import LogNorm, to_rgba
+from matplotlib.figure import Figure
 from pictures import words
 
 import adaptmg as am
 from adaptmg import plot
-from adaptmg.plot.style import STATE_COLORS, number, scaled
+from adaptmg.plot.style import STATE_COLORS
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 
 PLANE, SOLID = result_on(square(16)), result_on(cube(3))
-
-
-def line(ax, label):
-    return next(drawn for drawn in ax.lines if drawn.get_label() == label)
 
 
 def test_contact_shades_the_zones_half_way_between_nodes():
@@ -39,7 +36,8 @@ def test_contact_takes_axes_and_bare_problems():
     assert plot.contact(result_on(None)).axes[2].get_xlabel() == "contact node"
     with pytest.raises(ValueError, match="boundary must be one of 'bottom'"):
         plot.contact(PLANE, boundary="top")
-    figure, axes = plt.subplots(3)
+    figure = Figure()
+    axes = figure.subplots(3)
     assert plot.contact(PLANE, axes) is figure
     with pytest.raises(ValueError, match="3 matplotlib axes"):
         plot.contact(PLANE, axes[0])
@@ -47,10 +45,9 @@ def test_contact_takes_axes_and_bare_problems():
 
 def test_history_draws_what_was_recorded():
     ax = plot.history(PLANE).axes[0]
-    drawn = line(ax, "natural residual (relative)")
-    np.testing.assert_array_equal(drawn.get_xdata(), PLANE.history["work_units"])
-    np.testing.assert_array_equal(drawn.get_ydata(), PLANE.history["residual"])
-    estimate = line(ax, "estimated error (relative, energy norm)")
+    drawn = {line.get_label(): line for line in ax.lines}
+    residual, estimate = drawn["natural residual (relative)"], drawn["estimated error (relative, energy norm)"]
+    np.testing.assert_array_equal(residual.get_xydata().T, [PLANE.history["work_units"], PLANE.history["residual"]])
     np.testing.assert_array_equal(estimate.get_ydata(), PLANE.history["error_estimate"][1:])
     assert ax.get_yscale() == "log" and ax.get_xlabel() == "work units"
 
@@ -131,12 +128,3 @@ def test_pictures_leave_the_settings_of_the_user_alone():
     before = dict(plt.rcParams)
     plot.contact(PLANE)
     assert dict(plt.rcParams) == before
-
-
-def test_units_and_numbers_are_short():
-    for value, unit in ((4e-3, (1e3, "mm")), (1.0, (1.0, "m")), (2e-7, (1e9, "nm")), (0.0, (1.0, "m")),
-                        (5e3, (1e-3, "km"))):
-        factor, name = scaled(value, "m")
-        assert (pytest.approx(factor), name) == unit
-    assert [number(v) for v in (50.0, 0.3, 1234.5, 0.0)] == ["50", "0.3", "1234", "0"]
-    assert number(1.5e-7) == r"1.5$\cdot$10$^{-7}$"

@@ -11,7 +11,6 @@ from pictures import texts
 
 import adaptmg as am
 from adaptmg import plot
-from adaptmg.plot.style import label_text, plain
 
 NAMES = ("a$b$c", r"_$\frac{", "<b>&amp; 50 % #1 ~^{", "ends\\")
 
@@ -64,8 +63,3 @@ def test_assemblies_show_odd_names():
                      "body force (0, -10) kN/m³ in '$x$_1'"):
         assert expected in found
     assert any("initial strain in '$x$_1'" in text for text in found)
-
-
-def test_the_user_may_write_math_in_labels():
-    assert label_text(r"slip [$\mu$m]") == r"slip [$\mu$m]"
-    assert label_text(r"$\frac{") == plain(r"$\frac{") == r"\$\frac{"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from made import cube
+from matplotlib.figure import Figure
 
 from adaptmg.plot.surfaces import Surface, raster_segments, raster_triangles
 
@@ -59,7 +59,7 @@ def test_a_surface_shows_the_front_of_a_body_from_wherever_it_is_seen():
     side = (np.sign(outward[np.arange(len(axis)), axis]) > 0).astype(int)
     tints = np.linspace(0.1, 1.0, 6)
     colors = np.repeat(tints[2 * axis + side][:, None], 4, axis=1)
-    ax = plt.figure().add_subplot(projection="3d")
+    ax = Figure().add_subplot(projection="3d")
     surface = Surface(mesh.points[mesh.facets], colors, shading=0.0)
     ax.add_artist(surface)
     ax.set(xlim=(0, 1), ylim=(0, 1), zlim=(0, 1))

@@ -80,12 +80,7 @@ def test_arrows_are_proportional_to_the_tractions_and_end_on_the_boundary():
     np.testing.assert_allclose(directions, tips / np.linalg.norm(tips, axis=1)[:, None], atol=0.03)
 
 
-def test_edges_have_the_lengths_of_their_boundaries_and_points_lie_on_them():
-    outline = assembly().domain.parts["tongue"]
-    edges = boundary_edges(outline)
-    assert set(edges) == set(outline.boundaries)
-    for name, length in zip(outline.boundaries, outline.lengths, strict=True):
-        assert np.linalg.norm(np.diff(edges[name], axis=1), axis=2).sum() == pytest.approx(length, rel=1e-3)
+def test_points_are_spread_over_all_edges_of_a_boundary():
     both = boundary_edges(am.Polygon(vertices=((0, 0), (1, 0), (1, 1), (0, 1)), boundaries=("a", "b", "a", "b")))["a"]
     points, normals = spread(both, np.array([0.25, 0.75]))
     np.testing.assert_allclose(points, [[0.5, 0], [0.5, 1]])
@@ -98,10 +93,9 @@ def test_solids_are_drawn_on_a_mesh():
         contact=am.ContactPair("upper.bottom", "lower.bottom"), supports=(am.Support("lower.rest", z=0),),
         loads=(am.Pressure("upper.rest", 2e7), am.InitialStrain("upper", (0, 0, -1e-3))))
     shown = words(am.plot.problem(posed, mesh=two_bodies(3, 4, 3).mesh, explode=0.3))
-    for text in ("contact on 'upper.bottom'", "its master 'lower.bottom'", "p = 20 MPa on 'upper.rest'", "lower",
-                 "$u_z$ = 0 on 'lower.rest'", "initial strain in 'upper'\n$\\varepsilon_z$ = -0.001",
-                 "frictionless contact"):
-        assert text in shown
+    assert all(text in shown for text in (
+        "contact on 'upper.bottom'", "its master 'lower.bottom'", "p = 20 MPa on 'upper.rest'", "frictionless contact",
+        "$u_z$ = 0 on 'lower.rest'", "initial strain in 'upper'\n$\\varepsilon_z$ = -0.001"))
     with pytest.raises(ValueError, match="no domain"):
         am.plot.problem(posed)
     with pytest.raises(ValueError, match="does not exist"):
