@@ -164,11 +164,6 @@ def _other_files():
         for label, data in names.items():
             yield Hostile(f"{kind} {label}", lambda k=kind, d=data: _read(f"bad.{k}", d), f"bad.{kind}", ValueError,
                           writes=True)
-        whole = VOL if kind == "vol" else MSH2
-        for share in (0.2, 0.5, 0.95):
-            part = whole[:int(share * len(whole))]
-            yield Hostile(f"{kind} cut at {share}", lambda k=kind, t=part: _read(f"bad.{k}", t), f"bad.{kind}",
-                          ValueError, writes=True)
     for label, data in {"nodes": _binary(nodes=10**9), "elements": _binary(elements=10**9),
                         "corner": _binary(corner=77),
                         "negative": _binary(nodes=-3), "cut": _binary()[:120]}.items():

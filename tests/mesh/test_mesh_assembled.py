@@ -8,19 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from adaptmg.mesh import (
-    MeshArrays,
-    SizeNear,
-    bisect,
-    check_mesh,
-    graded,
-    merged,
-    quality,
-    sized,
-    structured,
-)
+from adaptmg.mesh import MeshArrays, SizeNear, bisect, check_mesh, graded, merged, quality, sized, structured
 from adaptmg.mesh.domains import distance_to_boundaries, require_simple
-from adaptmg.problem import Assembly, Ball, Box, Outline, Polygon, Rectangle, StepFile
+from adaptmg.problem import Assembly, Ball, Box, Outline, Rectangle, StepFile
 
 UPPER = Rectangle(width=1.0, height=0.5)
 LOWER = Rectangle(width=2.0, height=1.0, origin=(-0.5, -1.0))
@@ -51,7 +41,7 @@ class TestMerged:
     @pytest.mark.parametrize("assembly", [TWO, BOXES], ids=["2D", "3D"])
     def test_bodies_are_concatenated(self, assembly):
         parts = {name: structured(part, 2 + i) for i, (name, part) in enumerate(assembly.parts.items())}
-        mesh = check_mesh(merged(parts), assembly.boundaries)
+        mesh = check_mesh(structured(assembly, dict(zip(parts, (2, 3), strict=True))), assembly.boundaries)
         assert mesh.bodies == assembly.bodies and mesh.boundaries == assembly.boundaries
         start = 0
         for i, (name, part) in enumerate(parts.items()):
@@ -63,33 +53,6 @@ class TestMerged:
                                               part.boundary_facets(edge))
             start += part.n_nodes
         assert start == mesh.n_nodes
-
-    @pytest.mark.parametrize(("meshes", "error", "message"), [
-        ({}, ValueError, "meshes is empty"),
-        ({"a": structured(TWO, 1)}, ValueError, r"has 2 bodies \(upper, lower\)"),
-        ({"a": structured(UPPER, 1), "b": structured(BOXES.parts["a"], 1)}, ValueError, "same dimension"),
-    ])
-    def test_refuses(self, meshes, error, message):
-        with pytest.raises(error, match=message):
-            merged(meshes)
-
-class TestStructured:
-    def test_nested(self):
-        coarse, fine = structured(BOXES, 1), structured(BOXES, {"a": 2, "b": 2})
-        for body in BOXES.bodies:
-            name = f"{body}.top"
-            on_coarse, on_fine = ({tuple(p) for p in m.points[m.boundary_nodes(name)]} for m in (coarse, fine))
-            assert on_coarse < on_fine
-
-    @pytest.mark.parametrize(("domain", "divisions", "error", "message"), [
-        (TWO, {"upper": 2}, ValueError, "divisions must name each body once: the bodies are 'upper', 'lower'"),
-        (TWO, {"upper": 2, "lower": 0}, ValueError, "divisions must be >= 1"),
-        (UPPER, {"upper": 2}, TypeError, "for an Assembly only"),
-        (Assembly(parts={"disk": DISK}), 2, TypeError, "graded meshes other domains"),
-    ])
-    def test_refuses(self, domain, divisions, error, message):
-        with pytest.raises(error, match=message):
-            structured(domain, divisions)
 
 
 class TestOutline:
@@ -124,19 +87,6 @@ class TestOutline:
         relative = lengths(mesh, "in") * ratio / 0.4
         assert relative.max() < 1.5 and relative.min() > 0.4
         assert quality(mesh).min_angle > 15
-
-    def test_what_bisection_adds_lies_on_the_circle_too(self):
-        # beyond the ratio that Netgen takes
-        mesh = graded(DISK, 0.5, "a", 200)
-        assert max(off_circle(mesh, name, (3, 5), 1) for name in "ab") < 1e-15
-        assert lengths(mesh, "a").max() < 1.5 * 0.5 / 200 and lengths(mesh, "b").max() > 0.2
-        assert quality(mesh).min_angle > 15
-
-    def test_without_arcs_it_meshes_like_a_polygon(self):
-        vertices, names = ((0, 0), (2, 0.5), (1, 2)), ("a", "b", "c")
-        one, other = (graded(kind(vertices=vertices, boundaries=names), 0.3, "b", 4) for kind in (Outline, Polygon))
-        np.testing.assert_allclose(one.points, other.points, atol=1e-15)
-        np.testing.assert_array_equal(one.facet_labels, other.facet_labels)
 
     def test_crossing_outlines_are_refused(self):
         # the arc dips through the edge opposite
@@ -186,15 +136,6 @@ class TestGradedAssembly:
         with pytest.raises(ValueError, match="not the body 'up' of a contact boundary"):
             graded(domain, {"low": 8e-3}, "up.bottom", 2)
 
-    @pytest.mark.parametrize(("arguments", "error", "message"), [
-        (({"upper": 1.0},), ValueError, "size must name each body once"),
-        ((1.0, "bottom", 2), ValueError, r"'bottom' does not exist; the boundaries are upper\.bottom"),
-        ((1.0, (), 2), ValueError, "contact_boundaries is empty"),
-        ((1.0, "upper.bottom", {"upper": 2, "lower": 2}), ValueError, "contact_boundaries is empty"),
-    ])
-    def test_refuses(self, arguments, error, message):
-        with pytest.raises(error, match=message):
-            graded(TWO, *arguments)
 
 class TestSizedAssembly:
     def test_fine_where_balls_touch(self):
@@ -212,27 +153,11 @@ class TestSizedAssembly:
         mesh = sized(TWO, {"upper": 0.1, "lower": lambda x: 0.2 + 0 * x[:, 0]}, {"upper": 1.0, "lower": 2.0}, rounds=1)
         fine, coarse = (np.median(mesh.element_sizes[mesh.element_body == i]) for i in (0, 1))
         assert 0.07 < fine < 0.15 < coarse < 0.3
-        with pytest.raises(ValueError, match="size_function must name each body once"):
-            sized(TWO, {"upper": 0.1}, 1.0)
 
     def test_size_near(self):
         field = SizeNear([(0, 0), (4, 0)], size=0.1, radius=1.0, grading=0.5)
         np.testing.assert_allclose(field(np.array([[0.5, 0], [2, 0], [4, 3]])), [0.1, 0.6, 1.1])
         assert hash(field) == hash(SizeNear(((0.0, 0.0), (4.0, 0.0)), size=0.1, radius=1.0, grading=0.5))
-
-    @pytest.mark.parametrize(("points", "options", "message"), [
-        ([], {"size": 1.0}, "at least one point"),
-        ([(0, 0), (0, 0, 0)], {"size": 1.0}, "same dimension"),
-        ([(0, 0)], {"size": 1.0, "radius": -1}, "radius must be >= 0"),
-        ([(0, 0)], {"size": 1.0, "grading": 2}, "grading must be at most 1"),
-        ([(0, math.nan)], {"size": 1.0}, "points must be finite"),
-    ])
-    def test_size_near_refuses(self, points, options, message):
-        with pytest.raises(ValueError, match=message):
-            SizeNear(points, **options)
-        with pytest.raises(ValueError, match="are 3D, the mesh is 2D"):
-            sized(UPPER, SizeNear([(0, 0, 0)], size=0.1), 1.0)
-
 
 class TestBisected:
     @pytest.mark.parametrize("assembly", [TWO, BOXES], ids=["2D", "3D"])
@@ -244,3 +169,28 @@ class TestBisected:
         # no parent of a new node lies on the body that was not marked
         first = np.unique(coarse.elements[coarse.element_body == 0])
         assert fine.n_nodes > coarse.n_nodes and not np.isin(parents[coarse.n_nodes:], first).any()
+
+
+@pytest.mark.parametrize(("call", "error", "message"), [
+    (lambda: merged({}), ValueError, "meshes is empty"),
+    (lambda: merged({"a": structured(TWO, 1)}), ValueError, r"has 2 bodies \(upper, lower\)"),
+    (lambda: merged({"a": structured(UPPER, 1), "b": structured(BOXES.parts["a"], 1)}), ValueError, "same dimension"),
+    (lambda: structured(TWO, {"upper": 2}), ValueError, "divisions must name each body once: the bodies are 'upper'"),
+    (lambda: structured(TWO, {"upper": 2, "lower": 0}), ValueError, "divisions must be >= 1"),
+    (lambda: structured(UPPER, {"upper": 2}), TypeError, "for an Assembly only"),
+    (lambda: structured(Assembly(parts={"disk": DISK}), 2), TypeError, "graded meshes other domains"),
+    (lambda: graded(TWO, {"upper": 1.0}), ValueError, "size must name each body once"),
+    (lambda: graded(TWO, 1.0, "bottom", 2), ValueError, r"'bottom' does not exist; the boundaries are upper\.bottom"),
+    (lambda: graded(TWO, 1.0, (), 2), ValueError, "contact_boundaries is empty"),
+    (lambda: graded(TWO, 1.0, "upper.bottom", {"upper": 2, "lower": 2}), ValueError, "contact_boundaries is empty"),
+    (lambda: sized(TWO, {"upper": 0.1}, 1.0), ValueError, "size_function must name each body once"),
+    (lambda: sized(UPPER, SizeNear([(0, 0, 0)], size=0.1), 1.0), ValueError, "are 3D, the mesh is 2D"),
+    (lambda: SizeNear([], size=1.0), ValueError, "at least one point"),
+    (lambda: SizeNear([(0, 0), (0, 0, 0)], size=1.0), ValueError, "same dimension"),
+    (lambda: SizeNear([(0, 0)], size=1.0, radius=-1), ValueError, "radius must be >= 0"),
+    (lambda: SizeNear([(0, 0)], size=1.0, grading=2), ValueError, "grading must be at most 1"),
+    (lambda: SizeNear([(0, math.nan)], size=1.0), ValueError, "points must be finite"),
+])
+def test_refuses(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import netgen.meshing
 import ngsolve
 import numpy as np
 import pytest
@@ -113,8 +112,6 @@ def test_other_meshes_are_refused():
         from_ngsolve(ngsolve.Mesh(unit_square.GenerateMesh(maxh=0.5, quad_dominated=True)))
     with pytest.raises(ValueError, match="must consist of tetrahedra"):
         from_ngsolve(MakeStructured3DMesh(hexes=True, nx=2))
-    with pytest.raises(ValueError, match="no elements"):
-        from_ngsolve(ngsolve.Mesh(netgen.meshing.Mesh(dim=2)))
 
 
 def test_to_ngsolve_refuses_what_would_crash():

@@ -86,6 +86,7 @@ def test_round_faces_of_solids():
     mesh = refined_onto(turned, graded(turned, 0.5))
     np.testing.assert_allclose(np.hypot(*mesh.points[mesh.boundary_nodes("side"), 1:].T), 0.5, rtol=1e-12)
     np.testing.assert_allclose(mesh.points[mesh.boundary_nodes("bottom"), 0], 11, rtol=1e-14)
+    np.testing.assert_allclose([turned.lower, turned.upper], [[11, -0.5, -0.5], [12, 0.5, 0.5]], atol=1e-14)
 
 
 def test_turned_and_extruded_profiles():
