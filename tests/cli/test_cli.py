@@ -21,10 +21,6 @@ from adaptmg.cli.output import watched
 COMMANDS = ("cases", "solve", "adapt", "study", "runs", "report")
 
 
-def test_the_version(command):
-    assert command("--version") == (0, f"adaptmg {am.__version__}\n", "")
-
-
 @pytest.mark.parametrize("arguments", [(), *((name,) for name in ("", *COMMANDS))])
 def test_every_help_has_an_example(command, arguments):
     code, out, _ = command(*filter(None, arguments), *["--help"] * bool(arguments))
@@ -32,13 +28,6 @@ def test_every_help_has_an_example(command, arguments):
     if arguments in ((), ("",)):
         places = [out.index(f" {name} ") for name in COMMANDS]
         assert places == sorted(places) and "130 Ctrl-C" in " ".join(out.split())
-
-
-def test_a_shell_can_complete(command, monkeypatch):
-    monkeypatch.setenv("_ADAPTMG_COMPLETE", "complete_bash")
-    monkeypatch.setenv("COMP_WORDS", "adaptmg solve --tr")
-    monkeypatch.setenv("COMP_CWORD", "2")
-    assert command()[1].split() == ["--transfer"]
 
 
 def test_help_loads_nothing_heavy():
@@ -51,6 +40,7 @@ def test_help_loads_nothing_heavy():
 
 
 def test_cases_are_listed(command):
+    assert command("--version") == (0, f"adaptmg {am.__version__}\n", "")
     _, out, _ = command("cases")
     assert [row.split()[0] for row in out.splitlines()] == list(am.cases.names())
     _, out, _ = command("cases", "--json")
@@ -124,18 +114,13 @@ def test_bad_input_is_one_line_and_code_2(command, options, message):
     assert len(last) == 1 and "Traceback" not in err
 
 
-def test_the_log_goes_to_standard_error_and_is_put_back(capsys):
+def test_the_log_goes_to_standard_error_and_is_put_back_and_a_terminal_gets_a_bar(capsys, monkeypatch):
     logger = logging.getLogger("adaptmg")
     before = (logger.level, list(logger.handlers))
     with watched(1e-8) as callback:
         logging.getLogger("adaptmg.somewhere").info("compiling [kernels]")
-    assert callback is None
-    assert (logger.level, logger.handlers) == before
     out, err = capsys.readouterr()
-    assert out == "" and "compiling [kernels]" in err
-
-
-def test_a_terminal_gets_a_bar(capsys, monkeypatch):
+    assert (callback, out, logger.level, logger.handlers) == (None, "", *before) and "compiling [kernels]" in err
     monkeypatch.setenv("FORCE_COLOR", "1")
     with watched(1e-8) as callback:
         callback({"cycle": 0, "residual": float("nan"), "error_estimate": float("inf")})

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import io
 import json
-import math
 
 import pytest
 
 import adaptmg as am
-from adaptmg.cli.output import watched_loop
 
 SMALL = ("adapt", "upset_block", "--start", "8e-3", "--engine", "bisect", "--max-nodes", "120")
 
 
-def test_a_line_a_step(command):
+def test_a_line_a_step_and_a_tolerance_that_ends_it(command):
     code, out, err = command(*SMALL)
     lines = out.splitlines()
     assert (code, err) == (0, "") and lines[0] == am.Step.HEADER
     numbers = [int(line.split()[0]) for line in lines[1:lines.index("")] if line.split()[0].isdigit()]
-    assert numbers == list(range(len(numbers))) and len(numbers) > 1
-    assert "max_nodes" in out and "CONVERGED" in out
+    assert numbers == list(range(len(numbers))) and len(numbers) > 1 and "max_nodes" in out and "CONVERGED" in out
+    said = json.loads(command(*SMALL[:-2], "--tolerance", "0.1", "--json")[1])
+    assert said["steps"][-1]["estimate"] <= 0.1 and "tolerance" in said["outcome"]
 
 
 @pytest.mark.parametrize("options", [("--engine", "remesh", "--indicator", "recovery"),
@@ -32,11 +30,6 @@ def test_json_says_what_the_loop_did(command, options):
     assert all(row["estimate"] > 0 and row["levels"][-1] == row["nodes"] for row in said["steps"])
     assert said["result"]["status"] == "CONVERGED"
     assert sum(said["steps"][0]["terms"].values()) == pytest.approx(said["steps"][0]["estimate_total"] ** 2)
-
-
-def test_a_tolerance_ends_it(command):
-    said = json.loads(command(*SMALL[:-2], "--tolerance", "0.1", "--json")[1])
-    assert said["steps"][-1]["estimate"] <= 0.1 and "tolerance" in said["outcome"]
 
 
 def test_files_are_written_and_a_store_is_gone_on_from(command, tmp_path):
@@ -67,18 +60,3 @@ def test_a_mesh_that_is_not_solved_ends_with_code_1(command, monkeypatch):
 def test_bad_input_is_a_line(command, options, words):
     code, out, err = command(*SMALL, *options)
     assert (code, out) == (2, "") and words in err and len(err.splitlines()) == 1
-
-
-def test_on_a_terminal_a_bar_tells_nodes_estimate_and_end(monkeypatch):
-    screen = io.StringIO()
-    screen.isatty = lambda: True
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr("sys.stderr", screen)
-    with watched_loop() as progress:
-        progress({"step": 0, "phase": "solve", "nodes": 50, "estimate": math.nan, "seconds": 1.0,
-                  "expected_seconds": math.nan})
-        progress({"step": 1, "phase": "mesh", "nodes": 123, "estimate": 0.25, "seconds": 1.0,
-                  "expected_seconds": 31.0})
-    text = screen.getvalue()
-    assert "123 nodes" in text and "25.00%" in text and "30 s more" in text

@@ -12,7 +12,6 @@ import pandas as pd
 import pytest
 
 from adaptmg.cli import runs
-from adaptmg.cli.output import printed
 from adaptmg.study import Study
 from adaptmg.study.record import Record
 from adaptmg.study.store import Store
@@ -57,12 +56,6 @@ def test_runs_that_lack_a_parameter_of_others(command):
     assert [row["late"] for row in rows] == [3]
 
 
-def test_a_study_of_one_run_shows_its_parameters(command):
-    stored(1)
-    out = command("s.sqlite")[1]
-    assert "same" in out.splitlines()[0] and out.splitlines()[-1] == "1 run" and "ValueError: ten" in out
-
-
 def test_a_table_does_not_load_a_solver(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     stored(3)
@@ -87,22 +80,27 @@ def test_conditions(command, given, found):
     assert [row["b"] for row in rows] == found
 
 
-@pytest.mark.parametrize(("given", "words"), [
-    ("c=1", "there is no column 'c'; there are a, b, pair, same, m"), ("sam=1", "did you mean 'same'"),
-    ("b", "NAME=VALUE"), ("=1", "NAME=VALUE"), ("b<x", "followed by a number, got 'x'"), ("b<nan", "by a number"),
-])
-def test_conditions_that_are_none(command, given, words):
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("--where", "c=1"), "there is no column 'c'; there are a, b, pair, same, m"),
+    (("--where", "sam=1"), "did you mean 'same'"), (("--where", "b"), "NAME=VALUE"), (("--where", "=1"), "NAME=VALUE"),
+    (("--where", "b<x"), "followed by a number, got 'x'"), (("--where", "b<nan"), "by a number"),
+    (("--study", "frist"), "did you mean 'first'"), (("--status", "stale"), "--status must be"),
+    (("--to", "t.xls"), "must end in"), (("--take-in", "nowhere.sqlite"), "no such store")])
+def test_wrong_questions_are_one_line_and_json_too(command, arguments, words):
     stored(12)
-    code, out, err = command("s.sqlite", "--where", given)
+    code, out, err = command("s.sqlite", *arguments)
     assert (code, out) == (2, "") and words in err and err.count("\n") == 1
+    code, out, err = command("s.sqlite", "--json", *arguments)
+    assert code == 2 and words in json.loads(out)["error"] and err.startswith("adaptmg: ")
 
 
-def test_failure_is_json_too(command):
+def test_json_has_no_nan_and_latex_is_escaped(command):
     stored(3)
-    code, out, err = command("s.sqlite", "--json", "--where", "zz=1")
-    assert code == 2 and "zz" in json.loads(out)["error"] and err.startswith("adaptmg: ")
     rows = json.loads(command("s.sqlite", "--json")[1], parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     assert rows[1]["nan"] is None and rows[0]["m"] is None
+    text = runs._latex(pd.DataFrame({"a_b": ["[x", "50 % & \\"], "p": [1.5e9, -2e-7], "n": [1, None]}), {"p": "Pa"})
+    assert all(part in text for part in (r"a\_b & p {[}Pa] & n \\", r"{[}x & $1.5 \cdot 10^{9}$ & 1",
+                                         r"50 \% \& \textbackslash{} & $-2 \cdot 10^{-7}$ & -"))
 
 
 def test_several_studies_are_counted_without_reading_them(command, monkeypatch):
@@ -125,28 +123,6 @@ def test_a_damaged_row_is_named_whether_it_is_read_alone_or_with_others(command)
         code, out, err = command("s.sqlite", *options)
         assert (code, out) == (2, "") and "is damaged: the run" in err and '"b":17' in err
     assert command("s.sqlite", "--limit", "9")[0] == 0
-
-
-def test_a_narrow_terminal_gets_blocks():
-    table = {"p": [1, 2], "q": ["a", "b"], **{f"column {k}": [k, 1.5 * k] for k in range(7)}}
-    text = printed(table, ["p", "q"], units={"column 3": "Pa"}, note="end", width=40)
-    blocks = text.split("\n\n")
-    assert len(blocks) > 2 and max(map(len, text.splitlines())) <= 40 and text.endswith("end")
-    assert all(block.split()[:2] == ["p", "q"] for block in blocks) and text.count("end") == 1
-    assert all(text.count(f"column {k}") == 1 for k in range(7)) and "column 3 [Pa]" in text
-    assert "\n\n" not in printed(table, ["p", "q"], units={}, width=400)
-    # parameters that fill the line do not stand in all blocks
-    wide = {"a" * 30: [1], "b" * 30: [2], "c": [3]}
-    assert max(map(len, printed(wide, list(wide)[:2], units={}, width=64).splitlines())) <= 64
-
-
-def test_latex_is_escaped_and_has_units_and_powers():
-    table = pd.DataFrame({"a_b": ["[x", "50 % & \\", "*"], "p": [1.5e9, -2e-7, 3.0], "n": [1, None, 3]})
-    text = runs._latex(table, {"p": "Pa"})
-    lines = text.splitlines()
-    assert lines[0] == r"\begin{tabular}{lrr}" and lines[2] == r"a\_b & p {[}Pa] & n \\"
-    assert lines[4].startswith(r"{[}x & $1.5 \cdot 10^{9}$ & 1") and lines[6].startswith("{*} & 3 &")
-    assert lines[5].startswith(r"50 \% \& \textbackslash{} & $-2 \cdot 10^{-7}$ & -")
 
 
 def test_parquet_and_csv_are_read_back(command):

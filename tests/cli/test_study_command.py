@@ -99,33 +99,19 @@ def test_load_paths_samples_and_kept_results(command):
     assert am.Result.load(Path("bar.sqlite.files") / rows[0]["result"]).dim == 2
 
 
-@pytest.mark.parametrize(("old", "new", "words"), [
-    ("friction = 0.3", "frictoin = 0.3", "line 7: [case] has no key 'frictoin' (did you mean 'friction'?)"),
-    ("[measure]", "[measure", "line 16: not TOML"), (GOOD, "", "is empty"),
-    ("top_pressure = 5e7", "law = \"tresca\"", "case.law tresca needs case.limit")])
-def test_a_wrong_file_is_one_line_before_anything_runs(command, old, new, words):
-    code, out, err = command("study", written(GOOD.replace(old, new)))
-    assert code == 2 and out == "" and "study.toml" in err and words in err and err.count("\n") == 1
-    assert not Path("bar.sqlite").exists()
-
-
 @pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
 def test_the_examples_can_be_run(command, file):
     code, out, err = command("study", str(file), "--dry-run")
     assert code == 0 and "missing" in out, err
 
 
-def _store() -> None:
+def test_runs_are_listed_filtered_written_and_taken_in(command):
     def run(n, law):
         if n == 3:
             raise ValueError("three & more")
         return {"m": n / 2, "what": "a_b"}
 
     Study(run, {"n": [1, 2, 3], "law": ["a", "b"]}, "s.sqlite", name="first", fixed={}).run(progress=False)
-
-
-def test_runs_are_listed_filtered_and_written(command):
-    _store()
     code, out, _ = command("runs", "s.sqlite", "--limit", "2")
     assert code == 0 and "... 4 more" in out
     rows = json.loads(command("runs", "s.sqlite", "--status", "done", "--where", "law=b", "--details", "--json")[1])
@@ -134,24 +120,7 @@ def test_runs_are_listed_filtered_and_written(command):
     assert pd.read_csv("t.csv")["m"].dropna().tolist() == [0.5, 0.5, 1.0, 1.0]
     tex = Path("t.tex").read_text(encoding="utf-8")
     assert r"a\_b" in tex and r"three \& more" in tex and tex.count(r"\\") == 7
-
-
-def test_several_studies_and_runs_of_another_store(command):
-    _store()
-    Study(lambda n: {"m": n}, {"n": [1]}, "s.sqlite", name="second").run(progress=False)
-    _, out, _ = command("runs", "s.sqlite")
-    assert "first" in out and "second" in out
-    assert "2 runs" not in command("runs", "s.sqlite", "--study", "second")[1]
-    Study(lambda n: {"m": n}, {"n": [5]}, "other.sqlite", name="second").run(progress=False)
+    for n, store in ((1, "s.sqlite"), (5, "other.sqlite")):
+        Study(lambda n: {"m": n}, {"n": [n]}, store, name="second").run(progress=False)
     code, out, err = command("runs", "s.sqlite", "--study", "second", "--take-in", "other.sqlite")
     assert code == 0 and "1 runs taken in" in err and "2 runs" in out
-
-
-@pytest.mark.parametrize(("arguments", "words"), [
-    (("nowhere.sqlite",), "no such store"), (("s.sqlite", "--study", "frist"), "did you mean 'first'"),
-    (("s.sqlite", "--status", "stale"), "--status must be"), (("s.sqlite", "--to", "t.xls"), "must end in"),
-])
-def test_wrong_questions_are_one_line(command, arguments, words):
-    _store()
-    code, out, err = command("runs", *arguments)
-    assert code == 2 and out == "" and words in err and err.count("\n") == 1

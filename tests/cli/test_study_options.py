@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -301,22 +300,3 @@ def test_a_case_is_explained(command):
     for name in am.cases.names():
         facts = json.loads(command("cases", name, "--json")[1])
         assert all(item["meaning"] for item in facts["arguments"].values()), name
-
-
-def test_a_terminal_gets_the_line_and_no_log(tmp_path):
-    pty = pytest.importorskip("pty")
-    (tmp_path / "s.toml").write_text(GOOD, encoding="utf-8")
-    pid, terminal = pty.fork()
-    if pid == 0:
-        os.chdir(tmp_path)
-        os.execve(sys.executable, [sys.executable, "-m", "adaptmg", "study", "s.toml"],
-                  os.environ | {"TERM": "xterm", "COLUMNS": "70", "PYTHONPATH": str(Path(am.__file__).parents[1])})
-    screen = b""
-    while True:
-        try:
-            screen += os.read(terminal, 4096)
-        except OSError:
-            break
-    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
-    text = screen.decode()
-    assert "2/2" in text and "the end" in text and "done in" not in text and "2 done, 0 failed" in text

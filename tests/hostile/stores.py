@@ -171,7 +171,9 @@ def _protected() -> None:
 _STUDIES = {
     "bad UTF-8": "UPDATE runs SET results = CAST(x'7b22ff' AS TEXT)", "junk JSON": "UPDATE runs SET results = '{\"'",
     "a nested result": "UPDATE runs SET results = '{\"a\": [1]}'",
-    "seconds of text": "UPDATE runs SET seconds = 'long'",
+    "seconds of text": "UPDATE runs SET seconds = 'long'", "a date that is a blob": "UPDATE runs SET finished = x'78'",
+    "memory of text": "UPDATE runs SET peak_memory = 'x'", "junk files": "UPDATE runs SET files = '{\"a\": 1}'",
+    "a foreign database": "DROP TABLE runs; DROP TABLE points; CREATE TABLE mine (x); PRAGMA user_version = 0",
     "numbers for JSON": "UPDATE runs SET versions = 3", "junk parameters": "UPDATE runs SET parameters = 'n=1'",
     "an error that is a blob": "UPDATE runs SET error = x'00ff'", "no table": "DROP TABLE runs",
     "deep JSON": f"UPDATE runs SET results = '{'[' * 10**5}'",

@@ -434,15 +434,6 @@ def _runs(**given):
     return runs
 
 
-def test_runs_are_sent_ahead_only_while_no_worker_has_died_and_they_are_short():
-    runs = _runs()
-    assert runs._ahead() == 10
-    runs._recent.append(0.1)
-    assert runs._ahead() == 2
-    assert [_runs(**given)._ahead() for given in ({"_died": True}, {"_allowed": 3}, {"_limited": True},
-                                                  {"_recent": executor.deque(maxlen=8)})] == [1] * 4
-
-
 @pytest.mark.parametrize("since", [3.2, 60.0])
 def test_the_death_of_a_worker_is_not_a_time_limit(since):
     """Whenever it is reported: only a run that this process stopped is over its limit."""

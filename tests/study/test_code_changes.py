@@ -83,21 +83,6 @@ def test_a_change_is_seen_where_it_changes_what_a_run_gives(load, kind, text):
     assert known(again) == code
 
 
-@pytest.mark.parametrize("text", ["import other\nother.K = 5\ndef run(n): return {'m': other.K}\n### other.py\nK = 1\n",
-                                  "import other\nother.K = 5\ndef run(n):\n    import other\n"
-                                  "    return {'m': other.K}\n### other.py\nK = 1\n",
-                                  "import other\nother.f = lambda: 5\ndef run(n):\n    import other\n"
-                                  "    return {'m': other.f()}\n### other.py\ndef f(): return 1\n",
-                                  "import other\nother.A.f = lambda s: 5\ndef run(n):\n    import other\n"
-                                  "    return {'m': other.A().f()}\n### other.py\nclass A:\n"
-                                  "    def f(self): return 1\n"])
-def test_what_a_script_sets_in_a_module_is_seen(load, text):
-    changed, plain = load(text), None
-    first = known(changed), value(changed)
-    plain = load(re.sub(r"^other.*\n", "", text, flags=re.MULTILINE))
-    assert first[0] != known(plain) and first[1] == "{'m': 5}" and value(plain) == "{'m': 1}"
-
-
 def test_of_a_module_that_was_edited_after_it_was_loaded_the_code_that_runs_counts(load):
     text = "def run(n):\n    import other\n    return {'m': other.f()}\n### other.py\ndef f():\n    return 1\n"
     script = load(text)

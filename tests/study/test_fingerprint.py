@@ -64,18 +64,12 @@ def uses_option(n):
     (uses_option, "OPTION", Option(2.0))])
 def test_a_changed_global_makes_rows_stale(monkeypatch, run, name, value):
     before = fingerprint(run)
+    monkeypatch.setitem(globals(), "ARRAY", ARRAY.copy())
     assert fingerprint(run).parts == before.parts
     monkeypatch.setitem(globals(), name, value)
     after = fingerprint(run)
     assert after.code != before.code
     assert after.differences(before.parts) == [f"value of test_fingerprint.{name} is changed"]
-
-
-def test_values_that_stay_the_same_in_another_object_do_not(monkeypatch):
-    before = [fingerprint(run).code for run in (uses_table, uses_array, uses_option)]
-    for name, value in (("TABLE", {"a": [1, 2.0]}), ("ARRAY", np.arange(4.0)), ("OPTION", Option(1.0))):
-        monkeypatch.setitem(globals(), name, value)
-    assert [fingerprint(run).code for run in (uses_table, uses_array, uses_option)] == before
 
 
 def test_a_study_does_not_give_the_value_of_another_constant(tmp_path, monkeypatch):
@@ -94,12 +88,12 @@ def test_a_script_that_is_run_and_one_that_is_imported_are_the_same(tmp_path, mo
               "def run(n):\n    return {'m': n * LIMIT * SIZE.area()}\n"
               "if __name__ == '__main__':\n    from adaptmg._fingerprint import fingerprint\n"
               "    f = fingerprint(run)\n    print(f.code, *sorted(f.parts), sep='\\n')\n")
-    (tmp_path / "script.py").write_text(script, encoding="utf-8")
-    run = subprocess.run([sys.executable, str(tmp_path / "script.py")], capture_output=True, text=True, check=True)
+    (tmp_path / "started.py").write_text(script, encoding="utf-8")
+    run = subprocess.run([sys.executable, str(tmp_path / "started.py")], capture_output=True, text=True, check=True)
     monkeypatch.syspath_prepend(tmp_path)
-    imported = fingerprint(importlib.import_module("script").run)
+    imported = fingerprint(importlib.import_module("started").run)
     assert run.stdout.splitlines() == [imported.code, *sorted(imported.parts)]
-    assert "value of script.LIMIT" in imported.parts
+    assert "value of started.LIMIT" in imported.parts
 
 
 def test_adaptmg_and_packages_count_where_they_are_used():
