@@ -31,7 +31,7 @@ from transfer_adaptive import adaptive_items
 
 import adaptmg as am
 from adaptmg.mesh import MeshArrays, graded, structured
-from adaptmg.multigrid.corrections import contact_weights, correction_levels
+from adaptmg.multigrid.corrections import CorrectionLevel, contact_weights, correction_levels
 from adaptmg.plot.style import CYCLE, styled
 from adaptmg.smoother.system import local_system
 from adaptmg.transfer import mesh_ratio
@@ -114,6 +114,13 @@ def affine_error(hierarchy: am.Hierarchy) -> float:
     return worst
 
 
+def proven(level: CorrectionLevel) -> bool:
+    """Whether the monotone correction from the next coarser level is proven: contact rows >= 0 with sums 1."""
+    weights = level.contact_prolongation
+    sums = np.asarray(weights.sum(axis=1)).ravel()
+    return bool((weights.data >= 0).all() and np.abs(sums - 1).max(initial=0.0) < 1e-10)
+
+
 def properties(dim: int, sizes: tuple[float, ...], contact_ratio: float, transfer: str,
                contact_rows: bool) -> dict[str, Any]:
     """What a transfer costs and keeps."""
@@ -126,9 +133,10 @@ def properties(dim: int, sizes: tuple[float, ...], contact_ratio: float, transfe
     return {"nodes": finest.discrete.n_nodes, "contact_nodes": len(finest.discrete.contact), "levels": len(hierarchy),
             "mesh_ratio": max(level.mesh_ratio for level in hierarchy.levels[1:]), "build_s": own,
             "build_ratio": own / base, "row_entries": finest.prolongation.nnz / finest.prolongation.shape[0],
-            "complexity": levels.operator_complexity, "discretised_complexity": hierarchy.operator_complexity,
+            "complexity": sum(level.system.nonzeros for level in levels) / levels[-1].system.nonzeros,
+            "discretised_complexity": hierarchy.operator_complexity,
             "min_weight": min(float(level.prolongation.data.min()) for level in hierarchy.levels[1:]),
-            "affine_error": affine_error(hierarchy), "proven": all(level.proven for level in levels.levels)}
+            "affine_error": affine_error(hierarchy), "proven": all(map(proven, levels[1:]))}
 
 
 def negative_contact_weights(hierarchy: am.Hierarchy) -> bool:
