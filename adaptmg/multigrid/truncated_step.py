@@ -207,7 +207,7 @@ class Recombination:
     def __init__(self, dim: int, n_dofs: int, depth: int) -> None:
         self.dim, self.depth, self.past = dim, depth, 0
         self._residuals = [np.zeros(n_dofs) for _ in range(3)]
-        self._equations = np.zeros(6)
+        self._equations = np.zeros(5)
 
     @property
     def now(self) -> np.ndarray:
@@ -223,7 +223,7 @@ class Recombination:
         if past == 0:
             return 0.0, 0.0
         _normal_equations(self.dim, inverse, *self._residuals, self._equations)
-        a_11, a_12, a_22, b_1, b_2, _ = self._equations
+        a_11, a_12, a_22, b_1, b_2 = self._equations
         determinant = a_11 * a_22 - a_12 * a_12
         if past > 1 and determinant > self.SINGULAR * a_11 * a_22:
             return (b_1 * a_22 - b_2 * a_12) / determinant, (a_11 * b_2 - a_12 * b_1) / determinant
@@ -240,8 +240,8 @@ class Recombination:
 
 @kernel
 def _normal_equations(dim, inverse, now, first, second, result):
-    """The entries a_11, a_12, a_22, b_1, b_2 of the weighted least squares problem, and the weighted |R_0|^2."""
-    a_11, a_12, a_22, b_1, b_2, c = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    """The entries a_11, a_12, a_22, b_1, b_2 of the weighted least squares problem."""
+    a_11, a_12, a_22, b_1, b_2 = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(now) // dim):
         for a in range(dim):
             at = dim * i + a
@@ -253,8 +253,7 @@ def _normal_equations(dim, inverse, now, first, second, result):
             a_22 += weight * d_2 * d_2
             b_1 -= weight * d_1 * r
             b_2 -= weight * d_2 * r
-            c += weight * r * r
-    result[0], result[1], result[2], result[3], result[4], result[5] = a_11, a_12, a_22, b_1, b_2, c
+    result[0], result[1], result[2], result[3], result[4] = a_11, a_12, a_22, b_1, b_2
 
 
 @kernel

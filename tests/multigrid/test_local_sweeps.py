@@ -158,21 +158,18 @@ def test_many_sweeps_solve_the_problem_of_the_listed_nodes(dim):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_master_before_open_slaves_is_moved_alone(dim):
     at = Swept(dim, am.Coulomb(0.4), amplitude=1e-3 * GAP)
-    interface, coupling = at.interface, at.discrete.coupling
-    masters = np.unique(coupling.weights.indices)
-    for node in masters:
-        p = int(np.searchsorted(interface.nodes, node))
+    coupling, held = at.discrete.coupling, at.discrete.fixed.reshape(-1, dim)
+    for node in np.unique(coupling.weights.indices):
         before, energy = at.u.copy(), at.energy()
-        at.sweep(np.array([p], dtype=np.int32))
+        at.sweep(np.array([np.searchsorted(at.interface.nodes, node)], dtype=np.int32))
         change = coupling.physical(at.u - before).reshape(-1, dim)
         others = np.setdiff1d(np.arange(at.discrete.n_nodes), node)
         assert np.abs(change[others]).max() <= 1e-15 * GAP + 1e-12 * np.abs(change[node]).max()
-        assert not change[node][at.discrete.fixed.reshape(-1, dim)[node]].any()
+        assert not change[node][held[node]].any()
         # to the least energy there is for it
         direction = np.zeros((at.discrete.n_dofs, dim))
         direction[dim * node + np.arange(dim), np.arange(dim)] = 1.0
-        free = ~at.discrete.fixed.reshape(-1, dim)[node]
-        slope = coupling.relative(direction)[:, free].T @ np.where(at.discrete.fixed, 0.0, at.residual)
+        slope = coupling.relative(direction)[:, ~held[node]].T @ np.where(at.discrete.fixed, 0.0, at.residual)
         assert np.abs(slope).max(initial=0.0) <= 1e-9 * np.abs(at.load).max()
         assert at.energy() <= energy + 1e-13 * abs(energy)
 

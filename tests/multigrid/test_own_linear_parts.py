@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 from scipy import sparse
@@ -12,11 +10,11 @@ from scipy.sparse.linalg import splu, spsolve_triangular
 import adaptmg as am
 
 
-@dataclass
 class Factors:
     """LU factors; it keeps the matrices it was set up for."""
 
-    matrices: list = field(default_factory=list)
+    def __init__(self):
+        self.matrices = []
 
     def setup(self, matrix):
         self.matrices.append(matrix.copy())

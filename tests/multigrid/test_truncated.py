@@ -160,7 +160,7 @@ def test_the_active_set_method_takes_over_where_friction_is_too_large():
 
 
 def test_cycles_of_a_nested_start():
-    one, finer = (am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8))[k].discrete for k in (0, 1))
+    one, finer = (level.discrete for level in am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8)).levels)
     joint = am.Hierarchy.graded(am.cases.dovetail(), (12e-3, 9e-3, 4e-3), 1.0)
     coarse, middle, fine = (level.discrete for level in joint.levels)
     start = am.NestedStart()
