@@ -1,4 +1,4 @@
-"""The certificate: it shares nothing with the solvers, each line catches its fault, and the status needs it."""
+"""The certificate: each line catches its fault, and the status needs it (what it may import: pyproject.toml)."""
 
 from __future__ import annotations
 
