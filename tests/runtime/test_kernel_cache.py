@@ -37,15 +37,14 @@ def package(tmp_path):
 
 
 def _nothing_writable(folder: Path) -> dict[str, str]:
-    """A file where numba would make its directory: not even root can write there."""
+    # a file where numba would make its directory: not even root can write there
     (folder / "__pycache__").write_text("a file")
     return {"HOME": os.devnull, "XDG_CACHE_HOME": os.path.join(os.devnull, "cache")}
 
 
 def test_kernels_go_to_a_directory_of_this_user_where_no_other_can_be_written(package, tmp_path):
     folder, run = package
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
+    (temporary := tmp_path / "temporary").mkdir()
     said = run(**_nothing_writable(folder), TMPDIR=str(temporary))
     (place,) = temporary.iterdir()
     assert f"compiled kernels are kept in {place}" in said and said.count("\n") == 1

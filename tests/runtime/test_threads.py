@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,32 +22,17 @@ from adaptmg._runtime import one_blas_thread, seeded
 AMG_STEPS = am.ActiveSet(linear=am.AMG(), rtol=1e-8)
 
 
-def digest(*arrays):
-    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[:16]
-
-
 def outcome(grids, solver):
     result = am.solve(grids, solver, throw=False)
-    return digest(grids.finest.discrete.matrix.data, result.displacement, result.contact.force, result.reaction,
-                  np.array([result.residual, result.error_estimate, result.certificate().energy_error]))
+    arrays = (grids.finest.discrete.matrix.data, result.displacement, result.contact.force, result.reaction,
+              np.array([result.residual, result.error_estimate, result.certificate().energy_error]))
+    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()[:16]
 
 
-def uniform():
-    return am.Hierarchy.uniform(am.cases.greco_bar(), (8, 16, 32))
-
-
-def graded(**options):
-    return am.Hierarchy.graded(am.cases.greco_bar(), (10e-3, 5e-3), **options)
-
-
-def two_bodies():
-    return bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 2)
-
-
-def block():
-    return am.Hierarchy.uniform(am.cases.greco_block(), (2, 4, 8))
-
-
+uniform = partial(am.Hierarchy.uniform, am.cases.greco_bar(), (8, 16, 32))
+graded = partial(am.Hierarchy.graded, am.cases.greco_bar(), (10e-3, 5e-3))
+two_bodies = partial(bar_hierarchy, bar_on_block(am.Coulomb(0.3)), 2)
+block = partial(am.Hierarchy.uniform, am.cases.greco_block(), (2, 4, 8))
 CASES = {"nested start": (uniform, am.FullMultigrid()), "graded": (graded, am.FullMultigrid()),
          "graded, monotone": (graded, am.FullMultigrid(correction=am.Monotone(), rtol=1e-4)),
          "L2": (lambda: graded(transfer=am.L2()), am.Multigrid()), "active set": (graded, am.ActiveSet()),
