@@ -32,6 +32,7 @@ from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.split_matrix import nodal_prolongations, split
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.smoother.system import held_tangents, local_contact, local_system
+from adaptmg.solver.record import Run
 from adaptmg.solver.result import Result
 from adaptmg.transfer.galerkin import galerkin_product
 
@@ -139,15 +140,13 @@ class AdjointSystem:
 
     def direct(self, functionals: list[np.ndarray]) -> list[AdjointSolution]:
         """Dual fields of functionals (n_dofs,), by one sparse factorisation."""
-        free = np.flatnonzero(self.trial)
-        reduced = sparse.csc_array(sparse.csr_array(self.matrix)[free][:, free])
+        free, result = np.flatnonzero(self.trial), []
         try:
-            factors = splu(reduced)
+            factors = splu(sparse.csc_array(sparse.csr_array(self.matrix)[free][:, free]))
         except RuntimeError as error:
             raise np.linalg.LinAlgError(
                 "the adjoint matrix is singular, the contact state leaves a motion free: solve more accurately, or add "
                 "a support") from error
-        result = []
         for functional in functionals:
             load, y = self._load(functional), np.zeros(len(self.trial))
             y[free] = factors.solve(load[free])
@@ -158,8 +157,7 @@ class AdjointSystem:
     def multigrid(self, hierarchy: Hierarchy, functionals: list[np.ndarray], rtol: float = RTOL,
                   max_iterations: int = MAX_ITERATIONS) -> list[AdjointSolution]:
         """Dual fields of functionals (n_dofs,), by GMRES with a multigrid cycle."""
-        cycle, n = _cycle(hierarchy, self), len(self.trial)
-        finest = len(hierarchy) - 1
+        cycle, n, finest = _cycle(hierarchy, self), len(self.trial), len(hierarchy) - 1
 
         def precondition(load: np.ndarray) -> np.ndarray:
             cycle.vectors(finest).load[:] = load.reshape(-1)
@@ -219,16 +217,6 @@ def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
     return AdjointSystem(contact, matrix, trial, test)
 
 
-class _Unrecorded:
-    """The recorder of cycles that nobody counts."""
-
-    def count(self, passes: float, nonzeros: int) -> None:
-        pass
-
-    def visit(self, level: int, action: str, times: int = 1) -> None:
-        pass
-
-
 def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
     r"""A V-cycle for the adjoint matrix M, which is not symmetric where nodes slip with Coulomb friction.
 
@@ -238,14 +226,17 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
     levels, dim = hierarchy.levels, system.contact.discrete.dim
     prolongations = [_rotated(levels[-1].prolongation, system.contact, system.trial)]
     matrices = [split(system.matrix, ~system.trial)]
-    matrix = sparse.csr_array(prolongations[0].T @ sparse.csr_array(system.matrix) @ prolongations[0])
-    matrix = _with_diagonal(matrix, dim)
+    coarse = sparse.csr_array(prolongations[0].T @ sparse.csr_array(system.matrix) @ prolongations[0])
+    # dofs that nothing reaches get a diagonal
+    diagonal = coarse.diagonal()
+    coarse = coarse + sparse.diags_array(np.where(diagonal == 0, np.abs(diagonal).max(), 0.0), format="csr")
+    matrix = sparse.bsr_array(sparse.csr_array(coarse), blocksize=(dim, dim)).sorted_indices()
     matrices.insert(0, split(matrix, levels[-2].discrete.fixed))
     for nodal, below in zip(reversed(nodal_prolongations(hierarchy)[:-1]), reversed(levels[:-2]), strict=True):
         matrix = galerkin_product(matrix, nodal)
         matrices.insert(0, split(matrix, below.discrete.fixed))
         prolongations.insert(0, nodal)
-    cycle = LinearCycle(matrices, prolongations, _Unrecorded(), [2] * len(matrices))
+    cycle = LinearCycle(matrices, prolongations, Run(unit=1), [2] * len(matrices))
     cycle.renew(len(matrices) - 1)
     return cycle
 
@@ -262,11 +253,3 @@ def _rotated(nodal: sparse.csr_array, contact: LinearisedContact, trial: np.ndar
     result.eliminate_zeros()
     result.sort_indices()
     return indices_frozen(result)
-
-
-def _with_diagonal(matrix: sparse.csr_array, dim: int) -> sparse.bsr_array:
-    """In blocks; dofs that nothing reaches get a diagonal."""
-    diagonal = matrix.diagonal()
-    empty = np.where(diagonal == 0, np.abs(diagonal).max(), 0.0)
-    full = matrix + sparse.diags_array(empty, format="csr")
-    return sparse.bsr_array(sparse.csr_array(full), blocksize=(dim, dim)).sorted_indices()

@@ -56,11 +56,6 @@ class Bisect:
     passes : int, optional
         How often a marked element is bisected, >= 1. By default until all its edges are halved: 4 triangles, at least
         8 tetrahedra. With 1 meshes grow least, and the loop takes more steps.
-
-    Examples
-    --------
-    >>> Bisect(passes=1)
-    Bisect(coarsen=False, passes=1)
     """
 
     coarsen: float = False

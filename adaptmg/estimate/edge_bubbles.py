@@ -149,8 +149,7 @@ class EdgeBubbles:
         if self.axisymmetric:
             factor = factor * 2 * np.pi * quadrature_points(self.mesh.points, cells, rule)[:, :, 0]
         for k, (a, b) in enumerate((_OF_FACET if cells.shape[1] == dim else _LOCAL)[dim]):
-            bubble = 4 * rule[:, a] * rule[:, b]
-            np.add.at(result, edges[:, k], np.einsum("nq,q,nqm->nm", factor, bubble, values))
+            np.add.at(result, edges[:, k], np.einsum("nq,q,nqm->nm", factor, 4 * rule[:, a] * rule[:, b], values))
 
     def _add_strain(self, result: np.ndarray) -> None:
         """Add the work of the mean initial strains of the elements, in place."""

@@ -79,10 +79,7 @@ class Estimate:
 
     @property
     def relative(self) -> float:
-        """``total`` over ||u_h||_A; of a goal over the absolute value of the quantity.
-
-        Infinite of a quantity that is zero, unless all squares are zero too.
-        """
+        """``total`` over ||u_h||_A; of a goal over |value|, infinite where that is 0, unless all squares are too."""
         size = self.norm if self.value is None else abs(self.value)
         if size > 0:
             return self.total / size
@@ -95,11 +92,10 @@ class Estimate:
         return self.relative if self.energy_error is None else self.energy_error
 
     def __repr__(self) -> str:
-        unit = "sqrt(N m)"
         lines = [f"Estimate by {self.indicator or 'an indicator'}: {len(self.squares)} elements"]
         if self.signed is None:
-            lines.append(f"  total {self.total:.4g} {unit}, relative {self.relative:.3%} of ||u||_A = {self.norm:.4g} "
-                         f"{unit}")
+            lines.append(f"  total {self.total:.4g} sqrt(N m), relative {self.relative:.3%} of "
+                         f"||u||_A = {self.norm:.4g} sqrt(N m)")
         else:
             lines.append(f"  value {self.value:.8g}, estimated error {self.signed:+.3g} (exact minus discrete), "
                          f"relative {self.relative:.3%}")
@@ -166,13 +162,7 @@ def marks_of(mark: Mark, estimate: Estimate) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Doerfler:
-    """Bulk marking: the smallest set of elements that holds the share ``theta`` of the sum of squares.
-
-    Parameters
-    ----------
-    theta : float
-        Share of the sum of squares, > 0 and <= 1. Larger marks more.
-    """
+    """Bulk marking: the smallest set of elements that holds the share ``theta`` (> 0, <= 1) of the sum of squares."""
 
     theta: float = 0.5
 
@@ -185,8 +175,7 @@ class Doerfler:
         Of elements with equal squares those with the lowest numbers come first; none are marked where all are 0.
         """
         squares = _squares(estimate)
-        total = squares.sum()
-        mask = np.zeros(len(squares), dtype=bool)
+        total, mask = squares.sum(), np.zeros(len(squares), dtype=bool)
         if total == 0:
             return mask
         order = np.argsort(-squares, kind="stable")
@@ -199,13 +188,7 @@ class Doerfler:
 
 @dataclass(frozen=True)
 class Maximum:
-    """The elements whose square is at least the share ``theta`` of the largest.
-
-    Parameters
-    ----------
-    theta : float
-        Share of the largest square, > 0 and <= 1. Larger marks less.
-    """
+    """The elements whose square is at least the share ``theta`` (> 0, <= 1) of the largest; larger marks less."""
 
     theta: float = 0.5
 

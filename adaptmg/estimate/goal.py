@@ -78,15 +78,9 @@ class Goal:
     def indicate(self, hierarchy: Hierarchy, result: Result) -> GoalEstimate:
         """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 
-        The terms of the estimate are the sums of squares of each quantity by name.
-
-        Raises
-        ------
-        TypeError, ValueError
-            As of :meth:`adaptmg.Residual.indicate`; where a point, boundary or pair of a quantity does not exist, or
-            of several quantities one is zero.
-        numpy.linalg.LinAlgError
-            If the adjoint matrix is singular.
+        The terms of the estimate are the sums of squares of each quantity by name. TypeError and ValueError as of
+        :meth:`adaptmg.Residual.indicate`, where a point, boundary or pair of a quantity does not exist, and where of
+        several quantities one is zero; numpy.linalg.LinAlgError if the adjoint matrix is singular.
         """
         this = posed(hierarchy, result)
         view = GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
@@ -140,7 +134,9 @@ def _bubbles(view: GoalView, wanted: list[Functional], duals: list[AdjointSoluti
                            for load, action, reaction in zip(loads, actions, reactions, strict=True)]
     error = bubble_error(bubbles, bubble_spaces(bubbles, view.contact), blocks, residual)
     parts = np.abs(np.einsum("gnd,nd->gn", weighted, error.alone))
-    held = [_held(view, *pair) for pair in zip(wanted, duals, strict=True)]
+    # whether the contact state alone, and no support, leaves a quantity no way to change
+    held = [not dual.field.any() and functional.vector[~this.discrete.fixed].any()
+            for functional, dual in zip(wanted, duals, strict=True)]
     if any(held):
         # of what the state does not let change the dual field contains nothing, but a finer mesh may have another
         # state: the parts of the energy; in all a relative error of the displacement as large as that of the energy
@@ -152,11 +148,6 @@ def _bubbles(view: GoalView, wanted: list[Functional], duals: list[AdjointSoluti
             parts[k] = shares * energy * moved * float(np.abs(wanted[k].vector).sum())
     geometry = np.array([np.zeros(parts.shape[1]) if one.geometry is None else one.geometry for one in wanted])
     return error, parts + np.abs(geometry), np.einsum("gnd,nd->g", weighted, error.together) + geometry.sum(axis=1)
-
-
-def _held(view: GoalView, functional: Functional, dual: AdjointSolution) -> bool:
-    """Whether the contact state alone, and no support, leaves a quantity no way to change."""
-    return not dual.field.any() and bool(functional.vector[~view.posed.discrete.fixed].any())
 
 
 def _reaction(view: GoalView, functional: Functional, dual: AdjointSolution) -> np.ndarray:

@@ -52,8 +52,7 @@ class Displacement:
     ----------
     points : (dim,) or (n, dim) array-like
         m.
-    component : int or str
-        0, 1, 2 or "x", "y", "z".
+    component : 0, 1, 2 or "x", "y", "z"
     body : str, optional
         Of which body; where two touch, a point lies in both.
     """
@@ -66,8 +65,7 @@ class Displacement:
         try:
             shape = np.shape(self.points)
         except ValueError:
-            raise ValueError("points must all have 2 or all have 3 coordinates, got "
-                             f"{checks.shown(self.points)}") from None
+            raise ValueError(f"points must all have 2 or all 3 coordinates, got {checks.shown(self.points)}") from None
         points = [] if 0 in shape else check_arrays.array("points", [self.points] if len(shape) == 1 else self.points,
                                                           (None, None))
         if not len(points) or points.shape[1] not in (2, 3):
@@ -116,8 +114,7 @@ class MeanDisplacement:
     Parameters
     ----------
     boundary : str
-    component : int or str
-        0, 1, 2 or "x", "y", "z".
+    component : 0, 1, 2 or "x", "y", "z"
     """
 
     boundary: str
@@ -263,7 +260,7 @@ class Opening:
         sigma = 1.0 if view.posed.discrete.exchange is None else np.abs(view.posed.discrete.exchange.sigma)
         vector = np.zeros((view.posed.discrete.n_nodes, mesh.dim))
         vector[contact.nodes] = -(weights * sigma)[:, None] * contact.frames[:, 0]
-        normals = np.zeros((mesh.n_nodes, mesh.dim))
+        normals = np.zeros(mesh.points.shape)
         normals[result.node] = result.frames[:, 0]
         along = normals[view.bubbles.edges].sum(axis=1)
         length = np.linalg.norm(along, axis=1, keepdims=True)
@@ -348,7 +345,7 @@ def _middle_gaps(view: GoalView, k: int, facets: np.ndarray) -> tuple[np.ndarray
     A node without a condition makes them NaN.
     """
     contact, result, mesh = view.posed.problem.contact[k], view.posed.result.contact, view.posed.mesh
-    gap, normal = np.full(mesh.n_nodes, np.nan), np.full(mesh.n_nodes, np.nan)
+    gap, normal = np.full((2, mesh.n_nodes), np.nan)
     gap[result.node], normal[result.node] = result.gap, result.u_n
     middles, out = _middles(view, contact.boundary, facets)
     a, b = _ends(facets)

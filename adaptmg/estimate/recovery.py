@@ -76,11 +76,10 @@ def _apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Elements and points, a point for each body that uses a node."""
     if len(mesh.bodies) == 1:
         return mesh.elements, mesh.points
-    taken, cells, origin = np.zeros(mesh.n_nodes, dtype=bool), mesh.elements.copy(), [np.arange(mesh.n_nodes)]
-    n = mesh.n_nodes
+    n, taken, cells = mesh.n_nodes, np.zeros(mesh.n_nodes, dtype=bool), mesh.elements.copy()
+    origin = [np.arange(n)]
     for k in range(len(mesh.bodies)):
-        here = mesh.element_body == k
-        used = np.zeros(mesh.n_nodes, dtype=bool)
+        here, used = mesh.element_body == k, np.zeros(mesh.n_nodes, dtype=bool)
         used[mesh.elements[here]] = True
         again = np.flatnonzero(used & taken)
         if len(again):
@@ -95,10 +94,9 @@ def _apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
 
 def _sampled(stress: ElementStress) -> np.ndarray:
     """Stress at the centroids, normal components first."""
-    mesh, data, values = stress.mesh, stress.data, stress.values
+    mesh, data, values, sampled = stress.mesh, stress.data, stress.values, np.empty((len(stress.values), 4))
     if not stress.axisymmetric:
         return values
-    sampled = np.empty((len(values), 4))
     axisymmetric_stresses(mesh.points, mesh.elements, stress.displacement, mesh.element_body, data.lame, data.shear,
                           data.initial_strain, values, sampled)
     return sampled

@@ -69,10 +69,9 @@ class Reference:
         this = posed(hierarchy, result)
         if own_error is None:
             own_error = Recovery().indicate(hierarchy, result).total
-        mesh = this.mesh
+        mesh, points, on_body, constants = this.mesh, {}, {}, {}
         forces = _exerted(this.discrete.fixed.reshape(-1, mesh.dim), result)
         prescribed = _constants(this.problem, mesh)
-        points, on_body, constants = {}, {}, {}
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
         for k, body in enumerate(mesh.bodies):
@@ -86,7 +85,9 @@ class Reference:
         product = float(load_vector(mesh, self.problem.loads, self.problem.material) @ u.reshape(-1))
         for body, points in self.points.items():
             if len(points):
-                moved = _displacement_in(mesh, body, u, points)
+                # next to a body too, of curved surfaces
+                place = PointLocator(mesh, mesh.bodies.index(body)).locate(points)
+                moved = np.einsum("nk,nkd->nd", place.weights, u[mesh.elements[place.element]])
                 moved = np.where(np.isnan(self.prescribed[body]), moved, self.prescribed[body])
                 product += float(np.sum(self.forces[body] * moved))
         return product
@@ -106,14 +107,12 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     Returns
     -------
     EnergyError
-        As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0.
-
-    Raises
-    ------
-    ValueError
-        Without a mesh, for other bodies, or where the squared error comes out negative.
+        As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0. ValueError
+        without a mesh, for other bodies, or where the squared error comes out negative.
     """
-    reference = _made(reference)
+    if isinstance(reference, tuple) and len(reference) == 2:
+        reference = Reference.of(*reference)
+    checks.instance("reference", reference, Reference, "a Reference, or a hierarchy and a result on it")
     checks.instance("result", result, Result, "a Result")
     mesh = result.mesh
     if mesh is None:
@@ -137,16 +136,6 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
                        reference.own_error)
 
 
-def _made(reference: Reference | tuple[Hierarchy, Result]) -> Reference:
-    """A reference that was made before, or one of a hierarchy and a result."""
-    if isinstance(reference, Reference):
-        return reference
-    if not isinstance(reference, tuple) or len(reference) != 2:
-        raise TypeError("reference must be a Reference, or a hierarchy and a result on it, got "
-                        f"{checks.described(reference)}")
-    return Reference.of(*reference)
-
-
 def _exerted(fixed: np.ndarray, result: Result) -> np.ndarray:
     """Forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's residual is cut."""
     contact, forces = result.contact, np.zeros_like(result.reaction)
@@ -168,9 +157,3 @@ def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
             if value is not None and not callable(value):
                 result[nodes, d] = value
     return result
-
-
-def _displacement_in(mesh: MeshArrays, body: str, u: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Displacement (n, dim) of a body at points of it or next to it (curved surfaces)."""
-    place = PointLocator(mesh, mesh.bodies.index(body)).locate(points)
-    return np.einsum("nk,nkd->nd", place.weights, u[mesh.elements[place.element]])

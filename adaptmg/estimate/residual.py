@@ -49,12 +49,8 @@ class Residual:
         """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 
         The terms of the estimate are "element residual", "jumps inside", "traction on boundaries", "traction in
-        contact", "complementarity" and "friction"; squares of energies, N m (plane: per metre of thickness).
-
-        Raises
-        ------
-        TypeError, ValueError
-            Without problem, mesh or materials, for a result of another mesh, under other loads, or not finite.
+        contact", "complementarity" and "friction"; squares of energies, N m (plane: per metre of thickness). TypeError
+        or ValueError without problem, mesh or materials, for a result of another mesh, other loads, or not finite.
         """
         this = posed(hierarchy, result)
         volume = volume_squares(this.stress, this.problem.loads, this.young)
@@ -104,21 +100,14 @@ def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
         if name in touching:
             residual += np.einsum("qk,fkd->fqd", rule, touching[name].corners)
         # there a support bears any traction
-        residual[:, :, _held(this, name)] = 0.0
+        for support in this.problem.supports:
+            if support.boundary == name:
+                residual[:, :, [part is not None for part in support.components(mesh.dim)]] = 0.0
         sizes = measure if mesh.dim == 2 else np.sqrt(2 * measure)
         squares = sizes / this.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
         into = contact if name in touching else plain
         into += np.bincount(elements, weights=np.where(outside, squares, 0.0), minlength=len(into))
     return plain, contact
-
-
-def _held(this: Posed, boundary: str) -> np.ndarray:
-    """Components (dim,), bool, that supports prescribe on a boundary."""
-    held = np.zeros(this.mesh.dim, dtype=bool)
-    for support in this.problem.supports:
-        if support.boundary == boundary:
-            held |= [component is not None for component in support.components(this.mesh.dim)]
-    return held
 
 
 #: slips up to this part of the largest displacement are rounding

@@ -66,12 +66,9 @@ class BoundaryTractions:
 
 
 def boundary_tractions(result: Result, boundary: str) -> BoundaryTractions:
-    """Tractions on a boundary of a result with mesh and materials; on both sides of a pair, each by its name.
+    """Tractions on a boundary of a result; on both sides of a pair, each by its name.
 
-    Raises
-    ------
-    TypeError, ValueError
-        Without a mesh or materials, or if there is no such boundary.
+    TypeError or ValueError without a mesh or materials, or if there is no such boundary.
     """
     checks.instance("result", result, Result, "a Result")
     mesh, data = result.mesh, result.stress_data
@@ -123,8 +120,7 @@ def _on_surface(mesh: MeshArrays, contact: ContactResult, masters: tuple[str, ..
                 axisymmetric: bool) -> SurfaceTraction:
     facets = named_facets(mesh, name)
     nodes, place = np.unique(facets, return_inverse=True)
-    place = place.reshape(facets.shape)
-    vectors = area_vectors(mesh.points, facets)
+    place, vectors = place.reshape(facets.shape), area_vectors(mesh.points, facets)
     share = np.linalg.norm(vectors, axis=1)[:, None] * shape_integrals(mesh.points, facets, axisymmetric)
     mass = np.bincount(place.ravel(), weights=share.ravel(), minlength=len(nodes))
     force, filled = np.zeros((len(nodes), mesh.dim)), np.zeros(len(nodes), dtype=bool)
@@ -150,8 +146,7 @@ def _on_surface(mesh: MeshArrays, contact: ContactResult, masters: tuple[str, ..
 def _continue(contact: ContactResult, nodes: np.ndarray, place: np.ndarray, vectors: np.ndarray, filled: np.ndarray,
               values: np.ndarray) -> None:
     """Fill ``values`` in at nodes that belong to another contact boundary; elsewhere nothing touches."""
-    others = np.flatnonzero(~filled & np.isin(nodes, contact.node))
-    for i in others:
+    for i in np.flatnonzero(~filled & np.isin(nodes, contact.node)):
         here = (place == i).any(axis=1)
         normal = vectors[here].sum(axis=0)
         j = int(np.argmax(contact.node == nodes[i]))

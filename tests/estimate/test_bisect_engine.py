@@ -85,14 +85,13 @@ def test_nodes_go_onto_the_arcs_of_the_domain():
 
 
 def test_coarsening_follows_a_moving_front():
-    mesh, plain = MESH, MESH
-    size = np.ptp(MESH.points[:, 0])
-    for k in range(8):
-        for engine in (am.Bisect(coarsen=0.02), am.Bisect()):
-            old = mesh if engine.coarsen else plain
-            estimate = estimate_of(old, (size * k / 7, 0.0))
-            new = verified(engine.refine(PROBLEM, old, estimate, largest(estimate, 0.05)))
-            mesh, plain = (new, plain) if engine.coarsen else (mesh, new)
+    def followed(engine, mesh=MESH):
+        for k in range(8):
+            estimate = estimate_of(mesh, (np.ptp(MESH.points[:, 0]) * k / 7, 0.0))
+            mesh = verified(engine.refine(PROBLEM, mesh, estimate, largest(estimate, 0.05)))
+        return mesh
+
+    mesh, plain = followed(am.Bisect(coarsen=0.02)), followed(am.Bisect())
     assert MESH.n_nodes < mesh.n_nodes < 0.8 * plain.n_nodes
     assert mesh.volumes.sum() == pytest.approx(MESH.volumes.sum(), rel=1e-12)
     # what is marked is never taken back

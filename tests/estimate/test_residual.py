@@ -12,7 +12,7 @@ from made import cube, result_on, square
 import adaptmg as am
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate.residual import condition_squares
-from adaptmg.estimate.stress_fields import Posed
+from adaptmg.estimate.stress_fields import Posed, neighbours
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import step_problem
 
@@ -86,3 +86,10 @@ def test_steps_of_a_load_path_are_estimated_under_their_own_loads(solved):
     wanted = am.Residual().indicate(again, am.solve(again, EXACT))
     assert am.Residual().indicate(step, path[0]).total == pytest.approx(wanted.total, rel=1e-6)
     assert am.Residual().indicate(grids, path[1]).total > 0
+
+
+def test_a_facet_of_no_element_is_refused():
+    mesh = square(2)
+    wrong = dataclasses.replace(mesh, facets=np.vstack([mesh.facets[:-1], [[0, 8]]]))
+    with pytest.raises(ValueError, match=r"boundary facet 7 of nodes \[0, 8\] belongs to no element"):
+        neighbours(wrong)
