@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from common import Context, Table
 from paper_runs import CHANGE, COUNT, RTOL, TARGET, listed, span, table
+
+import adaptmg as am
 
 #: what the columns of Table 1 mean
 TRUE_ERROR = ("Sweeps or cycles, work and seconds when the true error (relative A-norm, against the active set method) "
@@ -31,6 +33,44 @@ def single_grids(frame: pd.DataFrame) -> str:
         return ""
     names = [f"{row['label']} ({row['true_error']:.0e} after {row['cycles']} sweeps)" for _, row in lost.iterrows()]
     return f"'-': the error is not reached: {listed(names)}. "
+
+
+def compile_coupled(grids: am.Hierarchy) -> None:
+    """Compile what coupled bodies need beyond :func:`common.warm_up`."""
+    for solver in (am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.SingleGrid(max_sweeps=20),
+                   am.SingleGrid(condensed=True, max_sweeps=20)):
+        am.solve(grids, solver, throw=False)
+
+
+def grid_counts(context: Context, fixed: dict[str, Any], one_grid: Callable[..., dict[str, Any]],
+                several_grids: Callable[..., dict[str, Any]], omegas: Mapping[bool, tuple[float, ...]], sweeps: int,
+                methods: Callable[[int], tuple[str, ...]]) -> pd.DataFrame:
+    """Table 1: one grid, plain and with the best of some factors (by condensed or not), and more grids."""
+    parts = []
+    for condensed, factors in omegas.items():
+        factors = factors[-1:] if context.quick else factors
+        frame = context.study(one_grid, {"omega": (1.0, *factors)}, condensed=condensed, rtol=RTOL, max_sweeps=sweeps,
+                              **fixed)
+        frame["label"] = [f"one grid, {'condensed, ' if condensed else ''}omega {omega:g}" for omega in frame["omega"]]
+        parts += [frame.iloc[:1], best_of(frame)]
+    for levels in range(2, fixed["finest"] + 2):
+        frame = context.study(several_grids, {"method": methods(levels)}, levels=levels, rtol=RTOL, **fixed)
+        parts.append(frame.assign(label=[f"{COUNT[levels]}, {method}" for method in frame["method"]], levels=levels))
+    return pd.concat(parts, ignore_index=True)
+
+
+def counts_table(key: str, name: str, frame: pd.DataFrame, remark: str = "") -> Table:
+    """Work at equal true error, and gains."""
+    best = frame[frame["label"].str.startswith("one grid")]["work_at"].min()
+    frame = frame.assign(method=frame["label"], test=f"error {RTOL:g}",
+                         **{"over best one grid": best / frame["work_at"]})
+    note = (f"{TRUE_ERROR} {single_grids(frame)}{remark}Monotone: two smoothings before the correction, coarsest "
+            "problems condensed, to 1e-2; truncated: the default. Factorisations (condensed grids, coarsest level) are "
+            "in seconds only.")
+    columns = ["method", "grids", "cycles_at", "work_at", "over best one grid", "seconds_at", "rate", "test",
+               "true_error", "residual", "outcome"]
+    return table(key, frame, columns, f"Table 1 on the {name}: work and seconds to a true error of {TARGET:g}", note,
+                 {"over best one grid": ".2f"})
 
 
 def counts_text(frame: pd.DataFrame) -> str:

@@ -17,10 +17,10 @@ import bolted_sector
 import common
 import numpy as np
 import pandas as pd
-from assembly_tables import TRUE_ERROR, best_of, counts_text, single_grids, smoothing_table, start_table
+from assembly_tables import compile_coupled, counts_table, counts_text, grid_counts, smoothing_table, start_table
 from bolted_grids import chain, exact, nodes_of
 from common import Context, Figure, Section, Table, main
-from paper_runs import COUNT, RTOL, TARGET, measured, repeats, table
+from paper_runs import TARGET, measured, repeats, table
 
 import adaptmg as am
 from adaptmg.plot.style import styled
@@ -99,10 +99,7 @@ def compared(finest: int, case: str, friction: float, rtol: float, times: int) -
 @lru_cache(maxsize=1)
 def warm_up() -> None:
     """Compile what coupled bodies need beyond :func:`common.warm_up`."""
-    grids = chain("ring", 1, 2)
-    for solver in (am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.SingleGrid(max_sweeps=20),
-                   am.SingleGrid(condensed=True, max_sweeps=20)):
-        am.solve(grids, solver, throw=False)
+    compile_coupled(chain("ring", 1, 2))
 
 
 def run(context: Context) -> Section:
@@ -110,9 +107,12 @@ def run(context: Context) -> Section:
     finest = 2 if context.quick else 3
     fixed = {"finest": finest, "target": TARGET, "times": repeats(context)}
     smoothings = QUICK_SMOOTHINGS if context.quick else SMOOTHINGS
-    counts, rows = grid_counts(context, fixed), comparisons(context, finest)
+    counts = grid_counts(context, fixed, one_grid, several_grids, {False: OMEGAS, True: CONDENSED_OMEGAS},
+                         MOST_SWEEPS // 10 if context.quick else MOST_SWEEPS, lambda n: ("monotone", "truncated"))
+    rows = comparisons(context, finest)
     items: list[Table | Figure] = [
-        posed(), counts_table(counts), smoothing_table(context, smoothing, smoothings, NAME, fixed),
+        posed(), counts_table("bolted_grids", NAME, counts),
+        smoothing_table(context, smoothing, smoothings, NAME, fixed),
         start_table(context, start, NAME, fixed), cost_table(rows), friction_table(rows)]
     said = summary(counts, rows)
     if context.full:
@@ -130,35 +130,6 @@ def posed() -> Figure:
     return Figure("bolted_problem", am.plot.problem(am.cases.bolted_junction()),
                   "The junction in axisymmetry: supports, loads and contact pairs; the bolts are a ring that only "
                   "touches the flanges under its heads.")
-
-
-def grid_counts(context: Context, fixed: dict[str, Any]) -> pd.DataFrame:
-    """Table 1: one grid, plain and with the best of some factors, and more."""
-    parts = []
-    for condensed, omegas in ((False, OMEGAS), (True, CONDENSED_OMEGAS)):
-        omegas = omegas[-1:] if context.quick else omegas
-        frame = context.study(one_grid, {"omega": (1.0, *omegas)}, condensed=condensed,
-                              max_sweeps=MOST_SWEEPS // 10 if context.quick else MOST_SWEEPS, rtol=RTOL, **fixed)
-        frame["label"] = [f"one grid, {'condensed, ' if condensed else ''}omega {omega:g}" for omega in frame["omega"]]
-        parts += [frame.iloc[:1], best_of(frame)]
-    for levels in range(2, fixed["finest"] + 2):
-        frame = context.study(several_grids, {"method": ("monotone", "truncated")}, levels=levels, rtol=RTOL, **fixed)
-        parts.append(frame.assign(label=[f"{COUNT[levels]}, {method}" for method in frame["method"]], levels=levels))
-    return pd.concat(parts, ignore_index=True)
-
-
-def counts_table(frame: pd.DataFrame) -> Table:
-    """Work at equal true error, and gains."""
-    singles = frame[frame["label"].str.startswith("one grid")]
-    best = singles["work_at"].min()
-    frame = frame.assign(method=frame["label"], test=f"error {RTOL:g}",
-                         **{"over best one grid": best / frame["work_at"]})
-    note = (single_grids(frame) + "Monotone: two smoothings before the correction, coarsest problems condensed, to "
-            "1e-2; truncated: the default. Factorisations (condensed grids, coarsest level) are in seconds only.")
-    return table("bolted_grids", frame, ["method", "grids", "cycles_at", "work_at", "over best one grid", "seconds_at",
-                                         "rate", "test", "true_error", "residual", "outcome"],
-                 f"Table 1 on the bolted junction: work and seconds to a true error of {TARGET:g}",
-                 f"{TRUE_ERROR} {note}", {"over best one grid": ".2f"})
 
 
 def comparisons(context: Context, finest: int) -> pd.DataFrame:

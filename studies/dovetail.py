@@ -16,9 +16,9 @@ import dovetail_history
 import dovetail_pictures
 import dovetail_sweeps
 import pandas as pd
-from assembly_tables import TRUE_ERROR, best_of, counts_text, single_grids, smoothing_table, start_table
+from assembly_tables import compile_coupled, counts_table, counts_text, grid_counts, smoothing_table, start_table
 from common import Context, Figure, Section, Table, main
-from paper_runs import COUNT, RTOL, TARGET, measured, repeats, span, table
+from paper_runs import TARGET, measured, repeats, span, table
 
 import adaptmg as am
 
@@ -27,6 +27,8 @@ SIZES = (8e-3, 4e-3, 2e-3, 1e-3)
 NAME = "dovetail"
 START_REMARK = ("From zero the joint loses contact first, and the contact zones have to be found, in the truncated "
                 "mode by safe cycles.")
+SOFT = ("A joint that only contact holds is far softer than the bar of Example 1: one grid needs over-relaxation or "
+        "condensation. ")
 OMEGAS = (1.9, 1.97, 1.98, 1.95)
 CONDENSED_OMEGAS = (1.7, 1.8, 1.95, 1.9)
 MOST_SWEEPS = 20_000
@@ -100,19 +102,18 @@ def on_chain(finest: int, levels: int, solver: Any, target: float, times: int) -
 @lru_cache(maxsize=1)
 def warm_up() -> None:
     """Compile what two bodies need beyond :func:`common.warm_up`."""
-    grids = chain(1, 2)
-    for solver in (am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.SingleGrid(max_sweeps=20),
-                   am.SingleGrid(condensed=True, max_sweeps=20)):
-        am.solve(grids, solver, throw=False)
+    compile_coupled(chain(1, 2))
 
 
 def run(context: Context) -> Section:
     """Tables and figures; see the module."""
     finest = 2 if context.quick else 3
     fixed = {"finest": finest, "target": TARGET, "times": repeats(context)}
-    counts = grid_counts(context, fixed)
+    counts = grid_counts(context, fixed, one_grid, several_grids, {False: OMEGAS, True: CONDENSED_OMEGAS},
+                         QUICK_SWEEPS if context.quick else MOST_SWEEPS,
+                         lambda n: ("monotone V", "monotone W", "truncated") if n > 2 else ("monotone V", "truncated"))
     items: list[Table | Figure] = [] if context.quick else [dovetail_pictures.posed()]
-    items += [counts_table(counts), dovetail_pictures.error_figure(counts)]
+    items += [counts_table("dovetail_grids", NAME, counts, SOFT), dovetail_pictures.error_figure(counts)]
     smoothings = QUICK_SMOOTHINGS if context.quick else SMOOTHINGS
     items += [smoothing_table(context, smoothing, smoothings, NAME, fixed), local_table(context, fixed),
               start_table(context, start, NAME, fixed, START_REMARK)]
@@ -124,38 +125,6 @@ def run(context: Context) -> Section:
         items += [*sweeps, *history]
         said += further_text(ratios, costs)
     return Section("Example 2: the dovetail joint", "", items, summary=said)
-
-
-def grid_counts(context: Context, fixed: dict[str, Any]) -> pd.DataFrame:
-    """Table 1: one grid, plain and with the best of some factors, and more."""
-    parts = []
-    for condensed, omegas in ((False, OMEGAS), (True, CONDENSED_OMEGAS)):
-        omegas = omegas[-1:] if context.quick else omegas
-        frame = context.study(one_grid, {"omega": (1.0, *omegas)}, condensed=condensed, rtol=RTOL,
-                              max_sweeps=QUICK_SWEEPS if context.quick else MOST_SWEEPS, **fixed)
-        frame["label"] = [f"one grid, {'condensed, ' if condensed else ''}omega {omega:g}" for omega in frame["omega"]]
-        parts += [frame.iloc[:1], best_of(frame)]
-    for levels in range(2, fixed["finest"] + 2):
-        methods = ("monotone V", "monotone W", "truncated") if levels > 2 else ("monotone V", "truncated")
-        frame = context.study(several_grids, {"method": methods}, levels=levels, rtol=RTOL, **fixed)
-        parts.append(frame.assign(label=[f"{COUNT[levels]}, {method}" for method in methods], levels=levels))
-    return pd.concat(parts, ignore_index=True)
-
-
-def counts_table(frame: pd.DataFrame) -> Table:
-    """Work at equal true error, and gains."""
-    singles = frame[frame["label"].str.startswith("one grid")]
-    best = singles["work_at"].min()
-    frame = frame.assign(method=frame["label"], **{"over best one grid": best / frame["work_at"],
-                                                   "test": f"error {RTOL:g}"})
-    note = (single_grids(frame) + "A joint that only contact holds is far softer than the bar of Example 1: one grid "
-            "needs over-relaxation or condensation. Monotone: two smoothings before the correction, coarsest problems "
-            "condensed, to 1e-2; truncated: the default. Factorisations (condensed grids, coarsest level) are in "
-            "seconds only.")
-    columns = ["method", "grids", "cycles_at", "work_at", "over best one grid", "seconds_at", "rate", "test",
-               "true_error", "residual", "outcome"]
-    return table("dovetail_grids", frame, columns, f"Table 1 on the dovetail: work and seconds to a true error of "
-                 f"{TARGET:g}", f"{TRUE_ERROR} {note}", {"over best one grid": ".2f"})
 
 
 def local_table(context: Context, fixed: dict[str, Any]) -> Table:
