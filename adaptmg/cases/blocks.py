@@ -211,17 +211,13 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
     if isinstance(law, Coulomb) and not callable(law.friction) and np.ndim(law.friction) == 0:
         reference["holds"] = slope <= law.friction
     return ContactProblem(
-        name="block on an incline",
-        material=PlaneStrain(young=young, poisson=poisson),
+        name="block on an incline", material=PlaneStrain(young=young, poisson=poisson),
         domain=Assembly(parts={
             "block": _tilted(-width / 2, 0.0, width, height, angle, ("bottom", "uphill", "top", "downhill")),
             "slab": _tilted(-width, -height, 2 * width, height, angle, ("bottom", "right", "top", "left"))}),
-        contact=ContactPair("block.bottom", "slab.top"),
-        law=law,
-        loads=(BodyForce((0.0, -density * _GRAVITY), body="block"),),
-        supports=(Support("slab.bottom", x=0.0, y=0.0),),
-        reference=reference,
-    )
+        contact=ContactPair("block.bottom", "slab.top"), law=law,
+        loads=(BodyForce((0.0, -density * _GRAVITY), body="block"),), supports=(Support("slab.bottom", x=0.0, y=0.0),),
+        reference=reference)
 
 
 def _tilted(x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]) -> Polygon:

@@ -122,14 +122,9 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
     return ContactProblem(
         name={"ring": "bolted junction", "traction": "bolted junction, bolts as traction",
               "solid": "bolted junction, sector"}[bolt],
-        material=model.materials(),
-        domain=Assembly(parts=model.parts),
-        contact=model.pairs(),
-        law=_law(friction, head_friction, model),
-        loads=model.loads(pressure),
-        supports=model.supports(),
-        reference=_reference(flanges, pressure, _VALUES.get(bolt) if usual else None),
-    )
+        material=model.materials(), domain=Assembly(parts=model.parts), contact=model.pairs(),
+        law=_law(friction, head_friction, model), loads=model.loads(pressure), supports=model.supports(),
+        reference=_reference(flanges, pressure, _VALUES.get(bolt) if usual else None))
 
 
 def _shortening(value: float | None, preload: float, bolt: str, flanges: Flanges, material: Elastic) -> float:

@@ -107,17 +107,14 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
         sources = {**reference["sources"], "partial_slip": "Cattaneo; Johnson, Contact Mechanics, section 7.2"}
         reference |= {"stick": slip.stick, "partial_slip": slip, "sources": sources}
     return ContactProblem(
-        name="Cattaneo",
-        material=material,
+        name="Cattaneo", material=material,
         domain=Assembly(parts={"upper": _half_cylinder(radius, form.half_width),
                                "lower": _whole_block(radius, form.half_width)}),
-        contact=ContactPair("upper.contact", "lower.contact"),
-        law=law,
+        contact=ContactPair("upper.contact", "lower.contact"), law=law,
         loads=(Pressure("lower.bottom", form.load / (2 * radius)),
                Traction("upper.top", (tangential / (2 * radius), 0.0))),
         supports=(Support("upper.top", y=0.0), Support("lower.left", x=0.0), Support("lower.right", x=0.0)),
-        reference=reference,
-    )
+        reference=reference)
 
 
 def cattaneo_path(steps: int = 1) -> LoadPath:

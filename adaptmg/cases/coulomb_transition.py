@@ -68,17 +68,14 @@ def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign:
     field = _field(kind, sign == "+", float(law.friction), pressure, PlaneStrain(young=young, poisson=poisson))
     moved = [DisplacementComponent(field, k) for k in (0, 1)]
     return ContactProblem(
-        name=f"Coulomb transition, slip and {kind}, {sign}",
-        material=field.material,
+        name=f"Coulomb transition, slip and {kind}, {sign}", material=field.material,
         domain=Rectangle(width=2.0, height=1.0, origin=(-1.0, 0.0)),
-        contact=Contact("bottom", Plane(point=(0.0, 0.0), normal=(0.0, 1.0))),
-        law=law,
+        contact=Contact("bottom", Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
         loads=tuple(Traction(side, (0.0, TractionComponent(field, normal, 1)))
                     for side, normal in (("left", -1.0), ("right", 1.0))),
         supports=(Support("top", x=moved[0], y=moved[1]), Support("left", x=moved[0]), Support("right", x=moved[0])),
         reference={"quantity": "displacement, m", "field": field, "exponent": field.exponent, "transition": 0.0,
-                   "uniform_rate": 0.5, "sources": {"field": "eigenfunction of the half plane, exact"}},
-    )
+                   "uniform_rate": 0.5, "sources": {"field": "eigenfunction of the half plane, exact"}})
 
 
 def _field(kind: str, away: bool, friction: float, pressure: float, material: PlaneStrain) -> TransitionField:

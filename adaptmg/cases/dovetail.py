@@ -86,16 +86,13 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
     if parameters == _DEFAULTS and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 0.2:
         reference = _REFERENCE
     return ContactProblem(
-        name="dovetail",
-        material=PlaneStrain(young=young, poisson=poisson),
+        name="dovetail", material=PlaneStrain(young=young, poisson=poisson),
         domain=Assembly(parts={"tongue": _tongue(angle), "block": _block(angle, float(clearance) / _MM)}),
-        contact=(ContactPair("tongue.flank", "block.flank"), ContactPair("tongue.bottom", "block.floor")),
-        law=law,
+        contact=(ContactPair("tongue.flank", "block.flank"), ContactPair("tongue.bottom", "block.floor")), law=law,
         loads=(Traction("tongue.top", (0.0, pull)), Pressure("block.side", clamp)),
         supports=(Support("tongue.symmetry", x=0.0), Support("block.symmetry", x=0.0),
                   Support("block.bottom", x=0.0, y=0.0)),
-        reference=reference,
-    )
+        reference=reference)
 
 
 def _checked_angle(angle: float) -> float:

@@ -85,16 +85,11 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
                      "remark": "The block is finite: the difference is of the order of (a / depth)^2, .1 %."}
     size = _SIZE * a
     return ContactProblem(
-        name="flat punch",
-        material=PlaneStrain(young=young, poisson=poisson),
+        name="flat punch", material=PlaneStrain(young=young, poisson=poisson),
         domain=Polygon(vertices=((0.0, -size), (size, -size), (size, 0.0), (a, 0.0), (0.0, 0.0)),
                        boundaries=("bottom", "side", "free", "contact", "symmetry")),
-        contact=Contact("contact", Plane(point=(0.0, 0.0), normal=(0.0, -1.0))),
-        law=law,
-        loads=(Pressure("bottom", load / (2 * size)),),
-        supports=(Support("symmetry", x=0.0),),
-        reference=reference,
-    )
+        contact=Contact("contact", Plane(point=(0.0, 0.0), normal=(0.0, -1.0))), law=law,
+        loads=(Pressure("bottom", load / (2 * size)),), supports=(Support("symmetry", x=0.0),), reference=reference)
 
 
 def flat_punch_meshes(problem: ContactProblem, *, finest: float = 1 / 200, levels: int = 4, factor: float = 2.0,

@@ -86,15 +86,10 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
     elif parameters == _DEFAULTS and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 1.0:
         reference = _REFERENCE
     return ContactProblem(
-        name="GRECO bar",
-        material=material,
-        domain=Rectangle(width=size, height=size),
-        contact=Contact("bottom", Plane(point=(0.0, 0.0), normal=(0.0, 1.0))),
-        law=law,
-        loads=(Pressure("top", top_pressure), Pressure("left", side_pressure)),
-        supports=(Support("right", x=0.0),),
-        reference=reference,
-    )
+        name="GRECO bar", material=material, domain=Rectangle(width=size, height=size),
+        contact=Contact("bottom", Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
+        loads=(Pressure("top", top_pressure), Pressure("left", side_pressure)), supports=(Support("right", x=0.0),),
+        reference=reference)
 
 
 def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float, size: float) -> dict[str, object]:
@@ -140,15 +135,11 @@ def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pres
         reference = {**bar.reference, "points": points, "remark": remark}
     held = ("front", "back") if plane_strain else ("front",)
     return ContactProblem(
-        name="GRECO block" if plane_strain else "GRECO block, free back",
-        material=Solid(young=young, poisson=poisson),
+        name="GRECO block" if plane_strain else "GRECO block, free back", material=Solid(young=young, poisson=poisson),
         domain=Box(width=size, depth=depth, height=size),
-        contact=Contact("bottom", Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))),
-        law=law,
+        contact=Contact("bottom", Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))), law=law,
         loads=(Pressure("top", top_pressure), Pressure("left", side_pressure)),
-        supports=(Support("right", x=0.0), *(Support(face, y=0.0) for face in held)),
-        reference=reference,
-    )
+        supports=(Support("right", x=0.0), *(Support(face, y=0.0) for face in held)), reference=reference)
 
 
 @dataclass(frozen=True)

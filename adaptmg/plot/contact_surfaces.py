@@ -20,23 +20,7 @@ from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
 from adaptmg import _checks as checks
-from adaptmg.plot.style import (
-    GREEN,
-    INK,
-    STATE_INKS,
-    STATE_NAMES,
-    axes_of,
-    axis_names,
-    new_figure,
-    plain,
-    polylines,
-    quoted,
-    scaled,
-    shade,
-    state_lines,
-    stated_curve,
-    styled,
-)
+from adaptmg.plot import style
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
@@ -47,7 +31,7 @@ __all__ = ["Flat", "Line", "cells", "chosen_boundaries", "contact", "draw_map", 
 #: length of the mean of the unit normals below which a surface is taken to bend around an axis
 _AROUND = 0.5
 
-@styled
+@style.styled
 def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: object = None) -> Figure:
     r"""Draw pressure, friction, gap and slip on contact boundaries, between two bodies on the slave surface of a pair.
 
@@ -74,22 +58,22 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     if axes is not None:
         if len(names) != 1:
             raise ValueError(f"axes takes one contact boundary, the result has {len(names)}: choose with boundary=...")
-        panels = [axes_of(axes, 4 if solid else 3)]
+        panels = [style.axes_of(axes, 4 if solid else 3)]
     else:
         (width, height), columns = ((9.0, 7.0), 1) if solid else ((6.2, 6.8), min(len(names), 3))
         rows = -(-len(names) // columns)
-        parts = new_figure((width * columns, height * rows)).subfigures(rows, columns, squeeze=False).ravel()
+        parts = style.new_figure((width * columns, height * rows)).subfigures(rows, columns, squeeze=False).ravel()
         panels = [cells(part, 4, 2) if solid else part.subplots(3, sharex=True) for part in parts[:len(names)]]
     for name, drawn in zip(names, panels, strict=True):
         (_draw_surface if solid else _draw_lines)(result, name, drawn)
         title = pair_name(result.contact, name)
         if len(names) == 1:
-            title = f"{plain(result.problem_name)}: {title}"
+            title = f"{style.plain(result.problem_name)}: {title}"
         drawn[0].set_title(title, pad=8 if solid else 22)
         drawn[0].figure.align_ylabels()
     figure = panels[0][0].get_figure(root=True)
     if len(names) > 1:
-        figure.suptitle(plain(result.problem_name), fontsize=11)
+        figure.suptitle(style.plain(result.problem_name), fontsize=11)
     return figure
 
 
@@ -107,12 +91,12 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     for line in lines:
         at, s, first = line.index, line.position, line is lines[0]
         for ax, values in zip(axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], scale * c.gap), strict=True):
-            shade(ax, s, c.state[at])
-            stated_curve(ax, s, values[at], c.state[at])
+            style.shade(ax, s, c.state[at])
+            style.stated_curve(ax, s, values[at], c.state[at])
         if friction:
             axes[1].fill_between(s, -bound[at], bound[at], facecolor="#c9ced5", edgecolor="#9aa0a8", linewidth=0.8,
                                  alpha=0.55, zorder=1, label="friction bound" if first else None)
-        axes[2].plot(s, scale * c.slip[at, 0], color=GREEN, linestyle="--", label="slip" if first else None)
+        axes[2].plot(s, scale * c.slip[at, 0], color=style.GREEN, linestyle="--", label="slip" if first else None)
     for ax, label in zip(axes, ("pressure p\n[MPa]", "friction t\n[MPa]", f"gap, slip\n[{unit}]"), strict=True):
         ax.axhline(0.0, color="#5b626b", linewidth=0.8, zorder=1)
         ax.margins(x=0.0)
@@ -128,7 +112,7 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     # closed and stuck everywhere: the axes do not magnify rounding
     axes[2].set_ylim(min(low, -0.05), max(high, 0.5))
     axes[2].set_xlabel(lines[0].label)
-    axes[0].legend(handles=state_lines(c.state[nodes]), loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=3)
+    axes[0].legend(handles=style.state_lines(c.state[nodes]), loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=3)
 
 
 def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
@@ -190,7 +174,7 @@ def _unrolled(x: np.ndarray, normals: np.ndarray, axis: np.ndarray) -> tuple[np.
     matrix[:, 2] = direction.ravel()
     centre = np.linalg.lstsq(matrix, across.ravel(), rcond=None)[0][:2]
     angle = np.degrees(np.arctan2(*(across - centre).T[::-1]))
-    scale, unit = scaled(float(np.ptp(x @ axis)), "m")
+    scale, unit = style.scaled(float(np.ptp(x @ axis)), "m")
     name = "xyz"[along] if axis[along] > 1 - 1e-6 else ""
     return np.stack([angle, scale * (x @ axis)], axis=1), (
         f"angle around {name or 'the axis'} [°]", f"{name or 'along the axis'} [{unit}]")
@@ -209,7 +193,7 @@ def _seen_along(x: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, tuple[str,
         mean = np.array([0.0, 0.0, 1.0])
     across = int(np.argmax(np.abs(mean)))
     rest = [k for k in range(3) if k != across]
-    scale, unit = scaled(float(np.ptp(x, axis=0).max()), "m")
+    scale, unit = style.scaled(float(np.ptp(x, axis=0).max()), "m")
     if np.abs(mean[rest]).max() <= 1e-6 * abs(mean[across]):
         return scale * x[:, rest], (f"{'xyz'[rest[0]]} [{unit}]", f"{'xyz'[rest[1]]} [{unit}]")
     frame = _across(mean / np.linalg.norm(mean), rest[0])
@@ -243,9 +227,9 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
     if not np.isfinite(x).all():
         return [Line(index, np.arange(len(index), dtype=float), "contact node")]
     extent = np.ptp(x, axis=0)
-    factor, unit = scaled(float(extent.max()), "m")
+    factor, unit = style.scaled(float(extent.max()), "m")
     parts, label = _parts(result, boundary, index)
-    for axis, name in enumerate(axis_names(result)):
+    for axis, name in enumerate(style.axis_names(result)):
         if extent[1 - axis] <= 1e-9 * extent[axis]:
             straight = [nodes[np.argsort(result.contact.x[nodes, axis])] for nodes, _ in parts]
             return [Line(nodes, factor * result.contact.x[nodes, axis], f"{name} [{unit}]") for nodes in straight]
@@ -263,7 +247,7 @@ def _parts(result: Result, boundary: str, index: np.ndarray
     points, place = result.mesh.points, np.full(result.mesh.n_nodes, -1)
     place[result.contact.node[index]] = index
     parts, begin = [], 0.0
-    lines = polylines(result.mesh.boundary_facets(boundary))
+    lines = style.polylines(result.mesh.boundary_facets(boundary))
     for line in lines:
         position = begin + _arc_length(points[line])
         begin = position[-1]
@@ -291,10 +275,10 @@ def _draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
     """Draw the nodes in the colours of their states over the triangles; the legend counts them."""
     if flat.triangles is not None:
         ax.triplot(Triangulation(*flat.points.T, flat.triangles), color="#c9ced5", linewidth=0.4, zorder=1)
-    ax.scatter(*flat.points.T, c=[STATE_INKS[int(s)] for s in states], zorder=2, edgecolors=INK, linewidths=0.2,
-               s=float(np.clip(4000 / len(states), 1.5, 40.0)))
+    ax.scatter(*flat.points.T, c=[style.STATE_INKS[int(s)] for s in states], zorder=2, edgecolors=style.INK,
+               linewidths=0.2, s=float(np.clip(4000 / len(states), 1.5, 40.0)))
     counts = np.bincount(states.astype(int), minlength=3)
-    ax.legend(handles=[Patch(color=STATE_INKS[s], label=f"{STATE_NAMES[s]} ({counts[int(s)]})")
+    ax.legend(handles=[Patch(color=style.STATE_INKS[s], label=f"{style.STATE_NAMES[s]} ({counts[int(s)]})")
                        for s in (OPEN, SLIP, STICK)],
               loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=3, handlelength=1.2, columnspacing=1.2)
     _finish(ax, flat)
@@ -319,7 +303,7 @@ def pair_name(contact: ContactResult, boundary: str) -> str:
     """Return 'slave on master', or the boundary alone in front of a rigid obstacle."""
     masters = contact.masters or ("",) * len(contact.names)
     master = masters[contact.names.index(boundary)]
-    return f"{quoted(boundary)} on {quoted(master)}" if master else quoted(boundary)
+    return f"{style.quoted(boundary)} on {style.quoted(master)}" if master else style.quoted(boundary)
 
 
 def cells(part: SubFigure, count: int, columns: int, share: bool = False) -> list[Axes]:

@@ -20,23 +20,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, facet_table
-from adaptmg.plot.style import (
-    BODY_COLORS,
-    GREY,
-    INK,
-    STATE_INKS,
-    axis_names,
-    bounds,
-    canvas,
-    halves,
-    number,
-    plain,
-    polylines,
-    scaled,
-    state_lines,
-    states_of,
-    styled,
-)
+from adaptmg.plot import style
 from adaptmg.plot.surfaces import Lines, draw_facets, finish_axes, sharp_edges
 from adaptmg.solver.result import Result
 
@@ -46,7 +30,7 @@ __all__ = ["deformation"]
 _LINES_UP_TO = 8000
 
 
-@styled
+@style.styled
 def deformation(result: Result, amplify: float | None = None, *, stress: bool = False, displacement: bool = False,
                 states: bool = False, window: tuple[float, float, float, float] | None = None,
                 bodies: Sequence[str] | None = None, lines: bool | None = None,
@@ -84,7 +68,7 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     coloring = _coloring(result, stress, displacement)
     factor = _automatic_factor(result) if amplify is None else checks.nonnegative("amplify", amplify)
     scene = _scene(result, factor, bodies, window, coloring)
-    ax = canvas(ax, _size(scene), result.dim)
+    ax = style.canvas(ax, _size(scene), result.dim)
     if result.dim == 3:
         present = _draw_solid(ax, scene, lines, states)
         if view is not None:
@@ -148,14 +132,14 @@ def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | No
     if not stress and not displacement:
         return None
     values = result.von_mises() if stress else np.linalg.norm(result.displacement, axis=1)
-    factor, unit = (1e-6, "MPa") if stress else scaled(float(values.max()), "m")
+    factor, unit = (1e-6, "MPa") if stress else style.scaled(float(values.max()), "m")
     label = f"{'von Mises stress' if stress else 'displacement |u|'} [{unit}]"
     return Coloring(factor * values, label, Normalize(0.0, max(factor * float(values.max()), np.finfo(float).tiny)))
 
 
 def _automatic_factor(result: Result) -> float:
     """A round factor that draws the largest displacement as about 5 % of the size; 1 if nothing moves."""
-    size = bounds(result.mesh.points)[2]
+    size = style.bounds(result.mesh.points)[2]
     largest = float(np.linalg.norm(result.displacement, axis=1).max())
     if not largest > 1e-12 * size:
         return 1.0
@@ -173,7 +157,7 @@ def _scene(result: Result, factor: float, bodies: Sequence[str] | None,
     seen = np.isin(mesh.element_body, chosen)
     if window is None:
         nodes = np.unique(mesh.elements[seen])
-        lower, upper, _ = bounds(np.vstack([mesh.points[nodes], moved[nodes]]))
+        lower, upper, _ = style.bounds(np.vstack([mesh.points[nodes], moved[nodes]]))
     else:
         lower, upper = _window(window, mesh.dim)
         # with a margin of a tenth, so that no element ends in sight
@@ -183,7 +167,7 @@ def _scene(result: Result, factor: float, bodies: Sequence[str] | None,
         if not seen.any():
             raise ValueError(f"window {tuple(window)} shows nothing: it is (xmin, xmax, ymin, ymax) in m, and the "
                              f"bodies lie between {mesh.points.min(axis=0)} and {mesh.points.max(axis=0)}")
-    scale, unit = scaled(float(np.linalg.norm(upper - lower)), "m")
+    scale, unit = style.scaled(float(np.linalg.norm(upper - lower)), "m")
     shapes = [_shape(mesh, body, np.flatnonzero(seen & (mesh.element_body == body))) for body in chosen
               if (seen & (mesh.element_body == body)).any()]
     shapes.sort(key=lambda shape: -float(np.abs(mesh.volumes[shape.elements]).sum()))
@@ -212,7 +196,7 @@ def _window(window: tuple[float, float, float, float], dim: int) -> tuple[np.nda
 def _shape(mesh: MeshArrays, body: int, elements: np.ndarray) -> DrawnBody:
     table = facet_table(mesh.elements[elements], mesh.n_nodes)
     outer = table.counts == 1
-    return DrawnBody(mesh.bodies[body], BODY_COLORS[body % len(BODY_COLORS)], elements, table.facets[outer],
+    return DrawnBody(mesh.bodies[body], style.BODY_COLORS[body % len(style.BODY_COLORS)], elements, table.facets[outer],
                      elements[table.first[outer]])
 
 
@@ -231,13 +215,13 @@ def _draw_solid(ax: Axes3D, scene: Scene, lines: bool | None, states: bool) -> s
     contact, present = scene.result.contact, set()
     for boundary in range(len(contact.names)) if states else ():
         # the state of most corners, where all are nodes of one contact boundary
-        corners = np.sort(states_of(contact, boundary, len(scene.after))[facets], axis=1)
+        corners = np.sort(style.states_of(contact, boundary, len(scene.after))[facets], axis=1)
         mine = corners[:, 0] >= 0
-        colors[mine] = to_rgba_array([STATE_INKS[state] for state in corners[mine, 1]]).reshape(-1, 1, 4)
+        colors[mine] = to_rgba_array([style.STATE_INKS[state] for state in corners[mine, 1]]).reshape(-1, 1, 4)
         present |= set(corners[mine, 1].tolist())
     edges = np.concatenate([sharp_edges(scene.before, shape.facets) for shape in scene.shapes])
     draw_facets(ax, scene.after[facets], colors, lines,
-                (Lines(scene.before[edges], GREY, 0.9, (4.0, 3.0)), Lines(scene.after[edges], INK, 0.9)),
+                (Lines(scene.before[edges], style.GREY, 0.9, (4.0, 3.0)), Lines(scene.after[edges], style.INK, 0.9)),
                 0.28 if scene.coloring is None and not states else 0.14)
     finish_axes(ax, np.array([scene.lower, scene.upper]), scene.unit)
     return present
@@ -256,10 +240,11 @@ def _facet_colors(scene: Scene, shape: DrawnBody) -> np.ndarray:
 def _draw_plane(ax: Axes, scene: Scene, lines: bool) -> None:
     width = float(np.clip(12 / np.sqrt(scene.n_elements), 0.08, 0.6))
     for k, shape in enumerate(scene.shapes):
-        rings = polylines(shape.facets)
+        rings = style.polylines(shape.facets)
         _fill(ax, scene, shape, rings, width if lines else 0.0, zorder=2 + 0.1 * k)
-        ax.add_collection(LineCollection([scene.after[ring] for ring in rings], color=INK, linewidth=1.0, zorder=3.6))
-        ax.add_collection(LineCollection([scene.before[ring] for ring in rings], color=GREY, linewidth=0.8,
+        ax.add_collection(LineCollection([scene.after[ring] for ring in rings], color=style.INK, linewidth=1.0,
+                                         zorder=3.6))
+        ax.add_collection(LineCollection([scene.before[ring] for ring in rings], color=style.GREY, linewidth=0.8,
                                          linestyle=(0, (4, 3)), zorder=3.5))
     margin = 0.0 if scene.is_zoomed() else 0.03 * float(np.max(scene.upper - scene.lower))
     ax.set(aspect="equal", xlim=(scene.lower[0] - margin, scene.upper[0] + margin),
@@ -270,8 +255,8 @@ def _draw_plane(ax: Axes, scene: Scene, lines: bool) -> None:
 def _fill(ax: Axes, scene: Scene, shape: DrawnBody, rings: list[np.ndarray], width: float, zorder: float) -> None:
     elements, coloring = scene.result.mesh.elements[shape.elements], scene.coloring
     if coloring is None and width:
-        ax.add_collection(PolyCollection(scene.after[elements], facecolor=shape.color, edgecolor=INK, linewidth=width,
-                                         zorder=zorder))
+        ax.add_collection(PolyCollection(scene.after[elements], facecolor=shape.color, edgecolor=style.INK,
+                                         linewidth=width, zorder=zorder))
     elif coloring is None:
         path = Path.make_compound_path(*(Path(scene.after[ring], closed=True) for ring in rings))
         ax.add_patch(PathPatch(path, facecolor=shape.color, edgecolor="none", zorder=zorder))
@@ -292,11 +277,11 @@ def _draw_states(ax: Axes, scene: Scene) -> set[int]:
     contact, present = scene.result.contact, set()
     shown = np.unique(np.concatenate([shape.facets.ravel() for shape in scene.shapes]))
     for boundary, name in enumerate(contact.names):
-        state = states_of(contact, boundary, len(scene.after))
+        state = style.states_of(contact, boundary, len(scene.after))
         facets = scene.result.mesh.boundary_facets(name)
         facets = facets[(state[facets] >= 0).all(axis=1) & np.isin(facets, shown).all(axis=1)]
-        for line in polylines(facets):
-            segments, colors = halves(scene.after[line], state[line])
+        for line in style.polylines(facets):
+            segments, colors = style.halves(scene.after[line], state[line])
             ax.add_collection(LineCollection(segments, color="white", linewidth=4.2, capstyle="butt", zorder=4))
             ax.add_collection(LineCollection(segments, colors=colors, linewidth=2.8, capstyle="butt", zorder=4.1))
         present |= set(state[facets].ravel().tolist())
@@ -311,11 +296,11 @@ def _finish(ax: Axes, scene: Scene, factor: float) -> None:
         bar.set_label(coloring.label)
         bar.outline.set_visible(False)
     if dim == 2:
-        names = axis_names(scene.result)
+        names = style.axis_names(scene.result)
         ax.set(xlabel=f"{names[0]} [{scene.unit}]", ylabel=f"{names[1]} [{scene.unit}]")
-    size = "to scale" if factor == 1 else f"{number(factor)} times"
+    size = "to scale" if factor == 1 else f"{style.number(factor)} times"
     # seen from below, an axis with its label runs along the upper side
-    ax.set_title(f"{plain(scene.result.problem_name)}: displacement drawn {size}",
+    ax.set_title(f"{style.plain(scene.result.problem_name)}: displacement drawn {size}",
                  pad=30 if dim == 3 and ax.elev < 0 else None)
 
 
@@ -324,10 +309,10 @@ def _legend(ax: Axes, scene: Scene, present: set[int]) -> None:
     handles: list[Patch | Line2D] = []
     if scene.coloring is None:
         order = {name: k for k, name in enumerate(scene.result.mesh.bodies)}
-        handles += [Patch(facecolor=shape.color, edgecolor=INK, linewidth=0.6, label=plain(shape.name))
+        handles += [Patch(facecolor=shape.color, edgecolor=style.INK, linewidth=0.6, label=style.plain(shape.name))
                     for shape in sorted(scene.shapes, key=lambda shape: order[shape.name])]
-    handles.append(Line2D([], [], color=GREY, linewidth=0.9, linestyle=(0, (4, 3)), label="before"))
-    handles += state_lines(present)
+    handles.append(Line2D([], [], color=style.GREY, linewidth=0.9, linestyle=(0, (4, 3)), label="before"))
+    handles += style.state_lines(present)
     if scene.coloring is not None and scene.result.dim == 2:
         ax.figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5))
     else:

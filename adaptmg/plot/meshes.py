@@ -16,31 +16,12 @@ from adaptmg import _checks as checks
 from adaptmg.estimate.step import Step
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.plot.style import (
-    BLUE,
-    GREY,
-    INK,
-    ORANGE,
-    PALE,
-    STATE_INKS,
-    axes_of,
-    body_fills,
-    bounds,
-    canvas,
-    halves,
-    new_figure,
-    plain,
-    polylines,
-    scaled,
-    state_lines,
-    states_of,
-    styled,
-)
+from adaptmg.plot import style
 from adaptmg.plot.surfaces import draw_facets, finish_axes, view_of
 
 __all__ = ["adaptation", "grids", "mesh"]
 
-@styled
+@style.styled
 def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = ()) -> Figure:
     """Draw a mesh, several bodies in different colours, with the boundaries ``contact`` marked.
 
@@ -48,13 +29,13 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
     """
     checks.instance("drawn", drawn, MeshArrays, "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or "
                     "adaptmg.mesh.read.as_mesh)")
-    ax = canvas(ax, (5.4, 5.0), drawn.dim)
+    ax = style.canvas(ax, (5.4, 5.0), drawn.dim)
     _draw(drawn, ax, contact)
     ax.set_title(f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
     return ax.figure
 
 
-@styled
+@style.styled
 def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     """Draw the grids of a hierarchy side by side, coarsest first, with their numbers of nodes.
 
@@ -68,12 +49,12 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     if axes is None:
         columns = min(len(hierarchy), 4)
         rows = -(-len(hierarchy) // columns)
-        figure = new_figure((3.1 * columns, 3.3 * rows))
+        figure = style.new_figure((3.1 * columns, 3.3 * rows))
         axes = [figure.add_subplot(rows, columns, k + 1, projection="3d" if dim == 3 else None)
                 for k in range(len(hierarchy))]
-    axes = axes_of(axes, len(hierarchy))
+    axes = style.axes_of(axes, len(hierarchy))
     for k, (level, ax) in enumerate(zip(levels, axes, strict=True)):
-        _draw(level.mesh, canvas(ax, (1, 1), dim), level.discrete.contact.names)
+        _draw(level.mesh, style.canvas(ax, (1, 1), dim), level.discrete.contact.names)
         ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes, {len(level.discrete.contact)} contact", fontsize=9.5)
         if dim == 3:
             ax.set_axis_off()
@@ -83,8 +64,8 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
 
 
 def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
-    scale, unit = scaled(bounds(drawn.points)[2], "m")
-    points, fills = drawn.points * scale, to_rgba_array(body_fills(len(drawn.bodies)))
+    scale, unit = style.scaled(style.bounds(drawn.points)[2], "m")
+    points, fills = drawn.points * scale, to_rgba_array(style.body_fills(len(drawn.bodies)))
     marked = np.isin(drawn.facet_labels, [drawn.boundaries.index(name) for name in contact if name in drawn.boundaries])
     if drawn.dim == 3:
         body = np.zeros(drawn.n_nodes, dtype=int)
@@ -96,9 +77,9 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
         return
     width = float(np.clip(18 / np.sqrt(len(drawn.elements)), 0.12, 0.7))
     ax.add_collection(PolyCollection(points[drawn.elements], facecolor=fills[drawn.element_body],
-                                     edgecolor=INK, linewidth=width))
-    ax.add_collection(LineCollection(points[drawn.facets], color=INK, linewidth=0.9))
-    ax.add_collection(LineCollection(points[drawn.facets[marked]], color=ORANGE, linewidth=2.4, capstyle="butt"))
+                                     edgecolor=style.INK, linewidth=width))
+    ax.add_collection(LineCollection(points[drawn.facets], color=style.INK, linewidth=0.9))
+    ax.add_collection(LineCollection(points[drawn.facets[marked]], color=style.ORANGE, linewidth=2.4, capstyle="butt"))
     _finish_plane(ax, unit)
 
 
@@ -112,7 +93,7 @@ def _finish_plane(ax: Axes, unit: str) -> None:
 _DECADES = 4
 
 
-@styled
+@style.styled
 def adaptation(steps: Sequence[Step]) -> Figure:
     """Draw an adaptive loop: three of its meshes with contact states, a map of the indicator, and how the error falls.
 
@@ -124,7 +105,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     if not steps:
         raise ValueError("steps is empty: give the steps of am.adapt, as in list(am.adapt(...))")
     dim = steps[0].result.dim
-    figure = new_figure((10.5, 7.2))
+    figure = style.new_figure((10.5, 7.2))
     shown = sorted({0, len(steps) // 2, len(steps) - 1})
     kind = "3d" if dim == 3 else None
     present: set[int] = set()
@@ -132,7 +113,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
         ax = figure.add_subplot(2, 3, k + 1, projection=kind)
         present |= _mesh(ax, steps[number])
         ax.set_title(f"step {number}: {steps[number].nodes} nodes", fontsize=9.5)
-    figure.legend(handles=state_lines(present), loc="outside upper right", ncols=3, fontsize=8.5)
+    figure.legend(handles=style.state_lines(present), loc="outside upper right", ncols=3, fontsize=8.5)
     _map(figure, figure.add_subplot(2, 3, 4, projection=kind), steps[-1])
     nodes = np.array([step.nodes for step in steps], dtype=float)
     relative = np.array([step.estimate.relative for step in steps])
@@ -140,17 +121,18 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     _falling(left, nodes, relative, "nodes")
     if (relative > 0).all() and np.isfinite(relative[-1]) and nodes[-1] > nodes[0]:
         guide = 1.35 * relative[-1] * (nodes / nodes[-1]) ** (-1 / dim)
-        left.plot(nodes, guide, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
+        left.plot(nodes, guide, color=style.GREY, linewidth=1.0, linestyle=(0, (4, 3)))
         middle = len(nodes) // 2
-        left.annotate(f"  nodes$^{{-1/{dim}}}$", (nodes[middle], guide[middle]), color=GREY, fontsize=8.5, va="bottom")
+        left.annotate(f"  nodes$^{{-1/{dim}}}$", (nodes[middle], guide[middle]), color=style.GREY, fontsize=8.5,
+                      va="bottom")
     _falling(right, np.array([step.total_seconds for step in steps]), relative, "time, meshes included [s]")
-    figure.suptitle(plain(steps[-1].result.problem_name), fontsize=11)
+    figure.suptitle(style.plain(steps[-1].result.problem_name), fontsize=11)
     return figure
 
 
 def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str) -> None:
     shown = (x > 0) & (relative > 0) & np.isfinite(relative)
-    ax.loglog(x[shown], relative[shown], marker="o", color=BLUE)
+    ax.loglog(x[shown], relative[shown], marker="o", color=style.BLUE)
     ax.set_xlabel(name)
     ax.set_ylabel(r"estimate / $\|u_h\|_A$ [-]")
     ax.grid(True, which="both")
@@ -166,20 +148,21 @@ def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str) -> None:
 def _mesh(ax: Axes, step: Step) -> set[int]:
     """Draw a mesh and its contact surfaces in the colours of their states; return the states that occur."""
     mesh, contact = step.hierarchy.finest.mesh, step.result.contact
-    scale, unit = scaled(bounds(mesh.points)[2], "m")
+    scale, unit = style.scaled(style.bounds(mesh.points)[2], "m")
     points = mesh.points * scale
-    colors, touching = to_rgba_array([PALE]).repeat(len(mesh.facets), axis=0), np.zeros(len(mesh.facets), dtype=bool)
+    colors = to_rgba_array([style.PALE]).repeat(len(mesh.facets), axis=0)
+    touching = np.zeros(len(mesh.facets), dtype=bool)
     present: set[int] = set()
     for boundary, name in enumerate(contact.names):
-        state = states_of(contact, boundary, mesh.n_nodes)
+        state = style.states_of(contact, boundary, mesh.n_nodes)
         mine = (mesh.facet_labels == mesh.boundaries.index(name)) & (state[mesh.facets] >= 0).all(axis=1)
         if mesh.dim == 3:
             of_facet = np.median(state[mesh.facets[mine]], axis=1).astype(int)
-            colors[mine] = to_rgba_array([STATE_INKS[code] for code in of_facet])
+            colors[mine] = to_rgba_array([style.STATE_INKS[code] for code in of_facet])
             touching |= mine
         else:
-            for line in polylines(mesh.facets[mine]):
-                segments, inks = halves(points[line], state[line])
+            for line in style.polylines(mesh.facets[mine]):
+                segments, inks = style.halves(points[line], state[line])
                 ax.add_collection(LineCollection(segments, colors=inks, linewidths=2.8, capstyle="butt", zorder=4))
             of_facet = state[mesh.facets[mine]].ravel()
         present |= set(of_facet.tolist())
@@ -190,8 +173,8 @@ def _mesh(ax: Axes, step: Step) -> set[int]:
         ax.set_axis_off()
     else:
         width = float(np.clip(14 / np.sqrt(len(mesh.elements)), 0.06, 0.6))
-        ax.add_collection(PolyCollection(points[mesh.elements], facecolor=PALE, edgecolor=INK, linewidth=width,
-                                         rasterized=len(mesh.elements) > 20_000))
+        ax.add_collection(PolyCollection(points[mesh.elements], facecolor=style.PALE, edgecolor=style.INK,
+                                         linewidth=width, rasterized=len(mesh.elements) > 20_000))
         _finish_plane(ax, unit)
     return present
 
@@ -199,7 +182,7 @@ def _mesh(ax: Axes, step: Step) -> set[int]:
 def _map(figure: Figure, ax: Axes, step: Step) -> None:
     """Draw the indicator of each element of the last mesh in colours by decades."""
     mesh, parts = step.hierarchy.finest.mesh, np.sqrt(step.estimate.squares)
-    scale, unit = scaled(bounds(mesh.points)[2], "m")
+    scale, unit = style.scaled(style.bounds(mesh.points)[2], "m")
     points, largest = mesh.points * scale, parts.max() or 1.0
     lowest = max(parts.min(initial=largest, where=parts > 0), largest * 10.0**-_DECADES)
     norm = LogNorm(vmin=min(lowest, 0.5 * largest), vmax=largest, clip=True)

@@ -20,20 +20,7 @@ from mpl_toolkits.mplot3d import Axes3D
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.plot.style import (
-    BLUE,
-    GREY,
-    INK,
-    PALE,
-    body_fills,
-    bounds,
-    canvas,
-    number,
-    plain,
-    quoted,
-    scaled,
-    styled,
-)
+from adaptmg.plot import style
 from adaptmg.plot.surfaces import Lines, draw_facets, finish_axes, normals_of, sharp_edges, view_of, viewer
 from adaptmg.problem import (
     Assembly,
@@ -61,7 +48,7 @@ SurfaceLoad = Pressure | Traction
 Place = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-@styled
+@style.styled
 def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays | None = None,
             explode: float = 0.0) -> Figure:
     """Draw a contact problem: bodies, contact boundaries, obstacles, supports and loads.
@@ -83,26 +70,26 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
     if posed.domain is None and (mesh is None or posed.dim == 2):
         raise ValueError("the problem has no domain to draw: draw a mesh of it with am.plot.mesh")
     if posed.dim == 3:
-        ax = canvas(ax, (8.4, 5.6), dim=3)
+        ax = style.canvas(ax, (8.4, 5.6), dim=3)
         _draw_solid(posed, _coarse_mesh(posed.domain) if mesh is None else mesh, ax, checks.number("explode", explode))
     else:
-        lower, upper, _ = bounds(np.concatenate(list(_polygons(posed.domain).values())))
+        lower, upper, _ = style.bounds(np.concatenate(list(_polygons(posed.domain).values())))
         width, height = (upper - lower) / np.max(upper - lower)
-        ax = canvas(ax, (4.4 * width + 3.9, 4.4 * height + 1.4))
+        ax = style.canvas(ax, (4.4 * width + 3.9, 4.4 * height + 1.4))
         _draw_plane(posed, ax)
-    ax.set_title(plain(posed.name))
+    ax.set_title(style.plain(posed.name))
     return ax.figure
 
 
 def _draw_plane(posed: ContactProblem, ax: Axes) -> None:
     polygons, edges = _polygons(posed.domain), boundary_edges(posed.domain)
-    diagonal = bounds(np.concatenate(list(polygons.values())))[2]
-    scale, unit = scaled(diagonal, "m")
-    size, fills = 0.7 * diagonal, body_fills(len(polygons))
+    diagonal = style.bounds(np.concatenate(list(polygons.values())))[2]
+    scale, unit = style.scaled(diagonal, "m")
+    size, fills = 0.7 * diagonal, style.body_fills(len(polygons))
     for corners, fill in zip(polygons.values(), fills, strict=True):
         # small bodies on top of large ones
         (x, y), (x2, y2) = corners.T, np.roll(corners, -1, axis=0).T
-        ax.add_patch(Polygon(scale * corners, facecolor=fill, edgecolor=INK, linewidth=1.2,
+        ax.add_patch(Polygon(scale * corners, facecolor=fill, edgecolor=style.INK, linewidth=1.2,
                              zorder=3 - float(np.sum(x * y2 - x2 * y)) / diagonal**2))
     for boundary, color, _ in _uses(posed):
         ax.add_collection(LineCollection(scale * edges[boundary], color=color, zorder=4, capstyle="butt",
@@ -115,14 +102,14 @@ def _draw_plane(posed: ContactProblem, ax: Axes) -> None:
         x, normals = spread(edges[load.boundary], np.linspace(0.06, 0.94, max(3, round(12 * length / size))))
         places.append((x, normals, _tractions(load, x, normals)))
     for tails, arrows in _arrows(places, 0.17 * size):
-        ax.quiver(*scale * tails.T, *scale * arrows.T, angles="xy", scale_units="xy", scale=1, color=BLUE,
+        ax.quiver(*scale * tails.T, *scale * arrows.T, angles="xy", scale_units="xy", scale=1, color=style.BLUE,
                   units="inches", width=0.02, headwidth=4.5, headlength=5.5, headaxislength=5, zorder=5)
         ax.update_datalim(scale * np.concatenate([tails, tails + arrows]))
     if len(polygons) == 1:
         for boundary, segments in edges.items():
             middle, normal = (part[0] for part in spread(segments, np.array([0.5])))
-            ax.annotate(plain(boundary), scale * middle, -9 * normal, textcoords="offset points", color=INK, fontsize=8,
-                        ha=("left", "center", "right")[round(normal[0]) + 1],
+            ax.annotate(style.plain(boundary), scale * middle, -9 * normal, textcoords="offset points", color=style.INK,
+                        fontsize=8, ha=("left", "center", "right")[round(normal[0]) + 1],
                         va=("bottom", "center", "top")[round(normal[1]) + 1], zorder=6)
     names = "rzθ" if posed.axisymmetric else "xyz"
     ax.set(aspect="equal", anchor="W", xlabel=f"{names[0]} [{unit}]", ylabel=f"{names[1]} [{unit}]")
@@ -142,9 +129,9 @@ def _draw_obstacle(ax: Axes, contact: Contact, edges: np.ndarray, size: float, s
     surface = points + times * gaps[:, None] * inward
     behind = surface + visible * inward
     for front, back in zip(np.split(scale * surface, len(edges)), np.split(scale * behind, len(edges)), strict=True):
-        ax.add_patch(Polygon(np.concatenate([front, back[::-1]]), facecolor="none", edgecolor=GREY, hatch="////",
+        ax.add_patch(Polygon(np.concatenate([front, back[::-1]]), facecolor="none", edgecolor=style.GREY, hatch="////",
                              linewidth=0, zorder=1))
-        ax.plot(*front.T, color=INK, linewidth=1.2, zorder=3.5)
+        ax.plot(*front.T, color=style.INK, linewidth=1.2, zorder=3.5)
     ax.update_datalim(scale * behind)
     return times
 
@@ -195,13 +182,14 @@ def _coarse_mesh(domain: Domain) -> MeshArrays:
 
 def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: float) -> None:
     posed.check_boundaries(mesh.boundaries)
-    scale, unit = scaled(bounds(mesh.points)[2], "m")
+    scale, unit = style.scaled(style.bounds(mesh.points)[2], "m")
     body_of_node = np.zeros(mesh.n_nodes, dtype=int)
     body_of_node[mesh.elements] = mesh.element_body[:, None]
-    centres = np.array([np.mean(bounds(mesh.points[body_of_node == k])[:2], axis=0) for k in range(len(mesh.bodies))])
+    centres = np.array([np.mean(style.bounds(mesh.points[body_of_node == k])[:2], axis=0)
+                        for k in range(len(mesh.bodies))])
     points = (mesh.points + explode * (centres - centres.mean(axis=0))[body_of_node]) * scale
     corners, of_boundary = points[mesh.facets], {name: mesh.facet_labels == k for k, name in enumerate(mesh.boundaries)}
-    body, fills = body_of_node[mesh.facets[:, 0]], body_fills(len(mesh.bodies))
+    body, fills = body_of_node[mesh.facets[:, 0]], style.body_fills(len(mesh.bodies))
     colors = to_rgba_array(fills)[body]
     for boundary, color, _ in _uses(posed):
         colors[of_boundary[boundary]] = to_rgba(color)
@@ -216,7 +204,7 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: fl
               for stroke in _strokes(*arrow)]
     edges = np.concatenate([sharp_edges(points, mesh.facets[body == k]) for k in range(len(mesh.bodies))])
     draw_facets(ax, corners, colors, lines=False, extra=(
-        Lines(points[edges], INK, 0.9), Lines(np.concatenate([np.empty((0, 2, 3)), *arrows]), BLUE, 1.1)))
+        Lines(points[edges], style.INK, 0.9), Lines(np.concatenate([np.empty((0, 2, 3)), *arrows]), style.BLUE, 1.1)))
     finish_axes(ax, points, unit)
     if len(mesh.bodies) == 1:
         # the view in which contact, three times, and loads show most
@@ -224,8 +212,8 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: fl
         view_of(ax, np.concatenate([corners[of_boundary[name]] for name in seen]))
         for name, mine in of_boundary.items():
             if mine.any() and normals_of(corners[mine]).mean(axis=0) @ viewer(ax.elev, ax.azim) > 0.1:
-                ax.text(*corners[mine].mean(axis=(0, 1)), plain(name), ha="center", va="center", fontsize=8, zorder=9,
-                        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.6, "pad": 1.0})
+                ax.text(*corners[mine].mean(axis=(0, 1)), style.plain(name), ha="center", va="center", fontsize=8,
+                        zorder=9, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.6, "pad": 1.0})
     _legend(posed, ax, mesh.bodies, fills, "xyz", places, mesh.boundaries, {})
 
 
@@ -278,21 +266,21 @@ def _legend(posed: ContactProblem, ax: Axes, bodies: Sequence[str], fills: Seque
     """List bodies, uses of boundaries and loads under the name of the law; of a single body the free boundaries too."""
     entries: list[tuple[Artist, str]] = []
     if len(bodies) > 1:
-        entries += [(Patch(facecolor=fill, edgecolor=INK), plain(body))
+        entries += [(Patch(facecolor=fill, edgecolor=style.INK), style.plain(body))
                     for body, fill in zip(bodies, fills, strict=True)]
     for boundary, color, text in _uses(posed):
         times = enlarged.get(boundary, 1)
         text = f"{text} on" if color != _MASTER else text
-        entries.append((Patch(facecolor=color, edgecolor=INK),
-                        f"{text} {quoted(boundary)}" + (f"\n(gap drawn {times} times)" if times > 1 else "")))
+        entries.append((Patch(facecolor=color, edgecolor=style.INK),
+                        f"{text} {style.quoted(boundary)}" + (f"\n(gap drawn {times} times)" if times > 1 else "")))
     loads = _surface_loads(posed)
-    entries += [(Line2D([], [], color=BLUE), f"{_surface_text(load, traction)} on {quoted(load.boundary)}")
+    entries += [(Line2D([], [], color=style.BLUE), f"{_surface_text(load, traction)} on {style.quoted(load.boundary)}")
                 for load, (_, _, traction) in zip(loads, places, strict=True)]
-    entries += [(Line2D([], [], color=BLUE, linestyle=":"), _volume_text(load, axes)) for load in posed.loads
+    entries += [(Line2D([], [], color=style.BLUE, linestyle=":"), _volume_text(load, axes)) for load in posed.loads
                 if isinstance(load, BodyForce | InitialStrain)]
     used = {name for name, *_ in _uses(posed)} | {load.boundary for load in loads}
-    if len(bodies) == 1 and (free := [quoted(name) for name in boundaries if name not in used]):
-        entries.append((Patch(facecolor=PALE, edgecolor=INK), f"free: {', '.join(free)}"))
+    if len(bodies) == 1 and (free := [style.quoted(name) for name in boundaries if name not in used]):
+        entries.append((Patch(facecolor=style.PALE, edgecolor=style.INK), f"free: {', '.join(free)}"))
     handles, labels = zip(*entries, strict=True)
     ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.02, 1.0), title=_law_text(posed.law), fontsize=8,
               alignment="left", borderaxespad=0.0)
@@ -310,8 +298,8 @@ def _value(value: object, unit: str = "") -> str:
     """A parameter as text: f(x), or a number with its prefixed unit."""
     if callable(value):
         return "f(x)"
-    factor, unit = scaled(abs(float(value)), unit) if unit else (1.0, "")
-    return f"{number(float(value) * factor)} {unit}".strip()
+    factor, unit = style.scaled(abs(float(value)), unit) if unit else (1.0, "")
+    return f"{style.number(float(value) * factor)} {unit}".strip()
 
 
 def support_text(support: Support, dim: int, axes: str = "xyz") -> str:
@@ -334,12 +322,12 @@ def _surface_text(load: SurfaceLoad, traction: np.ndarray) -> str:
 
 def _volume_text(load: BodyForce | InitialStrain, axes: str) -> str:
     """The load in a body: 'body force (0, 3) kN/m³ in 'rod''."""
-    where = "" if load.body is None else f" in {quoted(load.body)}"
+    where = "" if load.body is None else f" in {style.quoted(load.body)}"
     if isinstance(load, InitialStrain):
         parts = [f"$\\varepsilon_{axis}$ = {_value(value)}"
                  for axis, value in zip(axes, load.components, strict=False) if callable(value) or value != 0]
         return f"initial strain{where}\n{', '.join(parts) or '0'}"
     if any(map(callable, load.components)):
         return f"body force f(x){where}"
-    factor, unit = scaled(max(map(abs, load.components)), "N/m³")
-    return f"body force ({', '.join(number(factor * c) for c in load.components)}) {unit}{where}"
+    factor, unit = style.scaled(max(map(abs, load.components)), "N/m³")
+    return f"body force ({', '.join(style.number(factor * c) for c in load.components)}) {unit}{where}"

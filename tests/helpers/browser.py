@@ -19,22 +19,17 @@ needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not ins
 
 def _run(folder: Path, page: Path, width: int, height: int, *flags: str) -> bytes:
     command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage",
-               f"--user-data-dir={folder / 'browser'}", f"--window-size={width},{height}", *flags,
-               page.as_uri()]
+               f"--user-data-dir={folder / 'browser'}", f"--window-size={width},{height}", *flags, page.as_uri()]
     return subprocess.run(command, capture_output=True, check=True, timeout=120).stdout
 
 
 def dom(folder: Path, page: Path) -> str:
     """A page as it stands after its scripts have run."""
-    # the scripts' clock runs on to where what they wait for has come
     return _run(folder, page, 1600, 800, "--virtual-time-budget=2000", "--dump-dom").decode()
 
 
 def measure(folder: Path, text: str, script: str) -> Any:
-    """The value of a function body in JavaScript in a page, after it has loaded, without the policy of the page.
-
-    The page lies in a frame that the script resizes by ``resize(width, height)``: windows are wider than a phone.
-    """
+    """The value of a function body in a page without its policy, in a frame for ``resize(width, height)``."""
     free = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", text)
     added = ("<script>function resize(width, height) { var style = window.frameElement.style;\n"
              "style.width = width + 'px'; style.height = (height || 900) + 'px'; }\n"

@@ -23,8 +23,7 @@ class Conic:
         self.stiffness = np.abs(matrix.diagonal()).max()
         self.force = np.abs(load).max()
         self.length = self.force / self.stiffness * problem.n_nodes ** (1 / dim)
-        self.matrix = sparse.csc_array(matrix[self.free][:, self.free])
-        self.load = load
+        self.matrix, self.load = sparse.csc_array(matrix[self.free][:, self.free]), load
         n = len(contact)
         # normal displacement and slip at contact nodes, as rows over all dofs; slip in an orthonormal basis by QR
         tangents = np.array([np.linalg.qr(np.column_stack([normal, np.eye(dim)]))[0][:, 1:].T
@@ -43,8 +42,7 @@ class Conic:
         """Displacement (n_nodes, dim) and pressures (n,) for given nodal limits (n,), N."""
         n, m = len(limit), len(self.free)
         slides = np.flatnonzero(limit > 0)
-        k, dim = len(slides), self.problem.dim
-        unit = self.length
+        k, dim, unit = len(slides), self.problem.dim, self.length
         P = sparse.block_diag([self.matrix * (unit / self.force), sparse.csc_array((k, k))], format="csc")
         q = np.concatenate([-self.load / self.force, limit[slides] / self.force])
         zero = sparse.csr_array((n, k))
@@ -57,8 +55,7 @@ class Conic:
             right.append(np.array([0.0, *[-reference[i] / unit for reference in self.reference]]))
             cones.append(clarabel.SecondOrderConeT(dim))
         settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.max_iter = 200
+        settings.verbose, settings.max_iter = False, 200
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-15
         settings.tol_ktratio = 1e-12
         solver = clarabel.DefaultSolver(sparse.csc_matrix(sparse.triu(P)), q, sparse.csc_matrix(sparse.vstack(rows)),

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from xml.etree import ElementTree
 
 VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
-#: of flow content, what may not stand inside a paragraph or a header of a table
+#: may not stand inside a paragraph
 BLOCKS = {"p", "div", "table", "figure", "details", "section", "nav", "ol", "ul", "dl", "h1", "h2", "h3", "main"}
 _FOREIGN = re.compile(r"(?i)(https?:)?//[a-z0-9]|@import|javascript:|expression\(")
 
@@ -45,9 +45,8 @@ class Page(HTMLParser):
             self.texts.append((self._open[-1] if self._open else "", data))
 
     def _take(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        names = [name for name, _ in attrs]
-        assert len(names) == len(set(names)), f"<{tag}> has an attribute twice: {names}"
         found = dict(attrs)
+        assert len(found) == len(attrs), f"<{tag}> has an attribute twice: {attrs}"
         for name, value in found.items():
             assert not name.startswith("on"), f"<{tag}> has a handler {name}"
             if name in ("href", "src", "style", "action") and value and not value.startswith("data:image/"):
@@ -56,8 +55,7 @@ class Page(HTMLParser):
             kind, data = re.fullmatch(r"data:image/(png|svg\+xml);base64,(.*)", found.get("src") or "").groups()
             assert found.get("alt")
             if kind != "png":
-                drawing = ElementTree.fromstring(base64.b64decode(data, validate=True))
-                self.drawings.append(" ".join(drawing.itertext()))
+                self.drawings.append(" ".join(ElementTree.fromstring(base64.b64decode(data, validate=True)).itertext()))
         self.tags.append((tag, found))
 
     def _check_names(self) -> None:

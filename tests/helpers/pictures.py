@@ -20,8 +20,5 @@ def texts(figure: Figure) -> list[str]:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure.savefig(io.BytesIO(), format="png", dpi=30)
-    result = []
-    for text in figure.findobj(plt.Text):
-        shown, math = text._preprocess_math(text.get_text())
-        result.append(shown.replace(r"\$", "$") if math else shown)
-    return result
+    shown = [text._preprocess_math(text.get_text()) for text in figure.findobj(plt.Text)]
+    return [text.replace(r"\$", "$") if math else text for text, math in shown]

@@ -107,10 +107,7 @@ def solve_saddle(parts, steps=80):
     c, seen = 0.3, set()
     for step in range(steps):
         w = (C @ u + lifted).reshape(dim, n)
-        trial = f[0] - c * (w[0] - contact.gaps)
-        closed = trial < 0
-        if step == 0:
-            closed[:] = True
+        closed = (f[0] - c * (w[0] - contact.gaps) < 0) | (step == 0)
         p = np.maximum(-f[0], 0) if step else np.zeros(n)
         radius = limit + friction * p
         slip = w[1:] - reference.T
@@ -129,17 +126,15 @@ def solve_saddle(parts, steps=80):
             on_f[1:, 1:, i] = np.eye(dim - 1)
             right[1:, i] = 0.0
             if not loose[i].all():
-                kept = np.flatnonzero(loose[i])
-                if len(kept) == 0:
+                if not loose[i].any():
                     continue
-                k = kept[0]  # one tangent is left
-                value, bound = moved[k, i], radius[i]
-                if step == 0 or abs(value) <= bound:
+                k = np.flatnonzero(loose[i])[0]  # one tangent is left
+                value = moved[k, i]
+                if step == 0 or abs(value) <= radius[i]:
                     on_w[1 + k, 1 + k, i], on_f[1 + k, 1 + k, i] = 1.0, 0.0
                     right[1 + k, i] = reference[i, k]
                 else:
-                    slope = friction[i] * (p[i] > 0)
-                    on_f[1 + k, 0, i] = np.sign(value) * slope
+                    on_f[1 + k, 0, i] = np.sign(value) * friction[i] * (p[i] > 0)
                     right[1 + k, i] = np.sign(value) * limit[i]
                 continue
             if not slides[i]:
@@ -150,7 +145,7 @@ def solve_saddle(parts, steps=80):
             on_f[1:, 1:, i] -= shrink
             on_w[1:, 1:, i] = c * shrink
             on_f[1:, 0, i] = slope * e
-            right[1:, i] = (limit[i] * e + c * shrink @ reference[i])
+            right[1:, i] = limit[i] * e + c * shrink @ reference[i]
         W = sparse.block_array([[sparse.diags_array(on_w[r, s]) for s in range(dim)] for r in range(dim)])
         F = sparse.block_array([[sparse.diags_array(on_f[r, s]) for s in range(dim)] for r in range(dim)])
         K = sparse.csc_array(sparse.block_array([[A, -C.T], [W @ C, F]]))

@@ -62,8 +62,8 @@ def test_deformation_draws_each_body_in_its_own_color_and_names_it():
     for k, body in enumerate(PLANE.mesh.bodies):
         drawn = [path.vertices[:3] for path in filled[legend[body]].get_paths()]
         np.testing.assert_allclose(drawn, moved[PLANE.mesh.elements[PLANE.mesh.element_body == k]], rtol=1e-12)
-    assert ax.get_title() == "two blocks: displacement drawn 20 times" and ax.get_xlabel() == "x [mm]"
-    assert ax.get_aspect() == 1
+    assert ax.get_title() == "two blocks: displacement drawn 20 times"
+    assert ax.get_xlabel() == "x [mm]" and ax.get_aspect() == 1
     assert "drawn to scale" in words(plot.deformation(PLANE, 1))
     shown = words(plot.deformation(PLANE))
     factor = float(shown.split("drawn ")[1].split(" times")[0])
