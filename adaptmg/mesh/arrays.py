@@ -20,21 +20,8 @@ from adaptmg._runtime import OnDemand, made_on_demand
 if TYPE_CHECKING:
     import ngsolve
 
-__all__ = [
-    "MOST_NODES",
-    "FacetTable",
-    "MeshArrays",
-    "Refinement",
-    "components",
-    "element_facets",
-    "facet_keys",
-    "facet_table",
-    "longest_edges",
-    "normalised",
-    "same_orientation",
-    "sound_by_construction",
-    "trusted",
-]
+__all__ = ["MOST_NODES", "FacetTable", "MeshArrays", "Refinement", "components", "element_facets", "facet_keys",
+           "facet_table", "longest_edges", "normalised", "same_orientation", "sound_by_construction", "trusted"]
 
 # of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
 _LABELS = ("facet_labels", "element_body")

@@ -31,9 +31,11 @@ from adaptmg.mesh.netgen_plane import (
     SizeField,
     expected_nodes,
     finished,
+    growth,
     guessed_nodes,
     netgen_mesh,
     refuse_too_many,
+    sizes_at,
     too_large,
     unreachable,
 )
@@ -88,7 +90,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     check_domain(domain)
     names = (contact_boundaries,) if isinstance(contact_boundaries, str) else tuple(contact_boundaries)
     if isinstance(domain, StepFile):
-        return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), _grading(grading))
+        return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), growth(grading))
     for name in names:
         if name not in domain.boundaries:
             raise ValueError(f"contact_boundaries: boundary {name!r} does not exist; "
@@ -105,7 +107,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     ratio = _ratio(contact_ratio)
     if ratio > 1 and not names:
         raise ValueError(f"contact_ratio is {contact_ratio!r}, but contact_boundaries is empty")
-    return _graded_body(domain, size, names, ratio, _grading(grading), checks.integer("rounds", rounds, 0))
+    return _graded_body(domain, size, names, ratio, growth(grading), checks.integer("rounds", rounds, 0))
 
 
 def _ratio(value: float) -> float:
@@ -180,7 +182,7 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     """
     check_domain(domain)
     if isinstance(domain, StepFile):
-        return step_mesh(domain, max_size, None, _grading(grading), size_function)
+        return step_mesh(domain, max_size, None, growth(grading), size_function)
     if isinstance(domain, Assembly):
         fields, limits = (per_body(what, value, domain.bodies)
                           for what, value in (("size_function", size_function), ("max_size", max_size)))
@@ -188,16 +190,12 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
                        for body, part in domain.parts.items()})
     max_size = checks.positive("max_size", max_size)
     rounds = checks.integer("rounds", rounds, 1)
-    grading = _grading(grading)
+    grading = growth(grading)
     if isinstance(domain, SolidDomain):
         return solid_mesh(domain, max_size, None, grading, size_function)
 
     def wanted(x: np.ndarray) -> np.ndarray:
-        result = checks.field("size_function", size_function, x)
-        if not (result > 0).all():
-            i = int(np.argmin(result))
-            raise ValueError(f"size_function must be > 0, got {result[i]} at {tuple(float(c) for c in x[i])}")
-        return np.minimum(result, max_size)
+        return np.minimum(sizes_at(size_function, x), max_size)
 
     # Netgen alone sees a field that is cut off at the ratio it can take
     def limited(factor: float, ratio: float) -> SizeField:
@@ -220,13 +218,6 @@ def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArra
         refuse_too_many(expected_nodes(mesh, sizes), domain)
         mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
     raise unreachable(domain, large)
-
-
-def _grading(value: float) -> float:
-    grading = checks.positive("grading", value)
-    if not grading <= 1:
-        raise ValueError(f"grading must be at most 1, got {value!r}")
-    return grading
 
 
 def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:

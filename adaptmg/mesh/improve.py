@@ -18,36 +18,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy import sparse
 
-from adaptmg._runtime import inner_kernel, kernel, read_only
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg._runtime import inner_kernel, kernel
+from adaptmg.mesh.arrays import MeshArrays, trusted
 
 __all__ = ["cells_around", "halved", "improved", "improved_triangles", "moved_tetrahedra"]
 
 
-@kernel
-def _fill(elements, start, items):
-    """Fill compressed rows; ``start`` (n_nodes + 1,) comes as 0."""
-    corners = elements.shape[1]
-    for e in range(len(elements)):
-        for k in range(corners):
-            start[elements[e, k] + 1] += 1
-    for i in range(len(start) - 1):
-        start[i + 1] += start[i]
-    for e in range(len(elements)):
-        for k in range(corners):
-            items[start[elements[e, k]]] = corners * e + k
-            start[elements[e, k]] += 1
-    for i in range(len(start) - 1, 0, -1):
-        start[i] = start[i - 1]
-    start[0] = 0
-
-
 def cells_around(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
     """Compressed rows of corners, as ``corners * element + corner``."""
-    start, items = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int64)
-    _fill(read_only(elements), start, items)
-    return start, items
+    n = elements.size
+    rows = sparse.csc_array((np.ones(n, dtype=bool), elements.ravel(), np.arange(n + 1)), shape=(n_nodes, n)).tocsr()
+    return rows.indptr.astype(np.int64), rows.indices.astype(np.int64)
 
 
 # edges of a simplex by their corners: the middle of edge k is number k of those below
@@ -57,6 +40,7 @@ _TRIANGLES = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]])
 _CORNERS = np.array([[0, 4, 5, 6], [4, 1, 7, 8], [5, 7, 2, 9], [6, 8, 9, 3]])
 # a diagonal of the octahedron, and the other middles in turn around it
 _OCTAHEDRA = np.array([[4, 9, 5, 6, 8, 7], [5, 8, 4, 7, 9, 6], [6, 7, 4, 5, 9, 8]])
+_AROUND = _OCTAHEDRA[:, [[0, 1, 2 + k, 2 + (k + 1) % 4] for k in range(4)]]
 
 
 @inner_kernel
@@ -98,23 +82,16 @@ def _known(cells, ends, head, following, highs, numbers):
             numbers[e, k] = _middle(head, following, highs, -1, cells[e, ends[k, 0]], cells[e, ends[k, 1]])
 
 
-@kernel
-def _octahedra(points, nodes, octahedra, children):
+def _inside(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Four children (n, 4, 4) of each octahedron; ``nodes`` (n, 10): corners and middles of each element."""
-    for e in range(len(nodes)):
-        best, shortest = 0, np.inf
-        for d in range(3):
-            a, b, length = nodes[e, octahedra[d, 0]], nodes[e, octahedra[d, 1]], 0.0
-            for c in range(3):
-                length += (points[a, c] - points[b, c])**2
-            # of equal ones the first
-            if length < (1.0 - 1e-9) * shortest:
-                best, shortest = d, length
-        for k in range(4):
-            children[e, k, 0] = nodes[e, octahedra[best, 0]]
-            children[e, k, 1] = nodes[e, octahedra[best, 1]]
-            children[e, k, 2] = nodes[e, octahedra[best, 2 + k]]
-            children[e, k, 3] = nodes[e, octahedra[best, 2 + (k + 1) % 4]]
+    ends = points[nodes[:, _OCTAHEDRA[:, :2]]]
+    lengths = np.square(ends[:, :, 0] - ends[:, :, 1]).sum(axis=2)
+    best, shortest = np.zeros(len(nodes), dtype=np.int64), lengths[:, 0]
+    for d in (1, 2):
+        # of equal ones the first
+        shorter = lengths[:, d] < (1.0 - 1e-9) * shortest
+        best, shortest = np.where(shorter, d, best), np.where(shorter, lengths[:, d], shortest)
+    return nodes[np.arange(len(nodes))[:, None, None], _AROUND[best]]
 
 
 def halved(mesh: MeshArrays) -> MeshArrays:
@@ -131,20 +108,15 @@ def halved(mesh: MeshArrays) -> MeshArrays:
         elements = nodes[:, _TRIANGLES]
         sides = np.array([[0, 1]])
     else:
-        inner = np.empty((len(nodes), 4, 4), dtype=np.int32)
-        _octahedra(points, nodes, _OCTAHEDRA, inner)
-        elements = np.concatenate([nodes[:, _CORNERS], inner], axis=1)
+        elements = np.concatenate([nodes[:, _CORNERS], _inside(points, nodes)], axis=1)
         sides = _EDGES[2]
     numbers = np.empty((len(mesh.facets), len(sides)), dtype=np.int32)
     _known(mesh.facets, sides, head, following, highs, numbers)
     on = np.concatenate([mesh.facets, n + numbers], axis=1)
     facets = on[:, [[0, 2], [2, 1]] if dim == 2 else _TRIANGLES]
-    parts = elements.shape[1]
-    result = replace(mesh, points=points, elements=elements.reshape(-1, dim + 1), facets=facets.reshape(-1, dim),
-                     facet_labels=np.repeat(mesh.facet_labels, facets.shape[1]),
-                     element_body=np.repeat(mesh.element_body, parts), source=None)
-    object.__setattr__(result, "sound", mesh.sound)
-    return result
+    return trusted(replace(mesh, points=points, elements=elements.reshape(-1, dim + 1), facets=facets.reshape(-1, dim),
+                           facet_labels=np.repeat(mesh.facet_labels, facets.shape[1]),
+                           element_body=np.repeat(mesh.element_body, elements.shape[1])), None, mesh.sound)
 
 
 def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
@@ -155,10 +127,8 @@ def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
         points, elements = improved_triangles(mesh.points, mesh.elements, held, rounds)
     else:
         points, elements = moved_tetrahedra(mesh.points, mesh.elements, held, rounds), mesh.elements
-    result = replace(mesh, points=points, elements=elements, source=None)
     # neither a swap nor a move turns an element over
-    object.__setattr__(result, "sound", mesh.sound)
-    return result
+    return trusted(replace(mesh, points=points, elements=elements), None, mesh.sound)
 
 
 #: volume that a step leaves, of that before, at least
@@ -272,31 +242,12 @@ def moved_tetrahedra(points: np.ndarray, elements: np.ndarray, held: np.ndarray,
 _SWEEPS = 8
 
 
-@kernel
-def _across(elements, start, items, across):
-    """Fill ``across`` (n, 3), which comes as -1, with the element opposite each corner; ``start`` comes as 0."""
-    n = len(elements)
-    for e in range(n):
-        for k in range(3):
-            start[min(elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]) + 1] += 1
-    for i in range(len(start) - 1):
-        start[i + 1] += start[i]
-    for e in range(n):
-        for k in range(3):
-            low = min(elements[e, (k + 1) % 3], elements[e, (k + 2) % 3])
-            items[start[low]] = 3 * e + k
-            start[low] += 1
-    for i in range(len(start) - 1, 0, -1):
-        start[i] = start[i - 1]
-    start[0] = 0
-    for i in range(len(start) - 1):
-        for s in range(start[i], start[i + 1]):
-            e, k = items[s] // 3, items[s] % 3
-            high = max(elements[e, (k + 1) % 3], elements[e, (k + 2) % 3])
-            for t in range(s + 1, start[i + 1]):
-                f, m = items[t] // 3, items[t] % 3
-                if max(elements[f, (m + 1) % 3], elements[f, (m + 2) % 3]) == high:
-                    across[e, k], across[f, m] = f, e
+def _across(elements: np.ndarray, n_nodes: int) -> np.ndarray:
+    """The element opposite each corner (n, 3) of triangles, -1 on the boundary."""
+    a, b = elements[:, [1, 2, 0]].ravel(), elements[:, [2, 0, 1]].ravel()
+    # the neighbour runs along the same edge the other way
+    sides = sparse.csr_matrix((np.arange(3, a.size + 3), (a, b)), shape=(n_nodes, n_nodes))
+    return (np.asarray(sides[b, a]).reshape(-1, 3) // 3 - 1).astype(np.int32)
 
 
 @inner_kernel
@@ -407,8 +358,7 @@ def improved_triangles(points: np.ndarray, elements: np.ndarray, held: np.ndarra
                        ) -> tuple[np.ndarray, np.ndarray]:
     """Triangles on the same nodes, these moved, after some rounds of swaps and moves."""
     points, elements = np.array(points), np.array(elements, dtype=np.int32)
-    across = np.full_like(elements, -1)
-    _across(elements, np.zeros(len(points) + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int64), across)
+    across = _across(elements, len(points))
     for _ in range(rounds):
         for _ in range(_SWEEPS):
             if not _swap(points, elements, across):

@@ -17,14 +17,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised
+from adaptmg import _checks as checks
+from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised, sound_by_construction
 from adaptmg.mesh.domains import BOX_SIDES, boundary_measures, extent, plane_measures
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 
-__all__ = ["MAX_BISECTIONS", "NODES_PER_CELL", "SizeField", "SizesAt", "expected_nodes", "finished", "guessed_nodes",
-           "netgen_error", "netgen_mesh", "one_mesh", "onto_outline", "refuse_too_many", "too_large", "unreachable"]
+__all__ = ["MAX_BISECTIONS", "NODES_PER_CELL", "SizeField", "SizesAt", "expected_nodes", "finished", "growth",
+           "guessed_nodes", "netgen_error", "netgen_mesh", "one_mesh", "onto_outline", "refuse_too_many", "sizes_at",
+           "too_large", "unreachable"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 SizesAt = list[tuple[np.ndarray, np.ndarray]]
@@ -57,6 +59,23 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
             small = wanted < max_size
             at = [((centroids[small] - lower) / scale, wanted[small] / scale)]
     return with_source(mesh)
+
+
+def growth(value: float) -> float:
+    """A checked grading."""
+    grading = checks.positive("grading", value)
+    if not grading <= 1:
+        raise ValueError(f"grading must be at most 1, got {value!r}")
+    return grading
+
+
+def sizes_at(function: float | SizeField, points: np.ndarray) -> np.ndarray:
+    """Values (n,) of a size function; ValueError unless they are positive."""
+    values = checks.field("size_function", function, points)
+    if not (values > 0).all():
+        i = int(np.argmin(values))
+        raise ValueError(f"size_function must be > 0, got {values[i]} at {tuple(points[i].tolist())}")
+    return values
 
 
 def expected_nodes(mesh: MeshArrays, sizes: np.ndarray) -> float:
@@ -200,7 +219,5 @@ def finished(domain: Domain, mesh: MeshArrays) -> MeshArrays:
         return with_source(mesh)
     names = tuple(dict.fromkeys(domain.boundaries))
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
-    result = replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None)
     # other names leave a mesh sound
-    object.__setattr__(result, "sound", True)
-    return with_source(result)
+    return sound_by_construction(replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names))

@@ -30,8 +30,10 @@ from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,
     SizesAt,
     expected_nodes,
+    growth,
     netgen_error,
     refuse_too_many,
+    sizes_at,
     too_large,
     unreachable,
 )
@@ -75,10 +77,9 @@ class SolidSizes:
     curvature: float = CURVATURE
 
     def __post_init__(self) -> None:
-        for name in ("size", "grading", "curvature"):
+        for name in ("size", "curvature"):
             object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
-        if not self.grading <= 1:
-            raise ValueError(f"grading must be at most 1, got {self.grading!r}")
+        object.__setattr__(self, "grading", growth(self.grading))
         if self.boundaries is not None and not isinstance(self.boundaries, Mapping):
             raise TypeError(f"boundary_sizes must map boundary names to sizes in m, got {self.boundaries!r}")
         sizes = {name: min(self.size, checks.positive(f"boundary_sizes[{name!r}]", h))
@@ -90,11 +91,7 @@ class SolidSizes:
         """Edge lengths (n,) at points (n, 3)."""
         result = np.full(len(points), self.size)
         if self.function is not None:
-            values = checks.field("size_function", self.function, points)
-            if not (values > 0).all():
-                i = int(np.argmin(values))
-                raise ValueError(f"size_function must be > 0, got {values[i]} at {tuple(points[i].tolist())}")
-            result = np.minimum(result, np.maximum(values, floor))
+            result = np.minimum(result, np.maximum(sizes_at(self.function, points), floor))
         for name, h in self.boundaries.items():
             facets = np.concatenate([mesh.boundary_facets(part) for part in groups[name]])
             places = np.concatenate([mesh.points[np.unique(facets)], mesh.points[facets].mean(axis=1)])

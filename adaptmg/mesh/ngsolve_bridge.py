@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 __all__ = ["to_ngsolve"]
 
 
-
 def to_ngsolve(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_labels: np.ndarray,
                boundaries: Sequence[str], *, element_body: np.ndarray | None = None,
                bodies: Sequence[str] = ("body",)) -> ngsolve.Mesh:

@@ -58,13 +58,8 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
 
     Raises
     ------
-    TypeError
-        If it is none of these.
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        On another file type, a file that cannot be read, or a mesh that is not sound
-        (:func:`adaptmg.mesh.check_mesh`).
+    TypeError, FileNotFoundError, ValueError
+        If it is none of these, there is no such file, it cannot be read, or it is not sound (:func:`check_mesh`).
     """
     if isinstance(mesh, MeshArrays):
         return check_mesh(mesh) if _fits(mesh) else check_stranger(mesh)
@@ -120,11 +115,9 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
 
     Raises
     ------
-    TypeError
-        If it is no NGSolve mesh.
-    ValueError
-        On other elements, curved or of second order, a deformation, periodic boundaries, dimensions other than 2 and 3,
-        or a mesh that is not sound (:func:`adaptmg.mesh.check_mesh`).
+    TypeError, ValueError
+        If it is no NGSolve mesh; on other elements, curved or of second order, a deformation, periodic boundaries,
+        dimensions other than 2 and 3, or a mesh that is not sound (:func:`adaptmg.mesh.check_mesh`).
     """
     import ngsolve
 
@@ -185,11 +178,9 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
 
     Raises
     ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it cannot be read, has other elements, is not plane, lacks physical groups, or is not sound
-        (:func:`adaptmg.mesh.check_mesh`).
+    FileNotFoundError, ValueError
+        If there is no such file; if it cannot be read, has other elements, is not plane, lacks physical groups, or is
+        not sound (:func:`adaptmg.mesh.check_mesh`).
     """
     path = _file("path", path)
     if unnamed is not None:

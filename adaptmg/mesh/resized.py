@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.domains import extent
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_guard import MAX_NODES, Netgen, NetgenUnfinished, netgen
@@ -133,8 +133,7 @@ def _onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     result = onto_outline(domain, mesh)
     if not (result.volumes > _FLAT * result.element_sizes**2).all():
         raise ValueError("elements at an arc became flat")
-    object.__setattr__(result, "sound", mesh.sound)
-    return result
+    return trusted(result, None, mesh.sound)
 
 
 def _step(domain: StepFile, sizes: PointSizes | Mapping[str, PointSizes], grading: float, refinements: int

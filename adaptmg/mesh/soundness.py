@@ -35,7 +35,7 @@ _FLAT = 1e-10
 
 
 def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
-    """Return the mesh if it is sound.
+    """Return the mesh itself if it is sound.
 
     Parameters
     ----------
@@ -43,11 +43,6 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
         What to check.
     boundaries : sequence of str
         Boundaries that must exist and have facets.
-
-    Returns
-    -------
-    MeshArrays
-        The same object.
 
     Raises
     ------

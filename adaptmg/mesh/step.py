@@ -49,10 +49,8 @@ def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float]
 
     Raises
     ------
-    FileNotFoundError
-        If there is no such file.
-    TypeError, ValueError
-        If it cannot be read, has no solids, on unknown names, bad sizes, or where Netgen fails.
+    FileNotFoundError, TypeError, ValueError
+        If it is not there, cannot be read, has no solids, on unknown names, bad sizes, or where Netgen fails.
     """
     domain = StepFile(path, unit, {} if names is None else names)
     return step_mesh(domain, size, boundary_sizes, grading, size_function, curvature=curvature)

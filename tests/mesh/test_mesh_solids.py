@@ -9,7 +9,7 @@ import pytest
 import adaptmg.mesh.netgen_solid as module
 from adaptmg.mesh import check_mesh, quality
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
-from adaptmg.mesh.netgen_solid import SolidSizes, built_shape, check_volume, solid_mesh
+from adaptmg.mesh.netgen_solid import built_shape, check_volume, solid_mesh
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
 
@@ -284,9 +284,3 @@ def test_a_boolean_operation_that_fails_is_noticed(monkeypatch):
                         else original(domain, *place))
     with pytest.raises(ValueError, match=r"volumes do not add up \(1 instead of 0.75\)"):
         netgen_worker.build_shape(Cut(UNIT, Box(width=1, depth=1, height=1)), np.zeros(3), 1.0)
-
-
-def test_sizes_that_netgen_is_asked_for():
-    assert module._raised(1.0, 0.5) == 1.0 and module._raised(0.1, 0.0) == 0.1
-    assert module._raised(0.1, 0.5) == pytest.approx(0.8)
-    assert SolidSizes(1.0, {"a": 3.0}).boundaries == {"a": 1.0}

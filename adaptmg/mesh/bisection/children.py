@@ -22,15 +22,10 @@ import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel
 
-__all__ = ["CODES", "EVEN", "FLAG", "first_labels", "marks_code", "write_children"]
+__all__ = ["CODES", "EVEN", "FLAG", "first_labels", "write_children"]
 
 # what a flagged element has its marks raised by
 FLAG = 9
-
-
-def marks_code(first: int, second: int) -> int:
-    """Marks of the faces opposite the first and the second corner in one number, unflagged."""
-    return 3 * first + second
 
 
 @inner_kernel
@@ -111,7 +106,7 @@ EVEN = np.array([[[0, 1, 2, 3], [0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 1, 2]],
                   [[0, 1, 2, 3], [0, 1, 2, 3], [1, 2, 0, 3], [1, 3, 2, 0]],
                   [[0, 1, 2, 3], [0, 1, 2, 3], [0, 1, 2, 3], [2, 3, 0, 1]]], dtype=np.int64)
 # codes of the marks of both faces that hold corners 2 and 3, by the number of the longest edge
-CODES = np.array([[marks_code(i, j) for j in range(3)] for i in range(3)], dtype=np.int32)
+CODES = np.arange(9, dtype=np.int32).reshape(3, 3)
 
 
 @inner_kernel

@@ -30,7 +30,7 @@ from adaptmg.mesh.bisection.tables import (
     tree_of,
 )
 
-__all__ = ["bisected", "by_origin", "midpoints", "refined"]
+__all__ = ["bisected", "midpoints", "refined"]
 
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
@@ -62,7 +62,8 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     points[:mesh.n_nodes] = mesh.points
     midpoints(points, mesh.n_nodes, nodes)
     parents = np.concatenate([parents_of(mesh), nodes[mesh.n_nodes:n_nodes, [LOW, HIGH]]])
-    cells = by_origin(cells, n_cells, n)
+    # in the order of the elements they come from: neighbours stay near
+    cells = cells[np.argsort(cells[:n_cells, -1], kind="stable")]
     fine = mesh_of(mesh, points, parents, cells, tree[:n_tree].copy())
     return Refined(mesh=fine, origin=cells[:, 2 * corners + 3].copy(), nodes=np.arange(mesh.n_nodes))
 
@@ -204,24 +205,6 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
             if n_nodes == len(nodes):
                 nodes, stamps = _roomier(nodes), _longer(stamps)
     return cells, n_cells, tree, n_tree, nodes, n_nodes
-
-
-@kernel
-def by_origin(cells, n_cells, n_origins):
-    """The cells in the order of the elements they come from, which is their last column: neighbours stay near."""
-    last = cells.shape[1] - 1
-    start = np.zeros(n_origins + 1, dtype=np.int64)
-    for e in range(n_cells):
-        start[cells[e, last] + 1] += 1
-    for f in range(n_origins):
-        start[f + 1] += start[f]
-    result = np.empty((n_cells, cells.shape[1]), dtype=cells.dtype)
-    for e in range(n_cells):
-        row = start[cells[e, last]]
-        start[cells[e, last]] += 1
-        for k in range(cells.shape[1]):
-            result[row, k] = cells[e, k]
-    return result
 
 
 @kernel

@@ -1,7 +1,8 @@
 """A mesh into the tables of a bisection and out of them, with its history; the history as plain arrays for files.
 
-A table has a row of 32 bit integers for each element, bisected element or node. Boundary facets follow the elements:
-each row of an element says which facet lies opposite each of its corners.
+A table has a row of 32 bit integers for each element, bisected element or node. Columns of an element: its corners, the
+boundary facet opposite each (-1: none), marks, forebear, generation, origin; of the tree: corners, marks, forebear, new
+node.
 """
 
 from __future__ import annotations
@@ -25,16 +26,6 @@ NODE_COLUMNS = 4
 FOREBEAR = 1
 
 
-def columns_of_cells(dim: int) -> int:
-    """Corners, the boundary facet of each (-1: none), marks, forebear, generation, origin."""
-    return 2 * (dim + 1) + 4
-
-
-def columns_of_tree(dim: int) -> int:
-    """Corners, marks, forebear, new node."""
-    return dim + 4
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
     """A mesh made from another one by bisection or its taking back."""
@@ -55,7 +46,7 @@ def parents_of(mesh: MeshArrays) -> np.ndarray:
 def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
     """The elements as a table, labelled if the mesh was never bisected, with ``room`` times the rows as room."""
     n, corners = mesh.elements.shape
-    cells = np.empty((n + int(room * n), columns_of_cells(mesh.dim)), dtype=np.int32)
+    cells = np.empty((n + int(room * n), 2 * corners + 4), dtype=np.int32)
     cells[:n, :corners] = mesh.elements
     facets_into_cells(mesh.facets, cells, n, corners, mesh.n_nodes)
     marks, refinement = 2 * corners, mesh.refinement
@@ -74,7 +65,7 @@ def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
 def tree_of(mesh: MeshArrays) -> np.ndarray:
     """The elements that were bisected."""
     refinement = mesh.refinement
-    return np.empty((0, columns_of_tree(mesh.dim)), dtype=np.int32) if refinement is None else refinement.tree
+    return np.empty((0, mesh.dim + 4), dtype=np.int32) if refinement is None else refinement.tree
 
 
 def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
@@ -91,7 +82,11 @@ def mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: 
     corners = before.dim + 1
     marks = 2 * corners
     opposite = element_facets(np.arange(corners)[None])[0]
-    facets, origin = facets_of_cells(cells, len(cells), corners, len(before.facets), opposite)
+    # in the order of the facets they come from
+    row, side = np.nonzero(cells[:, corners:marks] >= 0)
+    origin = cells[row, corners + side]
+    order = np.argsort(origin, kind="stable")
+    facets, origin = cells[row[:, None], opposite[side]][order], origin[order]
     mesh = MeshArrays(points, cells[:, :corners], facets, before.facet_labels[origin], before.boundaries,
                       before.element_body[cells[:, marks + 3]], before.bodies)
     history = Refinement(parents, cells[:, marks].astype(np.int8), cells[:, marks + 2].astype(np.int16),
@@ -144,30 +139,6 @@ def facets_into_cells(facets, cells, n_cells, corners, n_nodes):
     return found
 
 
-@kernel
-def facets_of_cells(cells, n_cells, corners, n_facets, opposite):
-    """The boundary facets of the cells, in the order of the facets they come from."""
-    start = np.zeros(n_facets + 1, dtype=np.int64)
-    for e in range(n_cells):
-        for k in range(corners):
-            if cells[e, corners + k] >= 0:
-                start[cells[e, corners + k] + 1] += 1
-    for f in range(n_facets):
-        start[f + 1] += start[f]
-    facets = np.empty((start[n_facets], corners - 1), dtype=np.int32)
-    origin = np.empty(start[n_facets], dtype=np.int32)
-    for e in range(n_cells):
-        for k in range(corners):
-            f = cells[e, corners + k]
-            if f >= 0:
-                row = start[f]
-                start[f] += 1
-                origin[row] = f
-                for j in range(corners - 1):
-                    facets[row, j] = cells[e, opposite[k, j]]
-    return facets, origin
-
-
 def with_refinement(mesh: MeshArrays, refinement: Refinement | None) -> MeshArrays:
     """The same mesh with another history, its source and soundness kept."""
     result = trusted(mesh, vars(mesh)["source"], mesh.sound)
@@ -208,7 +179,7 @@ def with_history(mesh: MeshArrays, arrays: Mapping[str, np.ndarray]) -> MeshArra
     given = {name: _whole(name, arrays[name], dtype) for name, dtype in _TYPES.items()}
     n, elements, bisected = mesh.n_nodes, len(mesh.elements), len(given["tree"])
     shapes = {"parents": (n, 2), "marks": (elements,), "generation": (elements,), "forebear": (elements,),
-              "tree": (bisected, columns_of_tree(mesh.dim))}
+              "tree": (bisected, mesh.dim + 4)}
     for name, shape in shapes.items():
         if given[name].shape != shape:
             raise ValueError(f"history: {name} must have shape {shape}, got {given[name].shape}")
