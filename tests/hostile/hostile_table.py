@@ -18,27 +18,13 @@ TABLES = ("numbers_and_counts", "arrays_and_matrices", "names_and_objects", "use
 
 @dataclass(frozen=True)
 class Hostile:
-    """One input that must be refused with a message.
+    """One input that must be refused with a message."""
 
-    Parameters
-    ----------
-    name : str
-        Unique in its table.
-    run : callable
-        Does it, in an empty directory; must raise.
-    says : str
-        Part of the message: the name of the argument (or of the file) that is wrong.
-    error : exception type or tuple of them
-        What must be raised.
-    writes : bool
-        Whether the row itself makes files (its own damaged input, say); otherwise no file may remain.
-    """
-
-    name: str
-    run: Callable[[], object]
-    says: str
+    name: str  # unique in its table
+    run: Callable[[], object]  # does it, in an empty directory; must raise
+    says: str  # part of the message: the name of the argument (or of the file) that is wrong
     error: type[Exception] | tuple[type[Exception], ...] = (ValueError, TypeError)
-    writes: bool = False
+    writes: bool = False  # whether the row itself makes files (its own damaged input, say); else none may remain
 
 
 def each(argument: str, call: Callable[[object], object], values: Mapping[str, object], labels: Iterable[str] = (),
