@@ -1,16 +1,14 @@
 """Fingerprint: what a run depends on, part by part.
 
-Starting from the run function, all functions and classes of the user's own modules that it can reach are hashed, with
-the values that they read: globals, variables of closures, defaults, attributes. Own modules are neither installed nor
-adaptmg. Of a function its compiled code counts: comments, docstrings and line numbers do not. Values count by their
-pickle. A module that is imported inside a function, or used as a value, is imported and counts with all its names.
-adaptmg counts by one hash of its numerical sources, installed packages by their version, compiled modules of the user
-by their content.
+All functions and classes of the user's own modules that the run function can reach are hashed, with the values that
+they read: globals, variables of closures, defaults, attributes. Own modules are neither installed nor adaptmg. Of a
+function the compiled code counts (a file may be edited after it is loaded), of a value its pickle. A module that is
+imported inside a function, or used as a value, counts with all its names; adaptmg by one hash of its numerical sources,
+installed packages by their version, compiled modules of the user by their content.
 
-Not seen are data files, environment variables, the time, the working directory; the state of libraries and of Python
-(seeds of global generators, registries of classes); adaptmg or installed packages edited at run time; adaptmg's plots
-and exports; modules imported under a name made at run time; docstrings and annotations; what an object leaves out of
-its pickled state. ``depends=`` names such things.
+Not seen are data files, environment, time, working directory; the state of libraries and of Python; packages edited at
+run time; plots and exports of adaptmg; modules imported under a name made at run time; docstrings and annotations; what
+an object leaves out of its pickled state. ``depends=`` names such things.
 """
 
 from __future__ import annotations
@@ -82,21 +80,17 @@ class Fingerprint:
 
     def differences(self, other: Mapping[str, str]) -> list[str]:
         """Return the changes from the parts of another, as text."""
-        found = []
-        for name in sorted({*self.parts, *other}):
-            now, then = self.parts.get(name), other.get(name)
-            if now != then:
-                found.append(f"{name} {then} -> {now}" if name.startswith("package ") and now and then else
-                             f"{name} is {'new' if then is None else 'gone' if now is None else 'changed'}")
-        return found
+        both = {name: (self.parts.get(name), other.get(name)) for name in sorted({*self.parts, *other})}
+        return [f"{name} {then} -> {now}" if name.startswith("package ") and now and then else
+                f"{name} is {'new' if then is None else 'gone' if now is None else 'changed'}"
+                for name, (now, then) in both.items() if now != then]
 
 
 def fingerprint(function: Callable[..., object], depends: Mapping[str, object] | None = None) -> Fingerprint:
-    """Return what a plain function depends on.
+    """Return what a plain function depends on; TypeError for a value that it reads and that cannot be compared.
 
     ``depends`` has values by name, in place of globals and variables of closures, or for anything else; a
-    :class:`pathlib.Path` stands for the content of the file. TypeError for other callables, and for a value that the
-    function reads and that cannot be compared.
+    :class:`pathlib.Path` stands for the content of the file.
     """
     if not isinstance(function, FunctionType):
         raise TypeError(f"run must be a plain function (def), got {function!r}; give constants with fixed={{...}}")
@@ -108,10 +102,7 @@ def fingerprint(function: Callable[..., object], depends: Mapping[str, object] |
 
 
 def value_parts(values: Mapping[str, object], depends: Mapping[str, object] | None = None) -> dict[str, str]:
-    """Return parts for values by name, with the code of the user's functions and classes in them.
-
-    TypeError if a value cannot be compared, and is not named by ``depends``.
-    """
+    """Return parts for values by name, with the code in them; TypeError for a value that cannot be compared."""
     references = _References(depends or {}, vars(sys.modules["__main__"]), "what is stored depends on the", "")
     for name, value in values.items():
         references.value(name, value)
@@ -144,12 +135,9 @@ class _References:
         """Examine all functions, classes and modules that were found."""
         while self._waiting:
             name, thing = self._waiting.pop()
-            if isinstance(thing, FunctionType):
-                self._function(name, thing)
-                continue
             if isinstance(thing, type):
                 self.parts[f"class {name}"] = self._hash((thing.__bases__, type(thing)))
-            self._all(name, thing)
+            (self._function if isinstance(thing, FunctionType) else self._all)(name, thing)
 
     def value(self, where: str, value: object) -> None:
         """Add a part; functions, classes and modules have parts under their own names."""
@@ -202,11 +190,11 @@ class _References:
 
     def _function(self, name: str, function: FunctionType) -> None:
         self.parts[f"function {name}"] = self._hash(function.__code__)
-        for what in ("defaults", "kwdefaults"):
-            if getattr(function, f"__{what}__"):
-                self.value(f"{what} of {name}", getattr(function, f"__{what}__"))
-        for attribute, value in sorted(vars(function).items()):
-            self.value(f"{name}.{attribute}", value)
+        own = {f"{what} of {name}": value for what in ("defaults", "kwdefaults")
+               if (value := getattr(function, f"__{what}__"))}
+        own |= {f"{name}.{attribute}": value for attribute, value in sorted(vars(function).items())}
+        for where, value in own.items():
+            self.value(where, value)
         cells, namespace = {}, function.__globals__
         for variable, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
             with contextlib.suppress(ValueError):  # not set
@@ -257,13 +245,11 @@ class _References:
 #: what stands for objects that cannot be pickled, by their type
 _STANDS: dict[type, Callable[..., object]] = {
     CodeType: lambda code: _plain_code(code), types.MappingProxyType: dict,
-    staticmethod: lambda value: ("staticmethod", value.__func__),
-    classmethod: lambda value: ("classmethod", value.__func__),
+    **dict.fromkeys((staticmethod, classmethod), lambda value: (type(value).__name__, value.__func__)),
     property: lambda value: ("property", value.fget, value.fset, value.fdel),
     cached_property: lambda value: ("cached_property", value.func),  # holds a lock
     typing.TypeVar: lambda value: ("TypeVar", value.__name__),
-    functools._lru_cache_wrapper:
-        lambda value: ("lru_cache", value.__wrapped__, value.cache_parameters()["typed"]),
+    functools._lru_cache_wrapper: lambda value: ("lru_cache", value.__wrapped__, value.cache_parameters()["typed"]),
 }
 
 

@@ -57,11 +57,11 @@ _MOST_NODES = {2: 5e6, 3: 2e6}
 
 
 class WrongSetting(ValueError):
-    """A setting that is refused; ``section`` is its section."""
+    """A setting that is refused; ``place`` is its section, or the key in it as "section.key"."""
 
-    def __init__(self, text: str, section: str) -> None:
-        super().__init__(text)
-        self.section = section
+    def __init__(self, words: object, place: str) -> None:
+        super().__init__(str(words))
+        self.place = place
 
 
 @dataclass(frozen=True)
@@ -293,7 +293,7 @@ def _in_section(name: str, settings: Settings, make: Maker) -> Any:
     try:
         return make(section(settings, name))
     except (ValueError, TypeError) as error:
-        raise WrongSetting(str(error), name) from error
+        raise WrongSetting(error, name) from error
 
 
 def problem_of(given: Arguments, before: str = "case.") -> am.ContactProblem:

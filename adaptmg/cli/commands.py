@@ -364,7 +364,8 @@ def runs(
             _say(f"{found.take_in(take_in)} runs taken in from {take_in}", err=True)
         names = found.studies()
         if study is None and len(names) != 1 and not (to or conditions or status):
-            table = runs.studies(found)
+            table = {name: [row[k] for row in found.summaries()]
+                     for k, name in enumerate(("study", "done", "failed", "seconds", "last"))}
             _say(lines(rows(table)) if as_json else printed(table, ["study"], units={"seconds": "s"}))
             return
         name = runs.chosen(store, names, study)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import textwrap
 from collections.abc import Mapping
+from dataclasses import asdict
 
 import adaptmg as am
 from adaptmg.cases import CASES, get
@@ -33,20 +34,18 @@ def keys() -> str:
 
 def key_facts() -> dict[str, object]:
     """Return all sections, keys and measures as JSON takes them."""
-    return {"sections": {section: _facts(known) for section, known in sections().items()},
+    return {"sections": {section: {name: asdict(key) for name, key in known.items()}
+                         for section, known in sections().items()},
             "measures": {name: {"meaning": meaning, "unit": unit} for name, (_, meaning, unit) in MEASURES.items()}}
-
-
-def _facts(known: Mapping[str, Key]) -> dict[str, dict[str, str]]:
-    return {name: {"values": key.values, "meaning": key.meaning, "default": key.default} for name, key in known.items()}
 
 
 def case_facts(name: str) -> dict[str, object]:
     """Return arguments, boundaries and loads of a case as JSON takes them."""
     posed = get(name).function()
     return {"name": name, "description": CASES[name].description, "dimension": posed.dim,
-            "arguments": _facts(case_keys(name)), "boundaries": list(posed.domain.boundaries),
-            "contact": list(posed.pair_boundaries), "loads": list(names_in_path(posed))}
+            "arguments": {key: asdict(item) for key, item in case_keys(name).items()},
+            "boundaries": list(posed.domain.boundaries), "contact": list(posed.pair_boundaries),
+            "loads": list(names_in_path(posed))}
 
 
 def about_case(name: str) -> str:

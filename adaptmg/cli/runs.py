@@ -17,8 +17,7 @@ from adaptmg.study.record import DETAILS, RESERVED, Record
 from adaptmg.study.store import Store
 from adaptmg.study.tables import cells, frame, numeric
 
-__all__ = ["chosen", "ending", "made", "opened", "parsed", "same_in_all", "selected", "short", "studies", "units",
-           "write"]
+__all__ = ["chosen", "ending", "made", "opened", "parsed", "same_in_all", "selected", "short", "units", "write"]
 
 Condition = tuple[str, str, str]
 
@@ -29,11 +28,6 @@ def opened(path: Path) -> Store:
     if not file.exists():
         raise FileNotFoundError(2, "there is no such store", str(path))
     return Store(file)
-
-
-def studies(store: Store) -> pd.DataFrame:
-    """Return a row for each study in a store."""
-    return pd.DataFrame(store.summaries(), columns=["study", "done", "failed", "seconds", "last"])
 
 
 def chosen(path: Path, names: Sequence[str], name: str | None) -> str:

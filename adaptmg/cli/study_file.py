@@ -24,7 +24,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import printable
 from adaptmg.cases import get
 from adaptmg.cli import build
-from adaptmg.cli.build import DIVISIONS, METHODS, OBJECTS, Key, keys_of, name_of
+from adaptmg.cli.build import DIVISIONS, METHODS, OBJECTS, Key, WrongSetting, keys_of, name_of
 from adaptmg.cli.measure import COLUMNS, MEASURES, case_run
 from adaptmg.cli.output import printed, rows
 from adaptmg.study import Grid, LatinHypercube, Random, Repeated, Sobol, Study, Zip
@@ -137,7 +137,7 @@ def read(path: str | os.PathLike[str]) -> StudyFile:
         raise _error(file, text, f"not TOML: {words}") from None
     try:
         return _checked(file, text, content)
-    except _WrongKey as error:
+    except WrongSetting as error:
         raise _error(file, text, str(error), error.place) from None
 
 
@@ -161,14 +161,6 @@ def _text(path: Path) -> str:
         raise ValueError(f"{called}, line {line}: this is not text in UTF-8: save the file as UTF-8") from None
 
 
-class _WrongKey(ValueError):
-    """A file that cannot be run; ``place`` names the section or key, as "section.key"."""
-
-    def __init__(self, words: object, place: str) -> None:
-        super().__init__(str(words))
-        self.place = place
-
-
 def _checked(path: Path, text: str, content: dict[str, object]) -> StudyFile:
     """Check sections, keys, and values that nothing else checks."""
     _check_sections(content)
@@ -181,7 +173,7 @@ def _checked(path: Path, text: str, content: dict[str, object]) -> StudyFile:
         try:
             known = sections() | {"case": case_keys(checks.boundary_name("case", case))}
         except (TypeError, ValueError) as error:
-            raise _WrongKey(error, "vary.case.case" if "case.case" in varied else "case.case") from None
+            raise WrongSetting(error, "vary.case.case" if "case.case" in varied else "case.case") from None
         fixed = {key: _value(known, key, value, key) for key, value in fixed.items()}
         varied = {key: _varied(known, key, values) for key, values in varied.items()}
     design = _design(content, varied)
@@ -196,20 +188,20 @@ def _check_sections(content: Mapping[str, object]) -> None:
     for name, value in content.items():
         if name in ("name", "store"):
             if not isinstance(value, str) or not value.strip() or not value.isprintable():
-                raise _WrongKey(f"{name} must be text, got {checks.shown(value)}", name)
+                raise WrongSetting(f"{name} must be text, got {checks.shown(value)}", name)
             if name == "name" and (set(value) & set("/\\") or value.startswith(".") or len(value) > 100):
-                raise _WrongKey(f"name becomes that of files, got {checks.shown(value)}", name)
+                raise WrongSetting(f"name becomes that of files, got {checks.shown(value)}", name)
         elif name not in PURPOSE:
             owners = [f" (it belongs below [{section}])" for section, known in sections().items() if name in known]
             hint = owners[0] if owners else checks.suggestion(name, [*PURPOSE, "name", "store"])
-            raise _WrongKey(f"there is no section {name!r}{hint}; there are {', '.join(PURPOSE)}, and before them name "
-                            "and store", name)
+            raise WrongSetting(f"there is no section {name!r}{hint}; there are {', '.join(PURPOSE)}, and before them "
+                               "name and store", name)
         elif not isinstance(value, dict):
-            raise _WrongKey(f"{name} must be one section, [{name}], got {checks.shown(value)}", name)
+            raise WrongSetting(f"{name} must be one section, [{name}], got {checks.shown(value)}", name)
     for name in ("case", "vary"):
         if not content.get(name):
-            raise _WrongKey(f"there is no section [{name}] ({PURPOSE[name]}), or it is empty; 'adaptmg study "
-                            "--template greco_bar' prints a file to begin with", name)
+            raise WrongSetting(f"there is no section [{name}] ({PURPOSE[name]}), or it is empty; 'adaptmg study "
+                               "--template greco_bar' prints a file to begin with", name)
 
 
 def _flat(section: str, table: Mapping[str, object], before: str = "") -> dict[str, object]:
@@ -219,7 +211,7 @@ def _flat(section: str, table: Mapping[str, object], before: str = "") -> dict[s
         inner = _flat(section, value, f"{before}{key}.") if isinstance(value, dict) and value else \
             {f"{before}{key}": value}
         if twice := sorted(set(inner) & set(found)):
-            raise _WrongKey(f"[{section}] names {twice[0]} twice", f"{section}.{twice[0]}")
+            raise WrongSetting(f"[{section}] names {twice[0]} twice", f"{section}.{twice[0]}")
         found |= inner
     return found
 
@@ -228,10 +220,10 @@ def _varied(known: Sections, setting: str, values: object) -> list[Value]:
     section, _, key = setting.partition(".")
     if section not in SETTINGS or not key:
         names = [f"{section}.{key}" for section in SETTINGS for key in known[section]]
-        raise _WrongKey(f"{setting!r} cannot be varied{checks.suggestion(setting, names)}: name a setting as "
-                        "\"section.key\"", f"vary.{setting}")
+        raise WrongSetting(f"{setting!r} cannot be varied{checks.suggestion(setting, names)}: name a setting as "
+                           "\"section.key\"", f"vary.{setting}")
     if not isinstance(values, list) or not values:
-        raise _WrongKey(f"{setting} must be a list of values, got {checks.shown(values)}", f"vary.{setting}")
+        raise WrongSetting(f"{setting} must be a list of values, got {checks.shown(values)}", f"vary.{setting}")
     return [_value(known, setting, value, f"vary.{setting}") for value in values]
 
 
@@ -244,8 +236,8 @@ def _value(known: Sections, setting: str, value: object, place: str) -> Value:
     by_name = "." in key and head is not None and ("mapping" in head.values or "{" in head.values)
     if not (key in keys or by_name or (section == "load_path" and key)):
         command = "cases NAME" if section == "case" else "study --keys"
-        raise _WrongKey(f"[{section}] has no key {key!r}{checks.suggestion(key, keys)}: 'adaptmg {command}' lists the "
-                        "keys", place)
+        raise WrongSetting(f"[{section}] has no key {key!r}{checks.suggestion(key, keys)}: 'adaptmg {command}' lists "
+                           "the keys", place)
     plain = _plain(setting, value, place)
     whole = type(plain) is int and key in keys and keys[key].real
     return float(plain) if whole and abs(plain) < 1e300 else plain
@@ -257,7 +249,8 @@ def _plain(name: str, value: object, place: str) -> Value:
         return tuple(_plain(f"{name}[{k}]", item, place) for k, item in enumerate(value))
     if isinstance(value, bool | int | float | str):
         return value
-    raise _WrongKey(f"{name} must be a number, text, true, false, or a list of those, got {checks.shown(value)}", place)
+    raise WrongSetting(f"{name} must be a number, text, true, false, or a list of those, got {checks.shown(value)}",
+                       place)
 
 
 def _design(content: Mapping[str, object], values: dict[str, list[Value]]) -> Design:
@@ -277,28 +270,28 @@ def _design(content: Mapping[str, object], values: dict[str, list[Value]]) -> De
         words = re.sub(r"(?:parameters|ranges)\['([^']*)'\]", r"\1", str(error))
         named = next((f"vary.{name}" for name in values if f"'{name}'" in str(error)), "")
         key = re.match(r"(?:design\.)?(\w+)\b", words)
-        raise _WrongKey(words, f"design.{key[1]}" if key and key[1] in content.get("design", {}) else
-                        named or ("design" if "design" in content else "vary")) from None
+        raise WrongSetting(words, f"design.{key[1]}" if key and key[1] in content.get("design", {}) else
+                           named or ("design" if "design" in content else "vary")) from None
 
 
 def _check_measures(fixed: Mapping[str, Value]) -> None:
     for key in ("columns", "forces_on"):
         given = fixed.get(f"measure.{key}", ())
         if not isinstance(given, tuple) or not all(isinstance(name, str) for name in given):
-            raise _WrongKey(f"measure.{key} must be a list of names, got {checks.shown(given)}", f"measure.{key}")
+            raise WrongSetting(f"measure.{key} must be a list of names, got {checks.shown(given)}", f"measure.{key}")
     for column in fixed.get("measure.columns", ()):
         if column not in MEASURES:
-            raise _WrongKey(f"nothing measures {column!r}{checks.suggestion(column, MEASURES)}; there are "
-                            f"{', '.join(MEASURES)}", "measure.columns")
+            raise WrongSetting(f"nothing measures {column!r}{checks.suggestion(column, MEASURES)}; there are "
+                               f"{', '.join(MEASURES)}", "measure.columns")
     if not isinstance(fixed.get("measure.keep", False), bool):
-        raise _WrongKey(f"measure.keep must be true or false, got {fixed['measure.keep']!r}", "measure.keep")
+        raise WrongSetting(f"measure.keep must be true or false, got {fixed['measure.keep']!r}", "measure.keep")
     if "measure.points" in fixed:
-        raise _WrongKey("measure.points must be values by name, points = {A = [0.0, 0.0]}", "measure.points")
+        raise WrongSetting("measure.points must be values by name, points = {A = [0.0, 0.0]}", "measure.points")
     for key, point in build.section(fixed, "measure.points").items():
         try:
             check_arrays.vector(f"measure.points.{key}", point)
         except (TypeError, ValueError) as error:
-            raise _WrongKey(error, f"measure.points.{key}") from None
+            raise WrongSetting(error, f"measure.points.{key}") from None
 
 
 def _options(given: Mapping[str, object], settings: list[str]) -> dict[str, Value]:
@@ -310,11 +303,11 @@ def _options(given: Mapping[str, object], settings: list[str]) -> dict[str, Valu
         try:
             found[key] = tests[key](f"run.{key}", value)
         except (TypeError, ValueError) as error:
-            raise _WrongKey(error, f"run.{key}") from None
+            raise WrongSetting(error, f"run.{key}") from None
     known = [*settings, *MEASURES, "seconds"]
     if found.get("cost", "seconds") not in known:
-        raise _WrongKey(f"run.cost: there is no setting or measure {found['cost']!r}"
-                        f"{checks.suggestion(found['cost'], known)}", "run.cost")
+        raise WrongSetting(f"run.cost: there is no setting or measure {found['cost']!r}"
+                           f"{checks.suggestion(found['cost'], known)}", "run.cost")
     return found
 
 
@@ -337,23 +330,23 @@ def checked(file: StudyFile, store: Path | None) -> Study:
         count += 1
         try:
             build.check({**file.fixed, **point})
-        except build.WrongSetting as error:
+        except WrongSetting as error:
             varied = ", ".join(f"{name} = {value!r}" for name, value in point.items())
             raise file.error(f"with {checks.shown(varied)[1:-1]}: {error}", _place(file, error)) from None
     return Study(case_run, file.design, store, name=file.name, fixed=file.fixed)
 
 
-def _place(file: StudyFile, error: build.WrongSetting) -> str:
+def _place(file: StudyFile, error: WrongSetting) -> str:
     """Return the setting that a message names, or else its section."""
     places = {name: f"vary.{name}" if name in file.design.names else name for name in (*file.design.names, *file.fixed)
-              if name.startswith(f"{error.section}.")}
+              if name.startswith(f"{error.place}.")}
     for part in (0, 1, -1):
         words = {name: ".".join(name.split(".")[part:]) for name in places}
         found = {name: re.search(rf"(?<![\w.-]){re.escape(words[name])}(?![\w-])", str(error)) for name in places}
         if named := {name: match.start() for name, match in found.items() if match}:
             # a message may name the case too
             return places[min(named, key=lambda name: (name == "case.case", named[name]))]
-    return error.section
+    return error.place
 
 
 def check_options(file: StudyFile, options: Mapping[str, Value]) -> None:

@@ -32,7 +32,7 @@ from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
 from adaptmg._text import printable
 from adaptmg.solver.result import versions
-from adaptmg.study.tables import shown_cells
+from adaptmg.study.tables import cells, numeric
 
 __all__ = ["DENSE", "LONGEST", "Column", "Picture", "Report", "columns_of", "count", "label", "lead", "one_line",
            "picture_of", "small_png", "worded"]
@@ -144,10 +144,9 @@ def columns_of(frame: pd.DataFrame, units: Mapping[str, str] | None = None,
         spec, values = formats.get(name) or _DEFAULT, column.dropna().to_numpy(float)
         if _GENERAL.fullmatch(spec) and any(float(format(v, spec)) != v for v in values[np.isfinite(values)]):
             measured[name] = f"#{spec}"
-    cells, numeric = shown_cells(frame, units=units, formats=formats | measured)
     result = []
-    for name, texts, is_number in zip(frame.columns, cells, numeric, strict=True):
-        if is_number:
+    for (name, column), texts in zip(frame.items(), cells(frame, units, formats | measured)[1], strict=True):
+        if is_number := numeric(column):
             texts = ["0" if _ZERO.fullmatch(text) else text.removesuffix("." * (name in measured)) for text in texts]
         result.append(Column(*worded(name, units.get(name)), is_number, texts))
     return result

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     Table = pd.DataFrame | Mapping[str, Sequence[object]]
 
-__all__ = ["as_html", "as_text", "cells", "frame", "numeric", "shown_cells"]
+__all__ = ["as_html", "as_text", "cells", "frame", "numeric"]
 
 _NAN = float("nan")
 
@@ -84,12 +84,6 @@ def as_html(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
     bottom = f'\n<p class="note">{in_html(note)}</p>' if note else ""
     return (f'<figure class="table">\n{top}<div class="scroll"><table>\n<thead><tr>{head}</tr></thead>\n'
             f"<tbody>\n{body}\n</tbody>\n</table></div>{bottom}\n</figure>")
-
-
-def shown_cells(table: Table, *, units: Mapping[str, str] | None = None,
-                formats: Mapping[str, str] | None = None) -> tuple[list[list[str]], list[bool]]:
-    """Return the cells as text, column by column, and whether each column holds numbers."""
-    return cells(table, units, formats)[1], [numeric(column) for _, column in table.items()]
 
 
 def cells(table: Table, units: Mapping[str, str] | None = None,

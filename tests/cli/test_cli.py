@@ -1,4 +1,4 @@
-"""The command: what it prints where, what it writes, how it ends."""
+"""The command, ``solve`` and ``adapt``: what they print where, what they write, how they end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import io
 import json
 import logging
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +18,7 @@ from adaptmg.cli import app
 from adaptmg.cli.output import watched
 
 COMMANDS = ("cases", "solve", "adapt", "study", "runs", "report")
+SMALL = ("adapt", "upset_block", "--start", "8e-3", "--engine", "bisect", "--max-nodes", "120")
 
 
 @pytest.mark.parametrize("arguments", [(), *((name,) for name in ("", *COMMANDS))])
@@ -98,22 +98,6 @@ def test_a_run_that_does_not_converge_ends_with_code_1(command):
     assert err.splitlines()[-1].startswith("adaptmg: not converged (LIMIT)")
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    (("greco_bax",), "did you mean 'greco_bar'"),
-    (("greco_bar", "--transfer", "l2"), "--transfer has no meaning for uniform grids (without --sizes)"),
-    (("greco_bar", "--solver", "single-grid", "--cycle", "W"), "--shape has no meaning"),
-    (("greco_bar", "--law", "tresca", "--limit", "1", "--friction", "1"), "it belongs to --law coulomb"),
-    (("greco_bar", "--set", "yong=1"), "did you mean 'young'"), (("greco_bar", "--set", "young"), "NAME=VALUE"),
-    (("greco_bar", "--set", "young=steel"), "young must be a number"), (("greco_bar", "--set", "young=-1"), "> 0"),
-    (("greco_bar", "--set", "friction=1"), "an option of its own"), (("dovetail", "--set", "angle="), "NAME=VALUE"),
-])
-def test_bad_input_is_one_line_and_code_2(command, options, message):
-    code, out, err = command("solve", *options)
-    assert code == 2 and out == "" and message in err
-    last = [row for row in err.splitlines() if row.startswith("adaptmg: ")]
-    assert len(last) == 1 and "Traceback" not in err
-
-
 def test_the_log_goes_to_standard_error_and_is_put_back_and_a_terminal_gets_a_bar(capsys, monkeypatch):
     logger = logging.getLogger("adaptmg")
     before = (logger.level, list(logger.handlers))
@@ -148,9 +132,6 @@ def test_what_cannot_be_printed_is_printed_as_codes(monkeypatch):
         app(["solve", "greco_bar", "--divisions", "2,4", "--out", "x"], prog_name="adaptmg")
     out.seek(0)
     assert not end.value.code and "wrote \\udcff\\xb5\\x1b/result.npz" in out.read()
-    done = subprocess.run([sys.executable, "-m", "adaptmg", "solve", b"\xff"], capture_output=True,
-                          env=os.environ | {"PYTHONIOENCODING": "ascii:strict"})
-    assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"udcff" in done.stderr
 
 
 def test_pictures_are_whole_or_not_there(command, tmp_path, monkeypatch):
@@ -159,3 +140,54 @@ def test_pictures_are_whole_or_not_there(command, tmp_path, monkeypatch):
     code, out, err = command("solve", "greco_bar", "--divisions", "2,4", "--out", str(tmp_path))
     assert code == 2 and out == "" and "disk full" in err
     assert (tmp_path / "contact.png").read_bytes() == b"old" and not list(tmp_path.glob("*.part"))
+
+
+def test_a_line_a_step_and_a_tolerance_that_ends_it(command):
+    code, out, err = command(*SMALL)
+    lines = out.splitlines()
+    assert (code, err) == (0, "") and lines[0] == am.Step.HEADER
+    numbers = [int(line.split()[0]) for line in lines[1:lines.index("")] if line.split()[0].isdigit()]
+    assert numbers == list(range(len(numbers))) and len(numbers) > 1 and "max_nodes" in out and "CONVERGED" in out
+    said = json.loads(command(*SMALL[:-2], "--tolerance", "0.1", "--json")[1])
+    assert said["steps"][-1]["estimate"] <= 0.1 and "tolerance" in said["outcome"]
+
+
+@pytest.mark.parametrize("options", [("--engine", "remesh", "--indicator", "recovery"),
+                                     ("--theta", "0.3", "--friction", "0.2"), ("--max-seconds", "0.001")])
+def test_json_says_what_the_loop_did(command, options):
+    code, out, _ = command(*SMALL, *options, "--json")
+    said = json.loads(out)
+    assert code == 0 and said["outcome"] and said["steps"][0]["step"] == 0
+    assert all(row["estimate"] > 0 and row["levels"][-1] == row["nodes"] for row in said["steps"])
+    assert said["result"]["status"] == "CONVERGED"
+    assert sum(said["steps"][0]["terms"].values()) == pytest.approx(said["steps"][0]["estimate_total"] ** 2)
+
+
+def test_files_are_written_and_a_store_is_gone_on_from(command, tmp_path):
+    store = ("--store", str(tmp_path / "store"))
+    first = json.loads(command(*SMALL, *store, "--json")[1])
+    code, out, _ = command(*SMALL, *store, "--out", str(tmp_path / "out"), "--json")
+    again = json.loads(out)
+    assert code == 0 and again["steps"] == first["steps"]
+    names = {file.name for file in (tmp_path / "out").iterdir()}
+    assert {"adaptation.png", "result.npz", "result.vtu"} <= names
+    code, _, err = command(*SMALL, *store, "--theta", "0.3")
+    assert code == 2 and "another run: value of mark differs" in err
+
+
+def test_a_mesh_that_is_not_solved_ends_with_code_1(command, monkeypatch):
+    from adaptmg.estimate import loop
+
+    result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8)),
+                      am.FullMultigrid(max_cycles=1), throw=False)
+    monkeypatch.setattr(loop.AdaptiveLoop, "steps", lambda self: (_ for _ in ()).throw(am.NotConverged(result)))
+    code, out, err = command(*SMALL, "--json")
+    assert code == 1 and "not converged" in json.loads(out)["error"] and "not converged: " in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("options, words", [(("--max-nodes", "0"), "max_nodes"), (("--start", "-1"), "start"),
+                                            (("--theta", "2"), "theta"), (("--tolerance", "nan"), "tolerance"),
+                                            (("--limit", "3", "--friction", "1"), "limit")])
+def test_bad_input_is_a_line(command, options, words):
+    code, out, err = command(*SMALL, *options)
+    assert (code, out) == (2, "") and words in err and len(err.splitlines()) == 1

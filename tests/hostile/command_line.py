@@ -72,15 +72,21 @@ def _options():
     for option, value in {"friction": "much", "law": "hooke", "pre": "1.5", "nothing": "1"}.items():
         yield Hostile(f"--{option} {value}", lambda o=option, v=value: usage("solve", "greco_bar", f"--{o}", v),
                       option, ValueError)
-    for label, case in {"unknown": "greco", "surrogate": "\udcff", "control": "a\x1b[31m"}.items():
-        yield Hostile(f"case {label}", lambda c=case: command("solve", c), "there is no case", ValueError)
+    for label, case in {"unknown": "greco_bax", "surrogate": "\udcff", "control": "a\x1b[31m"}.items():
+        says = "did you mean 'greco_bar'" if label == "unknown" else "there is no case"
+        yield Hostile(f"case {label}", lambda c=case: command("solve", c), says, ValueError)
     both = {"sizes and divisions": ("--sizes=1e-2", "--divisions=4", "--divisions"),
             "ratio alone": ("--contact-ratio=2", "--divisions=4", "--contact-ratio"),
             "ratio below one": ("--contact-ratio=0.5", "--sizes=1e-2", "ratio"),
             "ratio huge": ("--contact-ratio=1e300", "--sizes=1e-2", "sizes"),
             "useless option": ("--solver=active-set", "--omega=1", "--omega"),
             "law without friction": ("--law=coulomb", "--divisions=2", "--friction"),
-            "two laws": ("--friction=1", "--limit=1", "--limit")}
+            "two laws": ("--friction=1", "--limit=1", "belongs to --law tresca"),
+            "transfer of uniform grids": ("--transfer=l2", "--divisions=2", "--transfer has no meaning for uniform grids"),
+            "cycle of one grid": ("--solver=single-grid", "--cycle=W", "--shape has no meaning"),
+            **{f"--set {text}": (f"--set={text}", "--divisions=2", says) for text, says in {
+                "yong=1": "did you mean 'young'", "young": "NAME=VALUE", "young=": "NAME=VALUE", "young=-1": "> 0",
+                "young=steel": "young must be a number", "friction=1": "an option of its own"}.items()}}
     for name, (first, second, says) in both.items():
         yield Hostile(name, lambda a=first, b=second: command("solve", "greco_bar", a, b), says, ValueError)
 

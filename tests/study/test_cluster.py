@@ -130,16 +130,13 @@ def test_errors_come_with_type_text_and_traceback(cluster):
         study.run(progress=False, scheduler=cluster, throw=True)
 
 
-def test_what_a_worker_lacks_is_told_at_once(cluster, tmp_path, monkeypatch):
+def test_what_a_worker_lacks_and_another_adaptmg_are_told_at_once(cluster, tmp_path, monkeypatch):
     (tmp_path / "only_here.py").write_text("def run(n):\n    return {'m': n}\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     import only_here
 
     with pytest.raises(RuntimeError, match=r"worker tcp.*no module 'only_here'"):
         Study(only_here.run, {"n": [1]}).run(progress=False, scheduler=cluster)
-
-
-def test_another_adaptmg_on_a_worker_is_told_at_once(cluster, monkeypatch):
     monkeypatch.setattr(executor, "identity", lambda: {"numpy": "1.0"})
     with pytest.raises(RuntimeError, match=r"worker tcp.*numpy .* instead of 1\.0"):
         Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=cluster)
@@ -374,21 +371,6 @@ def test_a_worker_that_leaves_during_the_check_is_not_unfit(caplog):
     found["tcp://v"] = ModuleNotFoundError("No module named 'adaptmg'")
     with pytest.raises(RuntimeError, match="tcp://v cannot compute this study: ModuleNotFoundError: No module named"):
         executor.check_workers(client, None, limited=False)
-
-
-def test_no_more_processes_are_started_than_there_are_runs(monkeypatch):
-    asked = []
-
-    @contextlib.contextmanager
-    def pretended(workers):
-        asked.append(workers)
-        yield None
-
-    monkeypatch.setattr(executor, "local_cluster", pretended)
-    for workers, runs in ((64, 3), (2, 100), (4, 0)):
-        with executor.opened(workers, None, runs):
-            pass
-    assert asked == [3, 2, 1]
 
 
 class _Processes:

@@ -247,20 +247,14 @@ def test_a_link_to_a_store_is_followed(tmp_path):
     assert (tmp_path / "link.sqlite").is_symlink()
 
 
-@pytest.mark.parametrize("value", [1, -2.5, 1e300, -0.0, "a\"\\\n\u00e9", True, None, (1, (2.0, "b")), float("inf"),
-                                   float("nan"), 10**30, ()])
-def test_the_text_of_a_point_is_that_of_json_and_gives_it_back(tmp_path, value):
-    point = {"b": value, "a\u00e9": 1}
-    assert canonical(point) == json.dumps(point, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    store = Store(tmp_path / "s.sqlite")
-    store.put("s", Record(parameters=point, status="done"))
-    (back,) = store.get("s").values()
-    assert repr(back.parameters["b"]) == repr(value)
-
-
-def test_values_that_look_alike_are_different_points():
-    values = [1, 1.0, True, "1", 0, 0.0, -0.0, False, None, "None", (1,), (1.0,), math.nan]
-    assert len({canonical({"x": value}) for value in values}) == len(values)
-    table = Study(lambda x: {"kind": type(x).__name__}, {"x": values}).run(progress=False)
-    assert table["kind"].tolist() == [type(value).__name__ for value in values]
-    assert canonical({"a": 1, "b": (2, "c")}) == canonical({"b": (2, "c"), "a": 1})
+def test_the_text_of_a_point_is_that_of_json_gives_it_back_and_is_that_of_no_other_value(tmp_path):
+    values = [1, 1.0, True, "1", 0, 0.0, -0.0, False, None, "None", (1,), (1.0,), math.nan, math.inf, (), 10**30, 1e300,
+              "a\"\\\n\u00e9", (1, (2.0, "b"))]
+    for value in values:
+        point = {"b": value, "a\u00e9": 1}
+        assert canonical(point) == json.dumps(point, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        assert canonical(point) == canonical(dict(reversed(point.items())))
+    study = Study(lambda x: {"kind": type(x).__name__}, {"x": values}, tmp_path / "s.sqlite", name="s")
+    assert study.run(progress=False)["kind"].tolist() == [type(value).__name__ for value in values]
+    back = [record.parameters["x"] for record in Store(tmp_path / "s.sqlite").get("s").values()]
+    assert repr(back) == repr(values)

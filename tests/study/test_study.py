@@ -215,20 +215,15 @@ def test_any_exception_of_a_run_is_its_failure(error):
 
 
 def test_each_run_is_reported(capsys, caplog, monkeypatch):
-    def run(n):
-        return {"m": 1 / n}
-
-    reported = []
-    Study(run, {"n": [1, 0, 2]}).run(lambda watch: reported.append((watch.name, watch.done, watch.total, watch.failed)))
-    assert reported == [("run", 1, 3, 0), ("run", 2, 3, 1), ("run", 3, 3, 1)]
-    assert capsys.readouterr().err == ""
+    reported, study = [], Study(lambda n: {"m": 1 / n}, {"n": [1, 0, 2]}, name="s")
     caplog.set_level("INFO", logger="adaptmg.study")
-    Study(run, {"n": [0, 1, 2]}).run(progress=False)
-    assert "study run: [1/3] n=0 failed: ZeroDivisionError" in caplog.text
-    assert "[2/3] n=1 done" in caplog.text and "1 failed, 1 running, 1 left, ends about" in caplog.text
-    Study(run, {"n": [0, 1]}).run(progress=True)
+    study.run(lambda watch: reported.append((watch.name, watch.done, watch.total, watch.failed)))
+    assert reported == [("s", 1, 3, 0), ("s", 2, 3, 1), ("s", 3, 3, 1)] and capsys.readouterr().err == ""
+    study.run(progress=False, rerun=True)
+    assert "study s: [2/3] n=0 failed: ZeroDivisionError" in caplog.text and "[1/3] n=1 done" in caplog.text
+    study.run(progress=True)
     out, err = capsys.readouterr()
-    assert out == "" and "2/2" in err and "1 failed, the end" in err
+    assert out == "" and "3/3" in err and "1 failed, the end" in err
     monkeypatch.setattr("sys.stderr", None)
     for progress in (None, True):
         assert Study(case, {"sweeps": [1]}).run(progress=progress)["status"].tolist() == ["done"]
