@@ -82,7 +82,7 @@ def _options():
             "useless option": ("--solver=active-set", "--omega=1", "--omega"),
             "law without friction": ("--law=coulomb", "--divisions=2", "--friction"),
             "two laws": ("--friction=1", "--limit=1", "belongs to --law tresca"),
-            "transfer of uniform grids": ("--transfer=l2", "--divisions=2", "--transfer has no meaning for uniform grids"),
+            "transfer of uniform grids": ("--transfer=l2", "--divisions=2", "--transfer has no meaning for uniform"),
             "cycle of one grid": ("--solver=single-grid", "--cycle=W", "--shape has no meaning"),
             **{f"--set {text}": (f"--set={text}", "--divisions=2", says) for text, says in {
                 "yong=1": "did you mean 'young'", "young": "NAME=VALUE", "young=": "NAME=VALUE", "young=-1": "> 0",
