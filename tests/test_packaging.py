@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import stub
 
 import adaptmg
 
@@ -38,11 +39,8 @@ def test_there_is_no_lock_file_and_nothing_else_at_the_top():
     assert not [path.name for path in _files() if pinned.search(path.name)]
 
 
-def test_files_of_the_package_that_are_not_python_are_installed():
-    shipped = {f"{package.replace('.', '/')}/{name}" for package, names in
-               SETTINGS["tool"]["setuptools"]["package-data"].items() for name in names}
-    lying = [path.relative_to(REPOSITORY).as_posix() for path in _files() if path.suffix != ".py"]
-    assert {name for name in lying if name.startswith("adaptmg/")} == shipped
+def test_type_checkers_see_the_names_there_are():
+    assert stub.PATH.read_text(encoding="utf-8") == stub.stub(), "write it again: python tests/helpers/stub.py"
 
 
 def test_dependencies_have_lower_bounds_and_no_upper_ones():
@@ -60,10 +58,6 @@ def test_no_file_names_a_package_index_or_a_path_of_a_machine():
             text = path.read_text(encoding="utf-8")
             found = re.search(f"({index})|({home})", text)
             assert not found, f"{path.relative_to(REPOSITORY)}: {found[0]!r}"
-
-
-def test_the_licence_is_the_one_stated():
-    assert (REPOSITORY / "LICENSE").read_text(encoding="utf-8").startswith(f"{PROJECT['license']['text']} License")
 
 
 def test_the_command_is_installed_where_the_project_says():
