@@ -321,11 +321,14 @@ class _Runs:
         run = self._out.get(name)
         if run is None or run.stopped or run.future.done():
             return
-        run.stopped = True
+        worker = run.worker
         try:
+            if name not in (await self._client.scheduler.processing()).get(worker, ()) or run.stopped:
+                return  # its worker died, and dask starts it again on another one, with a new clock
+            run.stopped = True
             # cancelled first, so that dask does not start it elsewhere
             await self._client._cancel([run.future], force=True)
-            await self._client._run(_kill_worker, nanny=True, workers=[run.worker], on_error="ignore")
+            await self._client._run(_kill_worker, nanny=True, workers=[worker], on_error="ignore")
         except Exception as error:
             _log.warning("the worker %s of a run over its limit was not killed: %s", run.worker, error_text(error))
         self._back.put((name, Finished(error=why, seconds=time.monotonic() - run.sent, tries=run.tries)))

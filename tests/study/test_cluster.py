@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import ctypes
 import json
@@ -449,3 +450,18 @@ def test_a_study_waits_for_a_queue_but_not_for_processes_that_do_not_come_back(l
     else:
         assert runs._come_back() == [("run", None)]
     assert "has no workers: 0 runs wait" in caplog.text
+
+
+@pytest.mark.parametrize("there", [True, False], ids=["it computes", "its worker died"])
+def test_a_clock_that_runs_out_stops_only_a_run_that_its_worker_computes(there):
+    async def processing():
+        return {"tcp://a": ("r-1",) if there else ()}
+
+    async def ignored(*args, **kwargs):
+        return None
+
+    client = SimpleNamespace(scheduler=SimpleNamespace(processing=processing), _cancel=ignored, _run=ignored)
+    run = executor._Run({"n": 6}, 1, 0.0, SimpleNamespace(done=lambda: False), worker="tcp://a")
+    runs = _runs(_client=client, _out={"r-1": run})
+    asyncio.run(runs._stop("r-1", "TimeLimit"))
+    assert run.stopped is there and runs._back.empty() is not there
