@@ -127,11 +127,11 @@ def properties(dim: int, sizes: tuple[float, ...], contact_ratio: float, transfe
     return {"nodes": finest.discrete.n_nodes, "contact_nodes": len(finest.discrete.contact), "levels": len(hierarchy),
             "mesh_ratio": max(level.mesh_ratio for level in hierarchy.levels[1:]), "build_s": own,
             "build_ratio": own / base, "row_entries": finest.prolongation.nnz / finest.prolongation.shape[0],
-            "complexity": sum(level.system.nonzeros for level in levels.levels) / levels.levels[-1].system.nonzeros,
+            "complexity": sum(level.system.nonzeros for level in levels) / levels[-1].system.nonzeros,
             "discretised_complexity": hierarchy.operator_complexity,
             "min_weight": min(float(level.prolongation.data.min()) for level in hierarchy.levels[1:]),
             "affine_error": affine_error(hierarchy),
-            "proven": all(proven(level.contact_prolongation) for level in levels.levels[1:])}
+            "proven": all(proven(level.contact_prolongation) for level in levels[1:])}
 
 
 def proven(weights: sparse.csr_array) -> bool:
