@@ -111,10 +111,18 @@ class Hierarchy:
     def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]],
                contact_ratio: float | Mapping[str, float] = 1.0,
                transfer: Transfer | None = None, contact_rows: bool = True) -> Hierarchy:
-        """Independent (non-nested) Netgen meshes of the problem's domain, graded towards the contact boundaries.
+        """Independent (non-nested) Netgen meshes, graded towards the contact boundaries.
 
-        ``sizes`` are element sizes away from contact, coarse to fine, m; ``contact_ratio`` >= 1 is the size away from
-        contact over that at contact; of several bodies both also by body name. For the rest see :meth:`from_meshes`.
+        Parameters
+        ----------
+        problem : ContactProblem
+            With a domain.
+        sizes : sequence of float or mapping
+            Element size away from contact, coarse to fine, m; of several bodies also body name -> size.
+        contact_ratio : float or mapping
+            Size away from contact over size at contact, >= 1; of several bodies also body name -> ratio.
+        transfer, contact_rows
+            See :meth:`from_meshes`.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import graded
@@ -154,12 +162,18 @@ class Hierarchy:
     @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[object], transfer: Transfer | None = None,
                     contact_rows: bool = True) -> Hierarchy:
-        """From given meshes (ngsolve.Mesh, MeshArrays or paths of .msh and .vol files), coarse to fine, checked.
+        """From given meshes, coarse to fine.
 
-        Their boundary names must be those of the problem. ``transfer`` is any object with ``build(coarse, fine)``,
-        default :class:`adaptmg.transfer.Interpolation`. With ``contact_rows`` the rows of fine contact nodes are
-        replaced by linear interpolation along the coarse contact boundary, whatever the transfer does elsewhere: the
-        monotone correction is proven only so (or where the transfer does it).
+        Parameters
+        ----------
+        problem : ContactProblem
+        meshes : sequence of ngsolve.Mesh, MeshArrays or paths of mesh files (.msh, .vol)
+            Checked before use; the boundary names must be those of the problem.
+        transfer : Transfer, optional
+            Any object with ``build(coarse, fine)``; default :class:`adaptmg.transfer.Interpolation`.
+        contact_rows : bool
+            Replace the rows of fine contact nodes by linear interpolation along the coarse contact boundary, whatever
+            the transfer does elsewhere: the monotone correction is proven only so (or where the transfer does it).
         """
         begin = time.perf_counter()
         from adaptmg.mesh import as_mesh
