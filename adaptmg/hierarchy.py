@@ -92,10 +92,21 @@ class Hierarchy:
                 diagonal: str = "right") -> Hierarchy:
         """Structured grids of a rectangle or box.
 
-        ``divisions`` are cells along the sides, coarse to fine, nested where each divides the next; of several bodies
-        also body name -> cells. ``diagonal`` ("right", "left", "alternating") says how squares are cut in 2D.
-        ValueError for what :func:`adaptmg.mesh.structured` refuses, and for levels that together have more than four
-        times the nodes of the finest, and millions of them.
+        Parameters
+        ----------
+        problem : ContactProblem
+            With a Rectangle or Box as domain.
+        divisions : sequence of int, tuple of int or mapping
+            Cells along the sides, coarse to fine; nested where each divides the next. Of several bodies also body
+            name -> cells.
+        diagonal : {"right", "left", "alternating"}
+            How squares are cut (2D).
+
+        Raises
+        ------
+        ValueError
+            What :func:`adaptmg.mesh.structured` refuses; levels that together have more than four times the nodes of
+            the finest, and millions of them.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import structured
@@ -137,14 +148,24 @@ class Hierarchy:
     def bisected(cls, problem: ContactProblem, coarsest: object, levels: int) -> Hierarchy:
         """Nested meshes: ``coarsest`` refined ``levels`` times by bisection of the elements that touch contact.
 
-        Each refinement doubles the elements at contact (3D: four times). ``coarsest`` is MeshArrays, an ngsolve.Mesh or
-        the path of a mesh file.
+        Parameters
+        ----------
+        problem : ContactProblem
+        coarsest : MeshArrays, ngsolve.Mesh or path of a mesh file
+        levels : int
+            Number of refinements, >= 1; each doubles the elements at contact (3D: four times).
 
-        Elements away from contact stay unchanged on every level, and with them their part of the discretisation error:
-        after two or three levels it dominates, and further ones only resolve contact (from 531 to 82 000 nodes the
-        error of a recorded example falls from 1.40e-3 to 1.36e-3). Printing the hierarchy says so, with the sizes; a
-        UserWarning is issued where they differ by more than six. Meshes that follow the whole solution come from
-        :func:`adaptmg.adapt`, :meth:`graded` or :meth:`from_meshes`.
+        Notes
+        -----
+        Elements away from contact stay as they are on every level, and with them their part of the discretisation
+        error: after two or three levels it dominates, and further ones only resolve contact (from 531 to 82 000 nodes
+        the error of a recorded example falls from 1.40e-3 to 1.36e-3). Printing the hierarchy says so, with the sizes.
+        Meshes that follow the whole solution come from :func:`adaptmg.adapt`, :meth:`graded` or :meth:`from_meshes`.
+
+        Warns
+        -----
+        UserWarning
+            If elements away from contact are more than six times as large as those at it: the last levels hardly help.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import as_mesh, refine_near
@@ -185,11 +206,15 @@ class Hierarchy:
 
     @classmethod
     def from_prolongations(cls, discrete: DiscreteProblem, prolongations: Sequence[sparse.csr_array]) -> Hierarchy:
-        """From a matrix and coarse spaces, with Galerkin matrices; no contact problem on the coarse levels.
+        """From a user's matrix and coarse spaces, with Galerkin matrices; no contact problem on the coarse levels.
 
-        ``discrete`` is on the finest level. ``prolongations`` are sparse matrices, coarse to fine, each from a level to
-        the next finer: all of nodes (n_nodes, n_nodes coarse), acting on every component, or all of dofs
-        (n_dofs, n_dofs coarse).
+        Parameters
+        ----------
+        discrete : DiscreteProblem
+            On the finest level.
+        prolongations : sequence of sparse matrices
+            Coarse to fine, each from a level to the next finer: all of nodes (n_nodes, n_nodes coarse), acting on every
+            component, or all of dofs (n_dofs, n_dofs coarse).
         """
         from adaptmg.transfer.galerkin import coarse_spaces
 
@@ -204,9 +229,14 @@ class Hierarchy:
     def algebraic(cls, discrete: DiscreteProblem, strength: float = 0.0, max_coarse: int = 300) -> Hierarchy:
         """Coarse spaces by smoothed aggregation (pyamg), for a bare matrix.
 
-        The ``near_nullspace`` of the problem matters: with rigid-body modes convergence is about twice as fast.
-        ``strength``, 0 <= strength < 1, is the drop tolerance of the strength of connection; the coarsest level has at
-        most ``max_coarse`` dofs.
+        Parameters
+        ----------
+        discrete : DiscreteProblem
+            Its ``near_nullspace`` matters: with rigid-body modes convergence is about twice as fast.
+        strength : float
+            Drop tolerance of the strength of connection, 0 <= strength < 1.
+        max_coarse : int
+            Dofs of the coarsest level at most.
         """
         from adaptmg.transfer.galerkin import aggregated_prolongations
 

@@ -153,9 +153,14 @@ class DiscreteProblem(Unknowns):
                     near_nullspace=near_nullspace)
 
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
-        """The same bodies under the data (n_dofs,), N and m, and slip reference (n_contact, dim) of a load step.
+        """The same bodies under other data (a load step): nothing else is checked or copied again.
 
-        In the coordinates of this problem, the reference as :meth:`at_contact` returns it.
+        Parameters
+        ----------
+        load, fixed_values : (n_dofs,) arrays
+            N and m, in the coordinates of this problem (with a coupling relative ones).
+        slip_reference : (n_contact, dim) array
+            Displacement of the contact nodes against which slip is measured, as :meth:`at_contact` has it, m.
         """
         contact, result = copy.copy(self.contact), copy.copy(self)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)

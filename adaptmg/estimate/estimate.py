@@ -162,7 +162,13 @@ def marks_of(mark: Mark, estimate: Estimate) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Doerfler:
-    """Bulk marking: the smallest set of elements that holds the share ``theta`` (> 0, <= 1) of the sum of squares."""
+    """Bulk marking: the smallest set of elements that holds the share ``theta`` of the sum of squares.
+
+    Parameters
+    ----------
+    theta : float
+        Share of the sum of squares, above 0 and at most 1.
+    """
 
     theta: float = 0.5
 
@@ -188,7 +194,13 @@ class Doerfler:
 
 @dataclass(frozen=True)
 class Maximum:
-    """The elements whose square is at least the share ``theta`` (> 0, <= 1) of the largest; larger marks less."""
+    """The elements whose square is at least the share ``theta`` of the largest; larger marks less.
+
+    Parameters
+    ----------
+    theta : float
+        Share of the largest square, above 0 and at most 1.
+    """
 
     theta: float = 0.5
 

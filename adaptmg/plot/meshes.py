@@ -23,9 +23,19 @@ __all__ = ["adaptation", "grids", "mesh"]
 
 @style.styled
 def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = ()) -> Figure:
-    """Draw a mesh, several bodies in different colours, with the boundaries ``contact`` marked.
+    """Draw a mesh; several bodies in different colours.
 
-    In 3D ``ax`` is made with ``projection="3d"``.
+    Parameters
+    ----------
+    drawn : MeshArrays
+    ax : matplotlib Axes, optional
+        In 3D with ``projection="3d"``.
+    contact : sequence of str
+        Boundaries to mark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     checks.instance("drawn", drawn, MeshArrays, "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or "
                     "adaptmg.mesh.read.as_mesh)")

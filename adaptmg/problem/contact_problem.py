@@ -28,9 +28,16 @@ def check_law(law: object) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """The name of a boundary that may touch a rigid obstacle: a Plane, a GapFunction or an object with their methods.
+    """A boundary that may touch a rigid obstacle.
 
-    With ``allow_interference`` negative initial gaps (an interference fit) are accepted.
+    Parameters
+    ----------
+    boundary : str
+        Name of the contact boundary.
+    obstacle : Plane or GapFunction
+        What it may touch.
+    allow_interference : bool
+        Accept negative initial gaps (an interference fit).
     """
 
     boundary: str

@@ -82,8 +82,11 @@ class Frictionless:
 class Tresca:
     """Tresca friction: |f_t| <= limit, independent of the pressure.
 
-    On a ContactProblem the limit is a traction in Pa (number or function of position), on a DiscreteProblem it is the
-    nodal forces in N (number or array over the contact nodes).
+    Parameters
+    ----------
+    limit : float, callable or array
+        On a ContactProblem a traction in Pa (number or function of position); on a DiscreteProblem the nodal
+        forces in N (number or array over the contact nodes).
     """
 
     limit: FieldLike | np.ndarray
@@ -103,7 +106,10 @@ class Tresca:
 class Coulomb:
     """Coulomb friction: |f_t| <= friction * p.
 
-    The coefficient is a number or a function of position; on a DiscreteProblem also an array over the contact nodes.
+    Parameters
+    ----------
+    friction : float, callable or array
+        The coefficient (number or function of position; on a DiscreteProblem also an array over the contact nodes).
     """
 
     friction: FieldLike | np.ndarray

@@ -77,10 +77,17 @@ class LoadPath:
         return self.factors.get(name, self.default)
 
     def resolved(self, problem: ContactProblem | None) -> dict[str, np.ndarray]:
-        """Return the factors (n_steps,) of each load and prescribed displacement of a problem, by name.
+        """Factors (n_steps,) of everything a problem has to scale.
 
-        Without a problem (a bare DiscreteProblem, whose loads have no names) only ``default`` counts. ValueError if the
-        path names something that the problem does not load or move.
+        Parameters
+        ----------
+        problem : ContactProblem or None
+            None stands for a bare DiscreteProblem, whose loads have no names: then only ``default`` counts.
+
+        Raises
+        ------
+        ValueError
+            If the path names something that the problem does not load or move.
         """
         if problem is None and self.factors:
             raise ValueError(f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem have "

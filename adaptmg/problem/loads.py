@@ -26,7 +26,15 @@ def _components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]
 
 @dataclass(frozen=True)
 class Pressure:
-    """Pressure ``value``, Pa, on a boundary: traction ``-value * n``, n outward; positive pushes into the body."""
+    """Pressure on a boundary: traction ``-value * n``, n outward.
+
+    Parameters
+    ----------
+    boundary : str
+        Name of the boundary.
+    value : float or callable
+        Pa; positive pushes into the body.
+    """
 
     boundary: str
     value: FieldLike
@@ -38,7 +46,15 @@ class Pressure:
 
 @dataclass(frozen=True)
 class Traction:
-    """Traction vector on a boundary by its Cartesian components (numbers or functions), Pa."""
+    """Traction vector on a boundary.
+
+    Parameters
+    ----------
+    boundary : str
+        Name of the boundary.
+    components : sequence of float or callable
+        Cartesian components, Pa.
+    """
 
     boundary: str
     components: tuple[FieldLike, ...]
@@ -50,7 +66,15 @@ class Traction:
 
 @dataclass(frozen=True)
 class BodyForce:
-    """Force per volume, N/m^3, by its Cartesian components (numbers or functions), on one body, by default on all."""
+    """Force per volume on one body or all.
+
+    Parameters
+    ----------
+    components : sequence of float or callable
+        Cartesian components, N/m^3.
+    body : str, optional
+        Name of the body it acts on; all by default.
+    """
 
     components: tuple[FieldLike, ...]
     body: str | None = None
@@ -90,9 +114,14 @@ Load = Pressure | Traction | BodyForce | InitialStrain
 
 @dataclass(frozen=True)
 class Support:
-    """Prescribed displacement components x, y, z, m, on a boundary; ``None`` leaves a component free.
+    """Prescribed displacement components on a boundary; ``None`` leaves a component free.
 
-    A function of position is taken at the nodes.
+    Parameters
+    ----------
+    boundary : str
+        Name of the boundary.
+    x, y, z : float, callable or None
+        Prescribed displacement, m; a function of position is taken at the nodes.
     """
 
     boundary: str

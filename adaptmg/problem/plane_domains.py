@@ -64,7 +64,15 @@ def corner(name: str, value: object, dim: int) -> tuple[float, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Rectangle(Domain):
-    """An axis-parallel rectangle, lower left corner ``origin``; boundaries ``bottom``, ``right``, ``top``, ``left``."""
+    """An axis-parallel rectangle; boundaries ``bottom``, ``right``, ``top``, ``left``.
+
+    Parameters
+    ----------
+    width, height : float
+        m, > 0.
+    origin : pair of float
+        Lower left corner, m.
+    """
 
     width: float
     height: float
@@ -88,9 +96,14 @@ class Rectangle(Domain):
 
 @dataclass(frozen=True, kw_only=True)
 class Box(Domain):
-    """An axis-parallel box: ``width``, ``depth`` and ``height`` along x, y and z, m; lowest corner ``origin``.
+    """An axis-parallel box; ``left``/``right`` are x, ``front``/``back`` y, ``bottom``/``top`` z.
 
-    Boundaries ``left`` and ``right`` lie at the ends of x, ``front`` and ``back`` of y, ``bottom`` and ``top`` of z.
+    Parameters
+    ----------
+    width, depth, height : float
+        Lengths along x, y and z, m, > 0.
+    origin : triple of float
+        Lowest corner, m.
     """
 
     width: float
@@ -132,9 +145,14 @@ def _area(vertices: tuple[tuple[float, float], ...], bulges: float = 0.0) -> flo
 
 @dataclass(frozen=True, kw_only=True)
 class Polygon(Domain):
-    """A simple polygon by its corners in counter-clockwise order, m.
+    """A simple polygon.
 
-    ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
+    Parameters
+    ----------
+    vertices : sequence of pairs of float
+        Corners in counter-clockwise order, m.
+    boundaries : sequence of str
+        ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
     """
 
     vertices: tuple[tuple[float, float], ...]

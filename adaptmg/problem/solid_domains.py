@@ -48,7 +48,14 @@ def outline_of(profile: Profile) -> Polygon | Outline:
 class Cylinder(SolidDomain):
     """A circular cylinder; boundaries ``side``, ``bottom`` (around ``point``) and ``top``.
 
-    ``axis`` is the direction from bottom to top, of any length; it is stored as a unit vector.
+    Parameters
+    ----------
+    point : triple of float
+        Centre of the bottom, m.
+    axis : triple of float
+        Direction from bottom to top, of any length; stored as a unit vector.
+    radius, height : float
+        m, > 0.
     """
 
     point: Triple
@@ -70,7 +77,15 @@ class Cylinder(SolidDomain):
 
 @dataclass(frozen=True)
 class Ball(SolidDomain):
-    """A ball by its centre and radius, m; boundary ``surface``."""
+    """A ball; boundary ``surface``.
+
+    Parameters
+    ----------
+    centre : triple of float
+        m.
+    radius : float
+        m, > 0.
+    """
 
     centre: Triple
     radius: float
@@ -137,9 +152,16 @@ class Revolution(SolidDomain):
 
 @dataclass(frozen=True)
 class Extrusion(SolidDomain):
-    """A plane profile in (x, y), extruded from z = ``base`` by ``height``, m.
+    """A plane profile in (x, y), extruded along z; boundaries are its edges, ``bottom`` and ``top``.
 
-    Boundaries are the edges of the Polygon or Outline, ``bottom`` and ``top``. (For a rectangle use a Box.)
+    Parameters
+    ----------
+    polygon : Polygon or Outline
+        Profile. (The edges of a rectangle are called bottom and top: use a Box.)
+    height : float
+        m, > 0.
+    base : float
+        z of the bottom, m.
     """
 
     polygon: Profile
@@ -167,8 +189,15 @@ class Extrusion(SolidDomain):
 class Moved(SolidDomain):
     """A solid that is first rotated about an axis through the origin, then moved; boundaries keep their names.
 
-    The rotation is right-handed about ``axis`` (of any length, stored as a unit vector), ``angle`` in degrees; the
-    ``offset`` is in m.
+    Parameters
+    ----------
+    solid : Box, Cylinder, Cut, ...
+    offset : triple of float
+        m.
+    angle : float
+        Degrees, right-handed about ``axis``.
+    axis : triple of float
+        Direction, of any length; stored as a unit vector.
     """
 
     solid: SolidDomain | Box

@@ -18,10 +18,17 @@ __all__ = ["ContactPair", "GapFunction", "Plane"]
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A rigid plane through ``point``, m; its ``normal``, of any length, points towards the body.
+    """A rigid plane.
 
     The contact normal of every node is minus the normal of the plane, so the linearised condition is exact however
     curved the body is: (x + u - point) . normal >= 0.
+
+    Parameters
+    ----------
+    point : sequence of float
+        A point of the plane, m.
+    normal : sequence of float
+        Its normal, pointing towards the body; any length > 0.
     """
 
     point: np.ndarray
@@ -40,9 +47,19 @@ class Plane:
         return self.point.size
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return directions (n, dim) out of the body and gaps (n,), m, along them at points (n, dim) of the boundary.
+        """Contact normals and gaps at boundary points.
 
-        ``normals`` (n, dim) are the outward unit normals of the body; a gap is negative behind the plane.
+        Parameters
+        ----------
+        points, normals : (n, dim) arrays
+            Nodes of the contact boundary (m) and outward unit normals of the body there.
+
+        Returns
+        -------
+        normals : (n, dim) array
+            The direction in which the gap is measured, out of the body.
+        gaps : (n,) array
+            m; negative where the node lies behind the plane.
         """
         facing = normals @ self.normal
         if (facing > 0).any():
@@ -55,9 +72,12 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class GapFunction:
-    """An obstacle, described by the gap in front of the contact boundary.
+    """Any obstacle given by the gap in front of the contact boundary.
 
-    The function maps points (n, dim) in m to gaps (n,) in m, measured along the outward normal of the body.
+    Parameters
+    ----------
+    function : callable
+        Points (n, dim) in m -> gaps (n,) in m, measured along the outward normal of the body.
     """
 
     function: Callable[[np.ndarray], np.ndarray]

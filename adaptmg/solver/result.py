@@ -135,10 +135,18 @@ class Result:
                 f"{self.timings.get('certificate', 0.0):.2g} s")
 
     def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
-        """Return by how much each condition of contact is violated, by code that shares nothing with the solvers.
+        """By how much each condition of the contact problem is violated, by code that shares nothing with the solvers.
 
-        Default: the certificate of the solve. With ``problem`` it is computed again; ``bound``, which needs
-        ``problem``, takes the energy error from a sparse factorisation.
+        Parameters
+        ----------
+        problem : DiscreteProblem, optional
+            Check against it again. Default: what was found when the problem was solved.
+        bound : bool
+            The energy error by a sparse factorisation; needs ``problem``.
+
+        Returns
+        -------
+        Certificate
         """
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
@@ -149,7 +157,23 @@ class Result:
         return self.checked
 
     def probe(self, points: np.ndarray) -> np.ndarray:
-        """Return the displacement (n, dim) at points (n, dim), m; ValueError outside the mesh, or without one."""
+        """Displacement at points.
+
+        Parameters
+        ----------
+        points : (n, dim) array-like
+            m.
+
+        Returns
+        -------
+        (n, dim) array
+            m.
+
+        Raises
+        ------
+        ValueError
+            Without a mesh, or where a point lies outside it.
+        """
         from adaptmg.transfer import PointLocator
 
         if self.mesh is None:
@@ -185,13 +209,22 @@ class Result:
         return self.stress_data.tensors(self.mesh, self.displacement)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
-        """Return the force (N) and moment (N m; 2D: per metre) exerted on the body through a boundary.
+        """Force and moment exerted on the body through a boundary.
 
-        ``boundary``: 'contact' for all contact boundaries (of pairs the slaves), one of them or a master (its contact
-        forces), or any other (reactions of its supports); ``about`` (dim,): the point of the moment, m, default the
-        origin. Forces on slave and master of a pair balance to rounding, their moments up to the lever between the two
-        discrete surfaces (1e-8 to 1e-4 of force times size on curved ones): the mortar transmits each force across the
-        gap without regard to its arm.
+        Parameters
+        ----------
+        boundary : str
+            'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its contact
+            forces), or any other boundary (reactions of its supports).
+        about : (dim,) array-like, optional
+            Point of the moment, m; default the origin.
+
+        Returns
+        -------
+        Resultant
+            N and N m (2D: per metre). Forces on slave and master of a pair balance to rounding; their moments do on
+            surfaces that lie on each other, and else up to the lever between the two discrete surfaces: 1e-8 to 1e-4 of
+            force times size on curved ones. The mortar transmits each force across the gap without regard to its arm.
         """
         nodes, forces = self._forces_on(boundary)
         if self.mesh is None:

@@ -118,7 +118,12 @@ class Study:
         return [{**self.fixed, **point} for point in self.design.points()]
 
     def add(self, design: Given) -> Study:
-        """Add points with the same parameters, which the store remembers; points that exist are left out.
+        """Add points, which the store remembers: they are there when the study is opened without parameters.
+
+        Parameters
+        ----------
+        design : mapping, list of points, or design
+            With the same parameters. Points that are there already are left out.
 
         Returns
         -------
