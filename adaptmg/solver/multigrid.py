@@ -35,7 +35,7 @@ class Method(Protocol):
 
 @runtime_checkable
 class CustomCycles(Protocol):
-    """A user-defined correction with cycles of its own."""
+    """A user-defined correction that brings its cycles."""
 
     def method(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> Method:
         """What runs a :class:`Multigrid` with this correction."""
@@ -49,8 +49,8 @@ class Multigrid:
     ----------
     correction : Truncated, Monotone, PaperCorrection or user-defined
         Anything with ``transport`` and ``needs_initial`` (:class:`~adaptmg.multigrid.corrections.Correction`), or with
-        cycles of its own, ``method(options, hierarchy, run)`` (:class:`CustomCycles`). Default: Truncated(), which has
-        its own cycle, smoother, coarse solve and test, and refuses others.
+        ``method(options, hierarchy, run)``, which brings its cycles (:class:`CustomCycles`). Default: Truncated(),
+        which defines cycle, smoother, coarse solve and stopping test itself: other ones are refused.
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
         iteration first, and starts from zero all the same; the work is counted.
     cycle : Cycle
@@ -90,7 +90,7 @@ class Multigrid:
         self._check_rtol()
         checks.integer("max_cycles", self.max_cycles, 1)
         if isinstance(self.correction, Truncated):
-            self._refuse_what_truncated_has()
+            self._refuse_options_of_projected()
 
     def _check_correction(self) -> None:
         if isinstance(self.correction, type):
@@ -110,7 +110,7 @@ class Multigrid:
             raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
                              "shows the discretisation error")
 
-    def _refuse_what_truncated_has(self) -> None:
+    def _refuse_options_of_projected(self) -> None:
         defaults = {"cycle": Cycle(), "smoother": ProjectedGaussSeidel(), "coarse": CoarseSolve(),
                     "coarse_matrices": "galerkin", "stop": "error"}
         for name, default in defaults.items():
