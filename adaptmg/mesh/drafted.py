@@ -38,7 +38,7 @@ _LARGE, _LONG, _FAR = {2: 1.25, 3: 1.3}, {2: 1.4, 3: 1.4}, 1.3
 # share of the elements (of the facets) that may stay too large, though by less than this
 _LEFT, _NEVER = 0.01, 2**0.5
 # share of the elements that is improved after a pass if so many were too large; rounds in the end
-_MANY, _ROUNDS = {2: 0.3, 3: 0.0}, {2: 3, 3: 3}
+_MANY, _ROUNDS = {2: 0.3, 3: 0.1}, 3
 # area or volume that a refined element must have, over its longest edge to the power of the dimension
 _FLAT = 1e-3
 
@@ -71,7 +71,7 @@ def drafted(domain: Domain, draft: MeshArrays, field: SizeField) -> MeshArrays:
             mesh = improved(mesh, 1)
     else:
         raise unreachable(domain, large)
-    return finished(domain, improved(mesh, _ROUNDS[dim]))
+    return finished(domain, improved(mesh, _ROUNDS))
 
 
 def onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
