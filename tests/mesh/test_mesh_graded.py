@@ -57,7 +57,7 @@ def test_a_small_draft_is_refined_to_the_sizes(domain, contact, size, ratio, mon
     at = fine.points[fine.elements]
     wanted = np.minimum(size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], at.mean(axis=1)))
     relative = equilateral_sizes(at) / wanted
-    assert relative.max() < 1.6 and np.quantile(relative, 0.99) < 1.35 and np.median(relative) > 0.75
+    assert relative.max() < 1.6 and np.quantile(relative, 0.99) < (1.35 if fine.dim == 2 else 1.5) and np.median(relative) > 0.75
     assert quality(fine).min_angle > (25 if fine.dim == 2 else 9)
     if domain is RING:
         for name, radius in (("outer", 2), ("inner", 1)):
