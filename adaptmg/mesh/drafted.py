@@ -1,13 +1,13 @@
 r"""drafted: meshes by a size field, made of a coarse draft of Netgen that is refined and improved in arrays.
 
-Netgen's draft has edges of :math:`k = 2, 4, 8` or 16 times the field f, which may then grow k times as fast; it is the
+Netgen's draft has edges of :math:`k = 4` or 8 (3D: 2) times the field f, which may then grow k times as fast; it is the
 only part that is not nested in other meshes, and takes :math:`k^{-d}` of the time that Netgen would take for the whole.
 With the size e of an element (the edge of the equilateral one of the same measure) and the mean w of f at its corners,
-it is refined until almost no element has :math:`e > 1.25 w` (tetrahedra :math:`\sqrt 2`), no boundary facet is longer than 1.4 f
-(also where no element is too large: one facet of twice the length next to a re-entrant corner doubles the rate of
-multigrid), and no element at all is larger than :math:`\sqrt 2 f`: all elements are cut where half of them are far too
-large, else those that are too large are bisected once. In the end, and after passes that change much, swaps and moves
-make better shapes. Nodes on arcs are put onto them after each pass.
+it is refined until almost no element has :math:`e > 1.25 w` (tetrahedra :math:`\sqrt 2 w`), no boundary facet is longer
+than 1.4 f (also where no element is too large: one facet of twice the length next to a re-entrant corner doubles the
+rate of multigrid), and no element at all is larger than :math:`\sqrt 2 w`. All elements are cut where half of them are
+far too large, else those that are too large are bisected once. In the end, and after passes that change much, swaps and
+moves make better shapes. Nodes on arcs are put onto them after each pass.
 
 None of these steps can make a hole or a fold out of a sound mesh as long as all measures stay positive: the draft alone
 is checked.

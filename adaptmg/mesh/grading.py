@@ -57,7 +57,7 @@ _NETGEN_RATIO = 16.0
 _FURTHER, _FACTOR = 8.0, 0.85
 #: how many times larger than wanted the elements of a draft may be by dimension, elements that it has at least, and
 #: their least mean shape (long ones across thin parts keep theirs when they are refined)
-_FACTORS, _LEAST, _SHAPES = {2: (16, 4, 1), 3: (2, 1)}, {2: 100, 3: 30}, {2: 0.75, 3: 0.55}
+_FACTORS, _LEAST, _SHAPES = {2: (8, 4, 1), 3: (2, 1)}, {2: 300, 3: 30}, {2: 0.75, 3: 0.55}
 MESHERS = ("bisection", "netgen")
 
 
@@ -83,7 +83,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         How often Netgen meshes again by the size field (for ratios above 1; not of solids).
     mesher : {"bisection", "netgen"}
         What makes small elements: bisection of a coarse mesh by Netgen and improvement of shapes, which take a
-        twentieth of the time (:mod:`adaptmg.mesh.drafted`), or Netgen alone.
+        tenth of the time (boxes: half), or Netgen alone. Solids other than boxes are left to Netgen.
 
     Returns
     -------

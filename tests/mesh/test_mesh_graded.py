@@ -44,8 +44,8 @@ RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("foot", "o
                arcs={1: (0, 0), 3: (0, 0)})
 
 
-@pytest.mark.parametrize(("domain", "contact", "size", "ratio"), [(SQUARE, "bottom", 1e-3, 2), (ANGLE, "c", 0.05, 4),
-                                                                  (RING, "inner", 0.03, 4), (BOX, "bottom", 3e-3, 2)],
+@pytest.mark.parametrize(("domain", "contact", "size", "ratio"), [(SQUARE, "bottom", 5e-4, 2), (ANGLE, "c", 0.025, 4),
+                                                                  (RING, "inner", 0.015, 4), (BOX, "bottom", 3e-3, 2)],
                          ids=["square", "angle", "ring", "box"])
 def test_a_small_draft_is_refined_to_the_sizes(domain, contact, size, ratio, monkeypatch):
     drafts, original = [], grading.netgen_mesh
@@ -57,7 +57,8 @@ def test_a_small_draft_is_refined_to_the_sizes(domain, contact, size, ratio, mon
     at = fine.points[fine.elements]
     wanted = np.minimum(size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], at.mean(axis=1)))
     relative = equilateral_sizes(at) / wanted
-    assert relative.max() < 1.6 and np.quantile(relative, 0.99) < (1.35 if fine.dim == 2 else 1.5) and np.median(relative) > 0.75
+    assert relative.max() < 1.6 and np.median(relative) > 0.75
+    assert np.quantile(relative, 0.99) < (1.35 if fine.dim == 2 else 1.5)
     assert quality(fine).min_angle > (25 if fine.dim == 2 else 9)
     if domain is RING:
         for name, radius in (("outer", 2), ("inner", 1)):
