@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
@@ -29,7 +28,8 @@ from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import TruncatedStep
-from adaptmg.solver.active_set import ActiveSet
+from adaptmg.smoother.system import local_system
+from adaptmg.solver.active_set import ActiveSet, coarsest_solution
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.iterate import iterate
 from adaptmg.solver.projected import ProjectedMultigrid, ProjectedRun, need_levels
@@ -111,9 +111,6 @@ class TruncatedRun:
 
     #: cycles on a level of a complete nested start at most
     COMPLETE_LIMIT = 60
-    #: of the diagonal, added to a coarsest matrix that is singular
-    SHIFT = 1e-9
-
     def __init__(self, options: TruncatedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
         need_levels(hierarchy)
         if options.start is not None:
@@ -191,21 +188,15 @@ class TruncatedRun:
         problem, level = self.problems[0], self.cycle.levels[0]
         with self.run.phase("start"):
             # rows are empty where dofs are fixed, and where the next mesh is locally the coarser one
-            diagonal = problem.matrix.diagonal()
-            regular, load = regular_matrix(level, diagonal), problem.load_from_prescribed()
-            for shift in (0.0, self.SHIFT):
-                matrix = regular + sparse.diags_array(shift * diagonal) if shift else regular
-                matrix = sparse.bsr_array(matrix, blocksize=(problem.dim,) * 2)
-                grids = Hierarchy.single(replace(problem, matrix=matrix, load=load))
-                try:
-                    found = ActiveSet(rtol=start.rtol).run(grids, Run(unit=self.run.unit), None)
-                except (np.linalg.LinAlgError, ValueError) as error:
-                    _LOG.info("coarsest level, shift %g: the active set method gives up: %s", shift, error)
-                    continue
-                self.run.count(found.cycles, level.nonzeros)
-                self.run.visit(0, "solve", found.cycles)
-                return problem.from_prescribed(found.displacement)
-            return np.zeros(problem.n_dofs)
+            local = local_system(problem, regular_matrix(level, problem.matrix.diagonal()))
+            try:
+                unknowns, steps = coarsest_solution(local, start.rtol, self.run.unit)
+            except (np.linalg.LinAlgError, ValueError) as error:
+                _LOG.info("coarsest level: the active set method gives up: %s", error)
+                return np.zeros(problem.n_dofs)
+            self.run.count(steps, level.nonzeros)
+            self.run.visit(0, "solve", steps)
+            return problem.from_prescribed(local.to_cartesian(unknowns))
 
     def _start_cycles(self, number: int, unknowns: np.ndarray, start: NestedStart) -> np.ndarray:
         step, problem = self._step(number, unknowns), self.problems[number]
