@@ -261,6 +261,16 @@ class TestHierarchies:
         again = am.solve(algebraic, am.Multigrid(), reference=result)
         assert again.history["true_error"][-1] <= 3e-8
 
+    def test_forces_balance_where_supports_drag_a_body_over_the_other(self):
+        """At the corner both are held, and friction there passes from one support to the other."""
+        problem = bar_on_block(am.Coulomb(0.5))
+        moved = replace(problem, supports=(am.Support("upper.right", x=2e-4), *problem.supports[1:]))
+        result = am.solve(am.Hierarchy.uniform(moved, [{"upper": 4, "lower": (5, 4)}]), EXACT)
+        corner = np.argmax(result.contact.x[:, 0])
+        upper, lower = (result.resultant(name).force for name in ("upper.bottom", "lower.top"))
+        assert np.abs(result.contact.force_t[corner]) > 1e-3 * np.abs(upper[0])
+        np.testing.assert_allclose(upper, -lower, rtol=1e-10)
+
     def test_saved_and_loaded(self, tmp_path):
         grids = am.Hierarchy.graded(corner_pushed(am.Coulomb(0.3)), sizes=(0.5, 0.3))
         result = am.solve(grids)

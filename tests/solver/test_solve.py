@@ -51,6 +51,7 @@ def test_the_estimate_is_of_the_error_not_of_the_change(bar):
     grids, reference = bar
     result = am.solve(grids, am.SingleGrid(rtol=1e-5), reference=reference)
     assert result.history["true_error"][-1] < 2e-5
+    assert result.path == [(len(grids) - 1, "smooth", result.cycles)]
     paper = am.solve(grids, am.SingleGrid(rtol=1e-5, stop="change"), reference=reference, throw=False)
     assert paper.history["true_error"][-1] > 1e-4
     assert paper.status is am.Status.STALLED

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import LOWER_ON_UPPER, UPPER_ON_LOWER, bar_on_block, corner_pushed, turned
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from saddle import Parts
 from scipy import sparse
@@ -81,6 +81,7 @@ def test_every_transfer_on_every_pair(transfer, pair):
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), transfer=st.sampled_from(AFFINE),
        apart=st.sampled_from([None, 1e-17, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4]), moved=st.booleans())
+@example(seed=0, dim=2, transfer=L2(), apart=1e-6, moved=True)
 def test_sums_and_affine_fields_on_any_two_meshes(seed, dim, transfer, apart, moved):
     """Also where fine nodes equal coarse ones up to rounding: their rows have one entry, and no extent."""
     rng = np.random.default_rng(seed)
