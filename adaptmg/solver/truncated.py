@@ -27,7 +27,7 @@ from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.multigrid.truncated_step import TruncatedStep
+from adaptmg.multigrid.truncated_step import Ring, TruncatedStep
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.active_set import ActiveSet, coarsest_solution
 from adaptmg.solver.examine import Sizes
@@ -48,7 +48,7 @@ class Truncated:
     Parameters
     ----------
     recombine : int
-        Past iterates recombined with the present one, 0 to 2.
+        Past iterates recombined with the present one, 0 to 4.
     coarse_sweeps : int, optional
         Smoothing before and after the coarse correction on the coarser levels, 1 or 2; there is one symmetric sweep on
         the finest. Default: 1 on levels whose matrix has more than 1.25 times the entries a row of the finest one
@@ -69,15 +69,15 @@ class Truncated:
     #: how much denser than the finest matrix a coarse one is that is smoothed once only
     DENSE: ClassVar[float] = 1.25
 
-    recombine: int = 2
+    recombine: int = 4
     coarse_sweeps: int | None = None
     interface_sweeps: int = 2
     coarse_solve: LinearSolve | None = None
     coarse_smoother: LinearSmoother | None = None
 
     def __post_init__(self) -> None:
-        if checks.integer("recombine", self.recombine) > 2:
-            raise ValueError(f"recombine must be 0, 1 or 2, got {self.recombine!r}")
+        if checks.integer("recombine", self.recombine) > Ring.MOST:
+            raise ValueError(f"recombine must be 0 to {Ring.MOST}, got {self.recombine!r}")
         if self.coarse_sweeps is not None and checks.integer("coarse_sweeps", self.coarse_sweeps, 1) > 2:
             raise ValueError(f"coarse_sweeps must be 1 or 2, got {self.coarse_sweeps!r}")
         checks.integer("interface_sweeps", self.interface_sweeps)
