@@ -163,7 +163,7 @@ def test_local_prolongation_is_the_cartesian_one_in_other_components():
     (am.CoarseSolve, {"test": "luck"}, "test"),
     *((am.PaperCorrection, {name: "guess"}, name) for name in ("gap", "slip", "limit")),
     *((am.Truncated, {name: value}, name) for name, value in (
-        ("recombine", 3), ("coarse_sweeps", 3), ("coarse_sweeps", 0)))])
+        ("recombine", 5), ("coarse_sweeps", 3), ("coarse_sweeps", 0)))])
 def test_options_check_themselves(kind, options, message):
     with pytest.raises(ValueError, match=message):
         kind(**options)

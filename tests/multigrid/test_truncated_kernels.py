@@ -20,6 +20,7 @@ from adaptmg.multigrid.half_sweeps import add_prolonged, combine, restrict
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact, count_cut
+from adaptmg.multigrid.truncated_step import Recombination, Ring
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
@@ -243,10 +244,15 @@ def test_transfers(dim):
     r, coarse = rng.normal(size=12 * dim), np.empty(5 * dim)
     assert restrict(ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
     np.testing.assert_allclose(coarse, Q.T @ r)
-    u, first, second = rng.normal(size=(3, 12 * dim))
-    expected = u + 0.3 * (first - u) - 0.2 * (second - u) + Q @ coarse
-    combine(ZERO[dim], P.indptr, P.indices, P.data, coarse, u, first, second, 0.3, -0.2)
-    np.testing.assert_allclose(second, expected)
+    ring, alpha = Ring(12 * dim, 4), rng.normal(size=4)
+    ring.vectors[:] = rng.normal(size=(5, 12 * dim))
+    for _ in range(7):
+        u, places = ring.now.copy(), ring.places(3)
+        expected = u + Q @ coarse + sum(a * (v - u) for a, v in zip(alpha[:3], ring.past, strict=False))
+        combine(ZERO[dim], P.indptr, P.indices, P.data, coarse, ring.flat, places, alpha, ring.following)
+        ring.advance()
+        np.testing.assert_allclose(ring.now, expected)
+        np.testing.assert_array_equal(ring.past[0], u)
     expected = u + Q @ coarse
     add_prolonged(ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
     np.testing.assert_allclose(u, expected)
@@ -284,8 +290,25 @@ def test_nodes_that_a_recombination_would_cut(alpha, cut):
     u = np.array([-2.0, 0.0, 0.0, 0.5, 0.0, -0.1])
     first = u + np.array([2.0 / 0.9, 0.0, 0.0, -1.0, 5.0, -1.0])
     codes = np.array([0, CLOSED + SLIPS, CLOSED + BACKWARDS], dtype=np.int8)
-    found = count_cut(2, codes, nodes, frames, np.zeros(n), np.zeros(n), u.copy(), first, u, alpha, 0.0, u)
-    assert found == cut
+    places, weights = np.array([0, 6, 6, 0, 0]), np.array([3 * alpha, -2 * alpha, 1.0, 1.0])
+    ring = np.concatenate([u, first])
+    assert count_cut(2, codes, nodes, frames, np.zeros(n), np.zeros(n), u.copy(), ring, places, weights) == cut
+
+
+def test_weights_of_past_iterates_are_those_of_least_squares():
+    rng = np.random.default_rng(0)
+    recombination, inverse = Recombination(2, 40, 4), np.tile(np.diag([0.5, 2.0]).reshape(-1), 20)
+    recombination.residuals.vectors[:] = rng.normal(size=(5, 40))
+    for done in range(8):
+        now, past = recombination.residuals.now, recombination.residuals.past[:min(done, 4)]
+        weight = np.sqrt(np.tile([0.5, 2.0], 20))
+        columns = np.column_stack([weight * (r - now) for r in past] or [np.zeros(40)])
+        expected = np.linalg.lstsq(columns, -weight * now)[0]
+        np.testing.assert_allclose(recombination.fit(inverse)[:columns.shape[1]], expected, rtol=1e-9)
+        recombination.advance()
+    # one that depends on others has no weight
+    recombination.residuals.past[2][:] = recombination.residuals.past[0]
+    assert recombination.fit(inverse)[2] == 0 and recombination.fit(inverse).any()
 
 
 def test_one_node_is_cut_and_many_are_not():
@@ -298,7 +321,8 @@ def test_one_node_is_cut_and_many_are_not():
     for moved, admitted in ((0, True), (1, True), (2, False), (9, False)):
         other = u.copy()
         other[2 * problem.contact.nodes[:moved] + 1] = -2.0
-        assert contact.admits(u, other, u, (1.0, 0.0)) is admitted
+        places = len(u) * np.array([0, 1, 0, 0, 0])
+        assert contact.admits(np.concatenate([u, other]), places, np.array([1.0, 0, 0, 0])) is admitted
 
 
 @pytest.mark.slow
