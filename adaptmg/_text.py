@@ -4,8 +4,16 @@ from __future__ import annotations
 
 import html
 import re
+from dataclasses import MISSING, fields
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["in_html", "printable"]
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["MOST", "brief", "html_table", "in_html", "in_html_lines", "printable", "shortened"]
+
+#: characters of a repr
+MOST = 400
 
 #: what XML 1.0 or HTML do not allow in a text, or UTF-8 cannot encode
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff"
@@ -24,3 +32,63 @@ def printable(text: str) -> str:
 def in_html(text: str) -> str:
     """A text as HTML takes it: markup escaped, what it does not allow as codes."""
     return html.escape(printable(text))
+
+
+def in_html_lines(text: str) -> str:
+    """A text in HTML, with its lines and columns."""
+    return f"<pre>{in_html(text)}</pre>\n"
+
+
+def html_table(table: pandas.DataFrame) -> str:
+    """A table in HTML for notebooks; the middle rows of a long one are left out."""
+    return table.to_html(index=False, max_rows=20, border=0, float_format="{:.4g}".format)
+
+
+def shortened(text: str) -> str:
+    """A text of at most 400 characters: lines in the middle are left out, then the ends of lines."""
+    lines = text.split("\n")
+    if len(lines) > 3 and len(text) > MOST:
+        head, tail = lines[:2], lines[-1:]
+        room = MOST - 30 - sum(len(line) + 1 for line in (*head, *tail))
+        for line in lines[2:-1]:
+            room -= len(line) + 1
+            if room < 0:
+                break
+            head.append(line)
+        text = "\n".join([*head, f"... ({len(lines) - len(head) - 1} more lines)", *tail])
+    return text if len(text) <= MOST else f"{text[:MOST - 3]}..."
+
+
+def brief(self: Any) -> str:
+    """The ``__repr__`` of a dataclass: as Python writes it where it is short, arrays by their shapes.
+
+    Values on demand are not asked for. Where it is long, defaults, then what long values hold, are left out.
+    """
+    held = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
+
+    def text(shown: list[tuple[Any, object]], most: int) -> str:
+        return f"{type(self).__name__}({', '.join(f'{item.name}={_value(value, most)}' for item, value in shown)})"
+
+    changed = [(item, value) for item, value in held if not _same(item, value)]
+    for shown, most in ((held, MOST), (changed, MOST), (changed, 100), (changed, 0)):
+        if len(result := text(shown, most)) <= MOST:
+            return result
+    return f"{result[:MOST - 4]}...)"
+
+
+def _same(item: Any, value: object) -> bool:
+    """Whether a field holds its default."""
+    default = item.default_factory() if item.default_factory is not MISSING else item.default
+    return default is not MISSING and (value is default or repr(value) == repr(default))
+
+
+def _value(value: object, most: int) -> str:
+    """A value in a repr: at most ``most`` characters, or its kind and size."""
+    if (shape := getattr(value, "shape", ())) and not isinstance(shape, str):
+        return f"<{' x '.join(map(str, shape))} {type(value).__name__}>"
+    if isinstance(value, tuple | list | dict) and (len(value) > 50 or len(repr(value)) > max(most, 30)):
+        return f"<{type(value).__name__} of {len(value)}>"
+    result = repr(value)
+    if len(result) <= max(most, 30) and "array(" not in result:
+        return result
+    return f"{type(value).__name__}(...)"

@@ -23,10 +23,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import InitialStrain, Load
 from adaptmg.problem.materials import PlaneStress
 
-__all__ = ["StressData", "element_strain", "full_stress", "hoop_strain", "von_mises"]
-
-#: of tensors as six columns: xx, yy, zz, xy, yz, xz
-ROWS, COLUMNS = [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]
+__all__ = ["StressData", "as_columns", "as_tensors", "element_strain", "full_stress", "hoop_strain", "von_mises"]
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -140,6 +137,16 @@ def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray,
     stress, other loads do not matter.
     """
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
+
+
+def as_columns(tensors: np.ndarray) -> np.ndarray:
+    """Symmetric tensors (n, 3, 3) as columns (n, 6): xx, yy, zz, xy, yz, xz."""
+    return tensors[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+
+
+def as_tensors(columns: np.ndarray) -> np.ndarray:
+    """What :func:`as_columns` takes, from what it returns."""
+    return columns[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:

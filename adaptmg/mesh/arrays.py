@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._text import brief, shortened
 
 if TYPE_CHECKING:
     import ngsolve
@@ -57,6 +58,8 @@ class Refinement:
     generation: np.ndarray  # (n_elements,) int16: how many bisections lead to the element
     forebear: np.ndarray  # (n_elements,) int32: row of the tree that each element comes from, -1: none
     tree: np.ndarray  # (n_bisected, dim + 4) int32: corners, marks, forebear and new node of each bisected element
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for one in fields(self):
@@ -120,6 +123,16 @@ class MeshArrays:
         object.__setattr__(self, "element_body", _frozen("element_body", body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
+
+    def __repr__(self) -> str:
+        kind = "triangles" if self.dim == 2 else "tetrahedra"
+        return shortened(f"MeshArrays: {self.n_nodes} nodes, {len(self.elements)} {kind}; bodies "
+                         f"{', '.join(self.bodies)}; boundaries {', '.join(self.boundaries)}")
+
+    def _repr_svg_(self) -> str | None:
+        from adaptmg.mesh.picture import svg
+
+        return svg(self)
 
     def __reduce__(self) -> tuple:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
