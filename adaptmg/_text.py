@@ -82,13 +82,21 @@ def _same(item: Any, value: object) -> bool:
     return default is not MISSING and (value is default or repr(value) == repr(default))
 
 
-def _value(value: object, most: int) -> str:
-    """A value in a repr: at most ``most`` characters, or its kind and size."""
-    if (shape := getattr(value, "shape", ())) and not isinstance(shape, str):
-        return f"<{' x '.join(map(str, shape))} {type(value).__name__}>"
-    if isinstance(value, tuple | list | dict) and (len(value) > 50 or len(repr(value)) > max(most, 30)):
-        return f"<{type(value).__name__} of {len(value)}>"
-    result = repr(value)
-    if len(result) <= max(most, 30) and "array(" not in result:
+def _value(value: Any, most: int) -> str:
+    """A value in a repr: at most ``most`` characters (and 30), or its kind and size."""
+    shape = getattr(value, "shape", ())
+    if isinstance(shape, tuple) and shape:
+        if len(shape) != 1 or shape[0] > 12:
+            return f"<array {' x '.join(map(str, shape))}>"
+        result = repr(value.tolist())
+    elif isinstance(value, dict) and len(value) <= 50:
+        result = f"{{{', '.join(f'{key!r}: {_value(part, most)}' for key, part in value.items())}}}"
+    elif type(value) in (tuple, list) and len(value) <= 50:
+        inside = ", ".join(_value(part, most) for part in value) + "," * (type(value) is tuple and len(value) == 1)
+        result = f"({inside})" if isinstance(value, tuple) else f"[{inside}]"
+    else:
+        result = repr(value) if not isinstance(value, dict | tuple | list) else " " * MOST
+    if len(result) <= max(most, 30):
         return result
-    return f"{type(value).__name__}(...)"
+    name = type(value).__name__
+    return f"<{name} of {len(value)}>" if isinstance(value, dict | tuple | list | str) else f"{name}(...)"

@@ -154,8 +154,8 @@ class DiscreteProblem(Unknowns):
                     near_nullspace=near_nullspace)
 
     def __repr__(self) -> str:
-        return shortened(f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} fixed "
-                         f"of {self.n_dofs} dofs, {len(self.contact)} contact nodes, {self.law!r}")
+        return shortened(f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} of "
+                         f"{self.n_dofs} dofs fixed, {len(self.contact)} contact nodes, {self.law!r}")
 
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.

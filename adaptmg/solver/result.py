@@ -519,6 +519,9 @@ class NotConverged(RuntimeError):
                          f"{contradicted} The last iterate is in the exception's .result; throw=False returns "
                          "it instead.")
 
+    def __repr__(self) -> str:
+        return shortened(super().__repr__())
+
     def __reduce__(self) -> tuple[object, ...]:
         # exceptions are rebuilt from .args, which is the text here: a process that is handed one back must not fail
         return type(self), (self.result,)
