@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import re
 from dataclasses import MISSING, fields
+from inspect import isfunction
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -94,8 +95,10 @@ def _value(value: Any, most: int) -> str:
     elif type(value) in (tuple, list) and len(value) <= 50:
         inside = ", ".join(_value(part, most) for part in value) + "," * (type(value) is tuple and len(value) == 1)
         result = f"({inside})" if isinstance(value, tuple) else f"[{inside}]"
+    elif isinstance(value, dict | tuple | list):
+        result = repr(value) if len(value) <= 50 else " " * MOST
     else:
-        result = repr(value) if not isinstance(value, dict | tuple | list) else " " * MOST
+        result = f"<{value.__qualname__}>" if isfunction(value) else repr(value)
     if len(result) <= max(most, 30):
         return result
     name = type(value).__name__

@@ -108,8 +108,9 @@ class Step:
     def __repr__(self) -> str:
         doubtful = " (?)" if self.settled is False else ""
         text = (f"step {self.number:>2}: {self.nodes:>7} nodes, {len(self.hierarchy):>2} levels, estimate "
-                f"{self.estimate.relative:>7.3%}{doubtful}, {self.result.cycles:>3} cycles, {self.work_units:>6.1f} work "
-                f"units ({self.total_work_units:.1f} in all), {self.seconds:.3g} s ({self.total_seconds:.3g} s in all)")
+                f"{self.estimate.relative:>7.3%}{doubtful}, {self.result.cycles:>3} cycles, {self.work_units:>6.1f} "
+                f"work units ({self.total_work_units:.1f} in all), {self.seconds:.3g} s ({self.total_seconds:.3g} s "
+                "in all)")
         return shortened(f"{text}; {self.outcome}" if self.outcome else text)
 
     def _repr_html_(self) -> str:
