@@ -275,7 +275,10 @@ class Result:
 
     @property
     def max_pressure(self) -> float:
-        """Largest contact pressure of a node, Pa; 0 without contact nodes."""
+        """Largest contact pressure of a node (force over boundary mass), Pa; 0 without contact nodes.
+
+        A node where a contact boundary ends, at a plane or an axis of symmetry too, is the least accurate.
+        """
         return float(self.contact.pressure.max(initial=0.0))
 
     @property
