@@ -46,60 +46,41 @@ def html_table(table: pandas.DataFrame) -> str:
 
 
 def shortened(text: str) -> str:
-    """A text of at most 400 characters: lines in the middle are left out, then the ends of lines."""
+    """A text of at most 400 characters: lines in the middle are left out, then the end."""
     lines = text.split("\n")
-    if len(lines) > 3 and len(text) > MOST:
-        head, tail = lines[:2], lines[-1:]
-        room = MOST - 30 - sum(len(line) + 1 for line in (*head, *tail))
-        for line in lines[2:-1]:
-            room -= len(line) + 1
-            if room < 0:
-                break
-            head.append(line)
-        text = "\n".join([*head, f"... ({len(lines) - len(head) - 1} more lines)", *tail])
+    for kept in range(len(lines) - 2, 0, -1) if len(text) > MOST else ():
+        text = "\n".join([*lines[:kept], f"... ({len(lines) - kept - 1} more lines)", lines[-1]])
+        if len(text) <= MOST:
+            break
     return text if len(text) <= MOST else f"{text[:MOST - 3]}..."
 
 
 def brief(self: Any) -> str:
-    """The ``__repr__`` of a dataclass: as Python writes it where it is short, arrays by their shapes.
+    """The ``__repr__`` of a dataclass: as Python writes it where it is short; values on demand are not made.
 
-    Values on demand are not asked for. Where it is long, defaults, then what long values hold, are left out.
+    Arrays are shown by their shapes. Where it is long, defaults, then what long values hold, are left out.
     """
     held = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
-
-    def text(shown: list[tuple[Any, object]], most: int) -> str:
-        return f"{type(self).__name__}({', '.join(f'{item.name}={_value(value, most)}' for item, value in shown)})"
-
-    changed = [(item, value) for item, value in held if not _same(item, value)]
-    for shown, most in ((held, MOST), (changed, MOST), (changed, 100), (changed, 0)):
-        if len(result := text(shown, most)) <= MOST:
-            return result
-    return f"{result[:MOST - 4]}...)"
-
-
-def _same(item: Any, value: object) -> bool:
-    """Whether a field holds its default."""
-    default = item.default_factory() if item.default_factory is not MISSING else item.default
-    return default is not MISSING and (value is default or repr(value) == repr(default))
+    defaults = [one.default_factory() if one.default_factory is not MISSING else one.default for one, _ in held]
+    changed = [pair for pair, default in zip(held, defaults, strict=True) if repr(pair[1]) != repr(default)]
+    for shown, most in ((held, MOST), (changed, MOST), (changed, 100), (changed, 30)):
+        inside = ", ".join(f"{item.name}={_value(value, most)}" for item, value in shown)
+        if len(inside) < MOST - 40:
+            break
+    return shortened(f"{type(self).__name__}({inside})")
 
 
 def _value(value: Any, most: int) -> str:
-    """A value in a repr: at most ``most`` characters (and 30), or its kind and size."""
-    shape = getattr(value, "shape", ())
+    """A value in a repr: in at most ``most`` characters, or by its kind and size."""
+    name, shape = type(value).__name__, getattr(value, "shape", ())
     if isinstance(shape, tuple) and shape:
-        if len(shape) != 1 or shape[0] > 12:
+        if len(shape) > 1 or shape[0] > 12:
             return f"<array {' x '.join(map(str, shape))}>"
-        result = repr(value.tolist())
-    elif isinstance(value, dict) and len(value) <= 50:
+        value = value.tolist()
+    if isinstance(value, dict | tuple | list) and len(value) > 50:
+        return f"<{name} of {len(value)}>"
+    if isinstance(value, dict):
         result = f"{{{', '.join(f'{key!r}: {_value(part, most)}' for key, part in value.items())}}}"
-    elif type(value) in (tuple, list) and len(value) <= 50:
-        inside = ", ".join(_value(part, most) for part in value) + "," * (type(value) is tuple and len(value) == 1)
-        result = f"({inside})" if isinstance(value, tuple) else f"[{inside}]"
-    elif isinstance(value, dict | tuple | list):
-        result = repr(value) if len(value) <= 50 else " " * MOST
     else:
         result = f"<{value.__qualname__}>" if isfunction(value) else repr(value)
-    if len(result) <= max(most, 30):
-        return result
-    name = type(value).__name__
-    return f"<{name} of {len(value)}>" if isinstance(value, dict | tuple | list | str) else f"{name}(...)"
+    return result if len(result) <= most else f"{name}(...)"

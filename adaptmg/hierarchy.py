@@ -372,8 +372,7 @@ class Hierarchy:
     def _repr_html_(self) -> str:
         import pandas
 
-        head, *_, tail = str(self).split("\n")
-        return in_html_lines(head) + html_table(pandas.DataFrame(self.table())) + in_html_lines(tail)
+        return in_html_lines(str(self).partition("\n")[0]) + html_table(pandas.DataFrame(self.table()))
 
     def __str__(self) -> str:
         name = self.problem.name if self.problem is not None else self.finest.discrete.name

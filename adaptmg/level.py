@@ -16,7 +16,7 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import OnDemand, made_on_demand
-from adaptmg._text import shortened
+from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
@@ -76,11 +76,7 @@ class Level:
                 value = value if as_csr else sparse.csr_array(value, dtype=np.float64)
                 object.__setattr__(self, name, indices_frozen(value))
 
-    def __repr__(self) -> str:
-        posed = "a coarse space" if self.discrete is None else repr(self.discrete)
-        meshed = "" if self.mesh is None else f", {self.mesh!r}"
-        below = "" if self.prolongation is None else f", prolongation from {self.prolongation.shape[1]} rows below"
-        return shortened(f"Level of {self.n_nodes} nodes{below}: {posed}{meshed}")
+    __repr__ = brief
 
     def posing(self, discrete: DiscreteProblem) -> Level:
         """The level with the data of a load step; nothing else is read or made."""

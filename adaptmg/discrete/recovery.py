@@ -22,20 +22,15 @@ def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Elements and points, a point for each body that uses a node."""
     if len(mesh.bodies) == 1:
         return mesh.elements, mesh.points
-    n, taken, cells = mesh.n_nodes, np.zeros(mesh.n_nodes, dtype=bool), mesh.elements.copy()
-    origin = [np.arange(n)]
-    for k in range(len(mesh.bodies)):
-        here, used = mesh.element_body == k, np.zeros(mesh.n_nodes, dtype=bool)
-        used[mesh.elements[here]] = True
-        again = np.flatnonzero(used & taken)
-        if len(again):
-            number = np.arange(mesh.n_nodes, dtype=np.int32)
-            number[again] = n + np.arange(len(again))
-            cells[here] = number[mesh.elements[here]]
-            origin.append(again)
-            n += len(again)
-        taken |= used
-    return read_only(cells), read_only(mesh.points[np.concatenate(origin)])
+    n = mesh.n_nodes
+    keys = mesh.element_body[:, None].astype(np.int64) * n + mesh.elements
+    used = np.unique(keys)  # by body, then node
+    number = used % n
+    again = np.ones(len(used), dtype=bool)
+    again[np.unique(number, return_index=True)[1]] = False
+    points = np.concatenate([mesh.points, mesh.points[number[again]]])
+    number[again] = n + np.arange(again.sum())
+    return read_only(number[np.searchsorted(used, keys)].astype(np.int32)), read_only(points)
 
 
 def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:

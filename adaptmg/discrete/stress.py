@@ -23,7 +23,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import InitialStrain, Load
 from adaptmg.problem.materials import PlaneStress
 
-__all__ = ["StressData", "as_columns", "as_tensors", "element_strain", "full_stress", "hoop_strain", "von_mises"]
+__all__ = ["StressData", "as_tensors", "element_strain", "full_stress", "hoop_strain", "von_mises"]
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -90,14 +90,14 @@ class StressData:
         """Strain energy, J (plane: J/m)."""
         elastic, u = self._elastic(mesh, displacement), _nodal(mesh, displacement)
         if not self.axisymmetric:
-            return 0.5 * float(mesh.volumes @ _product(self._stress(mesh, elastic), elastic))
+            return 0.5 * float(np.einsum("n,nij,nij", mesh.volumes, self._stress(mesh, elastic), elastic))
         total, (rule, weights) = 0.0, quadrature_rule(3, AXISYMMETRIC_DEGREE)
         initial = self.initial_strain[:, 2] if len(self.initial_strain) else 0.0
         for at, weight in zip(rule, weights, strict=True):
             radius = mesh.points[mesh.elements, 0] @ at
             elastic[:, 2, 2] = u[mesh.elements, 0] @ at / radius - initial
-            total += weight * float((radius * mesh.volumes) @ _product(self._stress(mesh, elastic), elastic))
-        return np.pi * total
+            total += weight * np.einsum("n,nij,nij", radius * mesh.volumes, self._stress(mesh, elastic), elastic)
+        return float(np.pi * total)
 
     def _elastic(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Strain minus initial strain; of plane stress without the strain through the thickness."""
@@ -123,11 +123,6 @@ class StressData:
         return stress
 
 
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a : b (n,) of tensors (n, 3, 3)."""
-    return np.einsum("nij,nij->n", a, b)
-
-
 def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
                 ) -> np.ndarray:
     """Cauchy stress tensors (n_elements, 3, 3), Pa, tension positive, with the stress out of the plane.
@@ -139,13 +134,8 @@ def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray,
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
 
 
-def as_columns(tensors: np.ndarray) -> np.ndarray:
-    """Symmetric tensors (n, 3, 3) as columns (n, 6): xx, yy, zz, xy, yz, xz."""
-    return tensors[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
-
-
 def as_tensors(columns: np.ndarray) -> np.ndarray:
-    """What :func:`as_columns` takes, from what it returns."""
+    """Symmetric tensors (n, 3, 3) of their columns (n, 6): xx, yy, zz, xy, yz, xz."""
     return columns[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
 
 

@@ -114,15 +114,11 @@ class Step:
         return shortened(f"{text}; {self.outcome}" if self.outcome else text)
 
     def _repr_html_(self) -> str:
-        return html_table(self.table([self])) + in_html_lines(self.outcome) * bool(self.outcome)
+        return html_table(self.table([self])) + in_html_lines(self.outcome)
 
     @staticmethod
     def table(steps: Sequence[Step]) -> pandas.DataFrame:
-        """Return one row a step, with units in the heads: ``am.Step.table(list(am.adapt(...)))``.
-
-        step, nodes, levels, contact_nodes, estimate (relative), status, cycles, work_units, total_work_units (passes
-        over the finest matrix of the step), "seconds [s]" and "total_seconds [s]", "pressure [Pa]" (the largest).
-        """
+        """Return one row a step, with units in the heads: ``am.Step.table(list(am.adapt(...)))``."""
         import pandas
 
         return pandas.DataFrame([

@@ -16,7 +16,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg._runtime import OnDemand, made_on_demand
-from adaptmg._text import brief, shortened
+from adaptmg._text import shortened
+from adaptmg.mesh.picture import svg
 
 if TYPE_CHECKING:
     import ngsolve
@@ -58,8 +59,6 @@ class Refinement:
     generation: np.ndarray  # (n_elements,) int16: how many bisections lead to the element
     forebear: np.ndarray  # (n_elements,) int32: row of the tree that each element comes from, -1: none
     tree: np.ndarray  # (n_bisected, dim + 4) int32: corners, marks, forebear and new node of each bisected element
-
-    __repr__ = brief
 
     def __post_init__(self) -> None:
         for one in fields(self):
@@ -130,9 +129,7 @@ class MeshArrays:
                          f"{', '.join(self.bodies)}; boundaries {', '.join(self.boundaries)}")
 
     def _repr_svg_(self) -> str | None:
-        from adaptmg.mesh.picture import svg
-
-        return svg(self)
+        return svg(self.points, self.elements, self.facets)
 
     def __reduce__(self) -> tuple:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief
 
 __all__ = ["BodyForce", "InitialStrain", "Load", "Pressure", "Support", "Traction"]
 
@@ -40,8 +39,6 @@ class Pressure:
     boundary: str
     value: FieldLike
 
-    __repr__ = brief
-
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         checks.convert(self, checks.function_or, "value")
@@ -62,8 +59,6 @@ class Traction:
     boundary: str
     components: tuple[FieldLike, ...]
 
-    __repr__ = brief
-
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         checks.convert(self, _components, "components")
@@ -83,8 +78,6 @@ class BodyForce:
 
     components: tuple[FieldLike, ...]
     body: str | None = None
-
-    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.convert(self, _components, "components")
@@ -111,8 +104,6 @@ class InitialStrain:
     body: str
     components: tuple[FieldLike, ...]
 
-    __repr__ = brief
-
     def __post_init__(self) -> None:
         checks.boundary_name("body", self.body)
         checks.convert(self, _components, "components")
@@ -137,8 +128,6 @@ class Support:
     x: FieldLike | None = None
     y: FieldLike | None = None
     z: FieldLike | None = None
-
-    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)

@@ -85,8 +85,6 @@ class GapFunction:
 
     function: Callable[[np.ndarray], np.ndarray]
 
-    __repr__ = brief
-
     def __post_init__(self) -> None:
         checks.offers("function", self.function, "__call__", "a function of points (n, dim) that returns gaps (n,)")
 

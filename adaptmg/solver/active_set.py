@@ -33,7 +33,6 @@ import numpy as np
 from scipy import linalg, sparse
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief
 from adaptmg.discrete.coordinates import rotate
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
@@ -84,8 +83,6 @@ class ActiveSet:
     rtol: float = 1e-10
     max_steps: int = 200
     nested_start: bool = False
-
-    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.offers("linear", self.linear, "setup", "Direct(), AMG(...) or offer setup()")

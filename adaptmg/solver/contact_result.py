@@ -122,21 +122,16 @@ class ContactResult:
         return {name: int((states == code).sum()) for name, code in _STATES.items()}
 
     def table(self) -> pandas.DataFrame:
-        """Return one row a contact node, with units in the heads: node, pair, state, position, displacements, forces.
-
-        In 3D tangential quantities have two columns, such as "slip_1 [m]" and "slip_2 [m]".
-        """
+        """Return one row a contact node, with units in the heads; in 3D with "slip_1 [m]", "slip_2 [m]", and so on."""
         import pandas
 
-        names = {code: name for name, code in _STATES.items()}
         columns: dict[str, object] = {"node": self.node, "pair": self.pair,
-                                      "state": [names[int(code)] for code in self.state]}
+                                      "state": np.array(list(_STATES))[np.asarray(self.state, dtype=int)]}
         columns |= {f"{axis} [m]": values for axis, values in zip("xyz", self.x.T, strict=False)}
         for name, unit in (("gap", "m"), ("u_n", "m"), ("u_t", "m"), ("slip", "m"), ("force_n", self.units[0]),
                            ("force_t", self.units[0]), ("pressure", "Pa"), ("traction", "Pa")):
-            values = getattr(self, name)
-            parts = values.T if values.ndim == 2 else [values]
-            columns |= {f"{name}{f'_{k}' if len(parts) > 1 else ''} [{unit}]": part
+            parts = np.atleast_2d(getattr(self, name).T)
+            columns |= {f"{name}_{k} [{unit}]" if len(parts) > 1 else f"{name} [{unit}]": part
                         for k, part in enumerate(parts, 1)}
         return pandas.DataFrame(columns)
 

@@ -125,10 +125,9 @@ class PathResult(Sequence[Result]):
         return pandas.DataFrame(rows)
 
     def slip_path(self) -> np.ndarray:
-        """Length of the way that each contact node has slipped so far (n_steps, n_contact), m.
+        """How far each contact node has slipped so far (n_steps, n_contact), m; back and forth add up.
 
-        The sum of ``|slip|`` over the steps after which it is in contact; back and forth add up. The net slip is
-        ``sum(result.contact.slip for result in steps)``.
+        The sum of ``|slip|`` over the steps after which it is in contact.
         """
         ways = [np.linalg.norm(one.contact.slip, axis=1) * one.contact.closed for one in self.results]
         return np.cumsum(ways, axis=0) if ways else np.zeros((0, 0))

@@ -16,7 +16,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.stress import StressData, as_columns, as_tensors, von_mises
+from adaptmg.discrete.stress import StressData, as_tensors, von_mises
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, certify
@@ -214,19 +214,17 @@ class Result:
     def stress(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
         """Cauchy stress, tension positive: xx, yy, zz, xy, yz, xz (``Result.COMPONENTS``).
 
-        In 2D zz is the stress through the thickness (0 in plane stress), yz and xz are 0. In axisymmetry x is r, y the
-        axis and zz the hoop stress.
+        In 2D zz is the stress through the thickness, yz and xz are 0. In axisymmetry x is r, y the axis, zz the hoop.
 
         Parameters
         ----------
         at : "elements", "nodes" or (n, dim) array-like
-            All elements (recovered: their centroids), all nodes, or points, m. A point on an edge belongs to one of the
+            All elements (recovered: centroids), all nodes, or points, m. A point on an edge belongs to one of the
             elements there, a node that two bodies share to the body named first.
         recovered : bool
-            False: the stress of the displacement, which is constant on each element (with the mean hoop strain) and
-            jumps between them; nodes have none. True: a stress that is continuous in each body and linear on elements,
-            fitted around each node (Zienkiewicz and Zhu): more accurate where the solution is smooth, too smooth where
-            it is not.
+            False: the stress of the displacement, constant on each element (with the mean hoop strain); nodes have
+            none. True: continuous in each body and linear on elements, fitted around each node (Zienkiewicz and Zhu):
+            more accurate where the solution is smooth, too smooth where it is not.
 
         Returns
         -------
@@ -236,7 +234,7 @@ class Result:
         Raises
         ------
         ValueError
-            Without a mesh or materials, where a point lies outside the mesh, or for nodes without ``recovered``.
+            Without mesh or materials, at a point outside the mesh, or for nodes without ``recovered``.
         """
         return self._values(self._data().tensors(self.mesh, self.displacement), at, recovered)
 
@@ -285,9 +283,8 @@ class Result:
     def contact_extent(self) -> np.ndarray:
         """Half-widths (dim,) of the surfaces in contact along x, y (and z), m; 0 without contact.
 
-        Half the sides of the box around them; in axisymmetry the first is their outer radius. A surface ends halfway
-        between a node in contact and an open one. Of half a model with a plane of symmetry it is half of that half.
-        ValueError without a mesh.
+        Half the sides of the box around them, in axisymmetry first their outer radius; half a (symmetric) model has
+        half of its half. They end halfway between a node in contact and an open one. ValueError without a mesh.
         """
         return self._extent(np.ones(len(self.contact), dtype=bool))
 
@@ -296,8 +293,7 @@ class Result:
         c, mesh = self.contact, self.mesh
         if mesh is None:
             raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .contact_area")
-        closed = np.zeros(mesh.n_nodes, dtype=bool)
-        closed[c.node[own & c.closed]] = True
+        closed = np.isin(np.arange(mesh.n_nodes), c.node[own & c.closed])
         points = [mesh.points[closed]]
         for k in np.unique(c.boundary[own]):
             facets = mesh.boundary_facets(c.names[k])
@@ -313,43 +309,31 @@ class Result:
         return 0.5 * (high - low)
 
     def pairs(self) -> pandas.DataFrame:
-        """Return one row a contact boundary or pair, with units in the heads.
+        """Return one row a contact boundary or pair, with units in the heads; ValueError without a mesh.
 
-        pair; open, slip, stick (nodes); force on the body (of a pair: on the slave) and its moment about the origin
-        (not in axisymmetry); area; half_width (:attr:`contact_extent`); max_pressure. ValueError without a mesh.
+        Nodes by state; the force on the body (the slave) and, unless axisymmetric, its moment about the origin; area,
+        half-widths as of :attr:`contact_extent`, largest pressure.
         """
         import pandas
 
         c, axes, rows = self.contact, "xyz"[:self.dim], []
         force, area = c.units
+        moment, about = ("N m", axes) if self.dim == 3 else ("N", "" if c.axisymmetric else "z")
         for k, (name, pair) in enumerate(zip(c.names, c.pair_names, strict=True)):
-            own = c.boundary == k
-            on_it, width = self.resultant(name), self._extent(own)
-            about = "" if c.axisymmetric else axes if self.dim == 3 else "z"
-            moments = dict(zip(about, np.atleast_1d(on_it.moment), strict=False))
-            rows.append({"pair": pair, **c.counts(own)}
-                        | {f"force_{axis} [{force}]": value for axis, value in zip(axes, on_it.force, strict=True)}
-                        | {f"moment_{axis} [{'N' if force == 'N/m' else 'N m'}]": m for axis, m in moments.items()}
-                        | {f"area [{area}]": c.weights[own & c.closed].sum()}
-                        | {f"half_width_{axis} [m]": value for axis, value in zip(axes, width, strict=True)}
-                        | {"max_pressure [Pa]": c.pressure[own].max(initial=0.0)})
+            own, on_it, row = c.boundary == k, self.resultant(name), {"pair": pair}
+            row |= c.counts(own) | {f"area [{area}]": c.weights[own & c.closed].sum()}
+            for what, unit, letters, values in (("force", force, axes, on_it.force),
+                                                ("moment", moment, about, np.atleast_1d(on_it.moment)),
+                                                ("half_width", "m", axes, self._extent(own))):
+                row |= {f"{what}_{axis} [{unit}]": value for axis, value in zip(letters, values, strict=False)}
+            rows.append(row | {"max_pressure [Pa]": c.pressure[own].max(initial=0.0)})
         return pandas.DataFrame(rows)
 
     def work_to(self, error: float, of: str = "error_estimate") -> float:
         """Work units until an error of the history fell below ``error``, and stayed there; infinite if it never did.
 
-        Parameters
-        ----------
-        error : float
-            > 0.
-        of : str
-            The column of ``history``: "error_estimate" (the solver's estimate of ||u - u_h||_A / ||u_h||_A, algebraic),
-            "true_error" (with a reference), "residual" or "change", all relative.
-
-        Returns
-        -------
-        float
-            Of the whole solve so far, nested start included; known at the ends of cycles.
+        ``of`` is the column of ``history``: "error_estimate" (algebraic: the estimate of ||u - u_h||_A / ||u_h||_A),
+        "true_error" (with a reference), "residual" or "change", all relative. The nested start is included.
         """
         error = checks.positive("error", error)
         names = [name for name in self.history if name not in ("cycle", "work_units", "seconds")]
@@ -377,10 +361,10 @@ class Result:
         """Tensors (n_elements, 3, 3) as columns where they are asked for."""
         from adaptmg.discrete.recovery import recovered as fit
 
-        values, points = as_columns(tensors), not isinstance(at, str)
-        if not points:
+        values = tensors[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+        found = None if isinstance(at, str) else self._located(at)
+        if found is None:
             checks.choice("at", at, ("elements", "nodes"))
-        found = self._located(at) if points else None
         if not checks.flag("recovered", recovered):
             if found is None and at == "nodes":
                 raise ValueError("at='nodes' needs recovered=True: the elements of a node have different values")
