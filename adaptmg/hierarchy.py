@@ -15,6 +15,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import one_blas_thread
+from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.level import Level, check_coarse_to_fine, joined, level_of, need_domain, the_transfer
 from adaptmg.mesh.arrays import MeshArrays
@@ -366,6 +367,14 @@ class Hierarchy:
                 for k, level in enumerate(self.levels)]
 
     def __repr__(self) -> str:
+        return shortened(str(self))
+
+    def _repr_html_(self) -> str:
+        import pandas
+
+        return in_html_lines(str(self).partition("\n")[0]) + html_table(pandas.DataFrame(self.table()))
+
+    def __str__(self) -> str:
         name = self.problem.name if self.problem is not None else self.finest.discrete.name
         lines = [f"Hierarchy of {len(self)} levels ({self.origin}) for {name}",
                  f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11} {'h ratio':>8}"]

@@ -16,6 +16,7 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
@@ -74,6 +75,8 @@ class Level:
                 as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
                 value = value if as_csr else sparse.csr_array(value, dtype=np.float64)
                 object.__setattr__(self, name, indices_frozen(value))
+
+    __repr__ = brief
 
     def posing(self, discrete: DiscreteProblem) -> Level:
         """The level with the data of a load step; nothing else is read or made."""

@@ -69,7 +69,7 @@ def walked(finest: float, levels: int, steps: int, unload: bool, rtol: float) ->
         found = {"factor": factors(steps, unload)[k], "lift": float(result.probe([TOP])[0, 1]), **zones(result),
                  "slid": float(np.abs(slid[c.boundary == c.names.index("tongue.flank")]).max()),
                  "cycles": result.cycles, "work": result.work_units, "residual": result.residual,
-                 "outcome": result.status.name, "pressure": line["pressure"]}
+                 "outcome": result.status.name, "pressure": line["pressure [Pa]"]}
         row |= {f"{name} {k}": value for name, value in found.items()}
     return row
 

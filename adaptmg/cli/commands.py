@@ -134,7 +134,7 @@ def solve(
         if as_json:
             _say(json.dumps(solve_case.summary(result, files), indent=2, allow_nan=False))
         else:
-            _say("\n".join([repr(grids), "", repr(result), *(f"wrote {file}" for file in files)]))
+            _say("\n".join([str(grids), "", str(result), *(f"wrote {file}" for file in files)]))
     if not result.status.ok:
         _say(f"adaptmg: not converged ({result.status.name}): {result.status.value}", err=True)
         raise typer.Exit(1)
@@ -187,7 +187,7 @@ def adapt(
             _say(json.dumps(solve_case.loop_summary(steps, files), indent=2, allow_nan=False))
         else:
             last = steps[-1]
-            _say("\n".join([*waiting, last.outcome, "", repr(last.result), *(f"wrote {file}" for file in files)]))
+            _say("\n".join([*waiting, last.outcome, "", str(last.result), *(f"wrote {file}" for file in files)]))
 
 
 @contextmanager

@@ -125,7 +125,7 @@ def stepped(problem: am.ContactProblem, start: float | None, choices: dict[str, 
     steps = []
     for step in loop:
         steps.append(step)
-        say(repr(step))
+        say(step.row)
     return steps
 
 

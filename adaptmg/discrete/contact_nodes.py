@@ -10,6 +10,7 @@ from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.problem.contact_problem import CONTACT
 from adaptmg.problem.laws import Law
 
@@ -51,6 +52,8 @@ class ContactNodes:
     boundary: np.ndarray | None = None
     names: tuple[str, ...] = ("contact",)
     masters: tuple[str, ...] | None = None
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         nodes = check_arrays.array("nodes", self.nodes, (None,), integer=True)

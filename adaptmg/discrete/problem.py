@@ -24,6 +24,7 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     ContactNodes,
     bounded,
@@ -151,6 +152,10 @@ class DiscreteProblem(Unknowns):
                     load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
                     coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
                     near_nullspace=near_nullspace)
+
+    def __repr__(self) -> str:
+        return shortened(f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} of "
+                         f"{self.n_dofs} dofs fixed, {len(self.contact)} contact nodes, {self.law!r}")
 
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.

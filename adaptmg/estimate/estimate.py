@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._text import shortened
 
 if TYPE_CHECKING:
     from adaptmg.hierarchy import Hierarchy
@@ -92,6 +93,9 @@ class Estimate:
         return self.relative if self.energy_error is None else self.energy_error
 
     def __repr__(self) -> str:
+        return shortened(str(self))
+
+    def __str__(self) -> str:
         lines = [f"Estimate by {self.indicator or 'an indicator'}: {len(self.squares)} elements"]
         if self.signed is None:
             lines.append(f"  total {self.total:.4g} sqrt(N m), relative {self.relative:.3%} of "

@@ -9,6 +9,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import shortened
 from adaptmg.discrete.facets import area_vectors, shape_integrals
 from adaptmg.estimate.adjoint import LinearisedContact
 from adaptmg.estimate.edge_bubbles import EdgeBubbles
@@ -97,6 +98,9 @@ class GoalEstimate(Estimate):
         return self.values + self.errors
 
     def __repr__(self) -> str:
+        return shortened(str(self))
+
+    def __str__(self) -> str:
         lines = [f"Estimate by {self.indicator}: {len(self.squares)} elements, estimated relative energy error "
                  f"{self.discretisation:.3%}"]
         width = max(map(len, self.names))

@@ -20,6 +20,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.estimate.goal_view import Functional, GoalView
@@ -60,6 +61,8 @@ class Displacement:
     points: Sequence[float] | Sequence[Sequence[float]]
     component: int | str
     body: str | None = None
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         try:

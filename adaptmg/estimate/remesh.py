@@ -27,8 +27,8 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import kernel
+from adaptmg.discrete.recovery import elements_of_nodes
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.stress_fields import elements_of_nodes
 from adaptmg.geometry.location import SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem

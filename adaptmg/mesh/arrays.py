@@ -16,6 +16,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._text import shortened
+from adaptmg.mesh.picture import svg
 
 if TYPE_CHECKING:
     import ngsolve
@@ -120,6 +122,14 @@ class MeshArrays:
         object.__setattr__(self, "element_body", _frozen("element_body", body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
+
+    def __repr__(self) -> str:
+        kind = "triangles" if self.dim == 2 else "tetrahedra"
+        return shortened(f"MeshArrays: {self.n_nodes} nodes, {len(self.elements)} {kind}; bodies "
+                         f"{', '.join(self.bodies)}; boundaries {', '.join(self.boundaries)}")
+
+    def _repr_svg_(self) -> str | None:
+        return svg(self.points, self.elements, self.facets)
 
     def __reduce__(self) -> tuple:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back

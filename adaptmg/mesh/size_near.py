@@ -14,6 +14,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 
 __all__ = ["SizeNear"]
 
@@ -40,6 +41,8 @@ class SizeNear:
     size: float
     radius: float = 0.0
     grading: float = 0.3
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         given = checks.listed("points", self.points, "points")

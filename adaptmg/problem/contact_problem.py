@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.problem.laws import Law
 from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Support, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic
@@ -79,6 +80,8 @@ class ContactProblem:
     domain: Domain | None = None
     name: str = "contact problem"
     reference: Mapping[str, object] = field(default_factory=dict)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         if not isinstance(self.material, Elastic):

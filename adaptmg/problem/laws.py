@@ -18,6 +18,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 
 __all__ = ["Coulomb", "Frictionless", "Law", "Tresca"]
 
@@ -91,6 +92,8 @@ class Tresca:
 
     limit: FieldLike | np.ndarray
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
         checks.convert(self, checks.function_or, "limit", check=_parameter)
 
@@ -113,6 +116,8 @@ class Coulomb:
     """
 
     friction: FieldLike | np.ndarray
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.function_or, "friction", check=_parameter)

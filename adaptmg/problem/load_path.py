@@ -12,6 +12,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Support
 
@@ -51,6 +52,8 @@ class LoadPath:
 
     factors: Mapping[str, Factors] = field(default_factory=dict)
     default: Factors = 1.0
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         values = {}

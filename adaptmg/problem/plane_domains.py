@@ -15,6 +15,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 
 __all__ = ["Arc", "Box", "Domain", "Outline", "Polygon", "Rectangle", "corner"]
 
@@ -159,6 +160,8 @@ class Polygon(Domain):
     boundaries: tuple[str, ...]
     dim: ClassVar[int] = 2
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
         _check_edges(self, 3)
         _area(self.vertices)
@@ -226,6 +229,8 @@ class Outline(Domain):
     boundaries: tuple[str, ...]
     arcs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     dim: ClassVar[int] = 2
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         _check_edges(self, 2)

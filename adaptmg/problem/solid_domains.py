@@ -17,6 +17,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle, corner
 
 __all__ = ["Assembly", "Ball", "Combination", "Common", "Cut", "Cylinder", "Extrusion", "Fuse", "Moved", "Profile",
@@ -117,6 +118,8 @@ class Revolution(SolidDomain):
     polygon: Profile
     angle: float = 360.0
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
         checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle), _PROFILE)
         checks.convert(self, checks.positive, "angle")
@@ -168,6 +171,8 @@ class Extrusion(SolidDomain):
     height: float
     base: float = 0.0
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
         checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle), _PROFILE)
         checks.convert(self, checks.quantity, "height", positive=True)
@@ -205,6 +210,8 @@ class Moved(SolidDomain):
     angle: float = 0.0
     axis: Triple = (0.0, 0.0, 1.0)
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
         checks.instance("solid", self.solid, (SolidDomain, Box), _SOLID)
         checks.convert(self, corner, "offset", dim=3)
@@ -235,6 +242,8 @@ class Combination(SolidDomain):
     b: SolidDomain | Box  # the result must be one piece
     #: new names of faces: "side" of both solids, "b.side" of b alone
     rename: Mapping[str, str] = field(default_factory=dict, hash=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.instance("a", self.a, (SolidDomain, Box), _SOLID)
@@ -301,6 +310,8 @@ class Assembly(Domain):
     """
 
     parts: Mapping[str, Domain]
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.mapping, "parts", words="body names to domains")

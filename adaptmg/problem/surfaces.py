@@ -12,6 +12,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 
 __all__ = ["ContactPair", "GapFunction", "Plane"]
 
@@ -33,6 +34,8 @@ class Plane:
 
     point: np.ndarray
     normal: np.ndarray
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         point = check_arrays.vector("point", self.point)

@@ -22,13 +22,13 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder
 from adaptmg._runtime import one_blas_thread
+from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.load_steps import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
@@ -84,37 +84,53 @@ class PathResult(Sequence[Result]):
         return self.results[index]
 
     def __repr__(self) -> str:
+        return shortened(str(self))
+
+    def _repr_html_(self) -> str:
+        return in_html_lines(str(self).partition("\n")[0]) + html_table(self.table())
+
+    def __str__(self) -> str:
         about = f" of {self.results[0].solver_name} for {self.results[0].problem_name}" if self.results else ""
         lines = [f"PathResult{about}: {len(self)} of {self.n_steps} steps",
                  f"{'step':>4} {'status':>9} {'cycles':>6} {'seconds':>8} {'open':>6} {'slip':>6} {'stick':>6}  "
                  "factors"]
         for k, result in enumerate(self.results):
-            n = _counts(result)
+            n = result.contact.counts()
             factors = ", ".join(f"{name} {values[k]:g}" for name, values in self.factors.items())
             lines.append(f"{k:>4} {result.status.name:>9} {result.cycles:>6} {result.seconds:>8.3g} {n['open']:>6} "
                          f"{n['slip']:>6} {n['stick']:>6}  {factors}")
         return "\n".join(lines)
 
     def table(self) -> pandas.DataFrame:
-        """Return one row a step.
+        """Return one row a step, with units in the heads.
 
         step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural, relative); open, slip
-        and stick (contact nodes); force_x, force_y, force_z: resultant of the contact forces, N (2D: N/m); pressure:
-        the largest contact pressure, Pa; slip_size: the largest slip of the step at a node in contact, m.
+        and stick (contact nodes); "force_x [N]", ... (plane problems: [N/m]): resultant of the contact forces;
+        "pressure [Pa]": the largest contact pressure; "slip_size [m]": the largest slip of the step at a node in
+        contact; "slip_path [m]": the largest of :meth:`slip_path`.
         """
         import pandas
 
-        rows = []
+        rows, paths = [], self.slip_path()
         for k, result in enumerate(self.results):
             force = result.resultant("contact").force
             c = result.contact
-            slips = np.linalg.norm(c.slip, axis=1)[c.state != OPEN]
+            slips = np.linalg.norm(c.slip, axis=1)[c.closed]
             rows.append({"step": k} | {f"factor {name}": values[k] for name, values in self.factors.items()}
                         | {"status": result.status.name, "cycles": result.cycles, "work_units": result.work_units,
-                           "seconds": result.seconds, "residual": result.residual} | _counts(result)
-                        | {f"force_{'xyz'[d]}": float(value) for d, value in enumerate(force)}
-                        | {"pressure": float(c.pressure.max()), "slip_size": float(slips.max(initial=0.0))})
+                           "seconds": result.seconds, "residual": result.residual} | c.counts()
+                        | {f"force_{'xyz'[d]} [{c.units[0]}]": float(value) for d, value in enumerate(force)}
+                        | {"pressure [Pa]": result.max_pressure, "slip_size [m]": float(slips.max(initial=0.0)),
+                           "slip_path [m]": float(paths[k].max(initial=0.0))})
         return pandas.DataFrame(rows)
+
+    def slip_path(self) -> np.ndarray:
+        """How far each contact node has slipped so far (n_steps, n_contact), m; back and forth add up.
+
+        The sum of ``|slip|`` over the steps after which it is in contact.
+        """
+        ways = [np.linalg.norm(one.contact.slip, axis=1) * one.contact.closed for one in self.results]
+        return np.cumsum(ways, axis=0) if ways else np.zeros((0, 0))
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Write a file a step, and the factors; ValueError if the folder holds another path already."""
@@ -163,12 +179,6 @@ def _results(store: StepStore, steps: int) -> tuple[Result, ...]:
         raise ValueError(f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
                          "remove it")
     return tuple(replace(result, mesh=results[0].mesh) for result in results)
-
-
-def _counts(result: Result) -> dict[str, int]:
-    """Contact nodes by state."""
-    states = np.bincount(np.asarray(result.contact.state, dtype=int), minlength=3)
-    return {"open": int(states[OPEN]), "slip": int(states[SLIP]), "stick": int(states[STICK])}
 
 
 class StepNotConverged(NotConverged):

@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.corrections import Correction
 from adaptmg.multigrid.cycle import CoarseSolve, Cycle, NestedStart
@@ -78,6 +79,8 @@ class Multigrid:
     stop: str = "error"
     rtol: float | str = 1e-8
     max_cycles: int = 100
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.instance("cycle", self.cycle, Cycle, "a Cycle")
@@ -158,6 +161,8 @@ class FullMultigrid(Multigrid):
     """
 
     start: NestedStart = field(default_factory=NestedStart)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         super().__post_init__()

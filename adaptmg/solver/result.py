@@ -6,20 +6,30 @@ import importlib.metadata
 import os
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import lru_cache
+from itertools import combinations
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.stress import StressData, von_mises
+from adaptmg.discrete.stress import StressData, as_tensors, von_mises
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.record import Status
 from adaptmg.solver.result_file import read_result, write_result
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
+
+    from adaptmg.geometry.location import Location
 
 __all__ = ["ContactResult", "NotConverged", "Result", "label", "problem_name", "versions"]
 
@@ -102,6 +112,9 @@ class Result:
     supports: dict[str, str] = field(default_factory=dict)
     fallback: str = ""
 
+    #: of the columns of stresses and strains
+    COMPONENTS: ClassVar[tuple[str, ...]] = ("xx", "yy", "zz", "xy", "yz", "xz")
+
     @property
     def method(self) -> str:
         """The name of the solver, and of what took over from it."""
@@ -118,10 +131,16 @@ class Result:
         return float(sum(self.timings.values()))
 
     def __repr__(self) -> str:
-        states = np.bincount(np.asarray(self.contact.state, dtype=int), minlength=3)
+        return shortened(str(self))
+
+    def _repr_html_(self) -> str:
+        return in_html_lines(str(self)) + ("" if self.mesh is None else html_table(self.pairs()))
+
+    def __str__(self) -> str:
+        states = self.contact.counts()
         return (f"Result of {self.method} for {self.problem_name}: {self.status.name}\n"
                 f"  {len(self.displacement)} nodes, {len(self.contact)} contact nodes: "
-                f"{states[0]} open, {states[1]} slip, {states[2]} stick\n"
+                f"{', '.join(f'{count} {state}' for state, count in states.items())}\n"
                 f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
                 f"  natural residual {self.residual:.2e}, estimated error {self.error_estimate:.2e} "
                 f"(rtol {self.rtol:g})" + self._certified())
@@ -156,7 +175,7 @@ class Result:
                              "(grids.finest.discrete)")
         return self.checked
 
-    def probe(self, points: np.ndarray) -> np.ndarray:
+    def probe(self, points: ArrayLike) -> np.ndarray:
         """Displacement at points.
 
         Parameters
@@ -174,6 +193,10 @@ class Result:
         ValueError
             Without a mesh, or where a point lies outside it.
         """
+        found = self._located(points)
+        return np.einsum("nk,nkd->nd", found.weights, self.displacement[self.mesh.elements[found.element]])
+
+    def _located(self, points: ArrayLike) -> Location:
         from adaptmg.transfer import PointLocator
 
         if self.mesh is None:
@@ -186,27 +209,170 @@ class Result:
         if outside.any():
             i = int(np.argmax(outside))
             raise ValueError(f"point {i} {points[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
-        corners = self.displacement[self.mesh.elements[found.element]]
-        return np.einsum("nk,nkd->nd", found.weights, corners)
+        return found
+
+    def stress(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
+        """Cauchy stress, tension positive: xx, yy, zz, xy, yz, xz (``Result.COMPONENTS``).
+
+        In 2D zz is the stress through the thickness, yz and xz are 0. In axisymmetry x is r, y the axis, zz the hoop.
+
+        Parameters
+        ----------
+        at : "elements", "nodes" or (n, dim) array-like
+            All elements (recovered: centroids), all nodes, or points, m. A point on an edge belongs to one of the
+            elements there, a node that two bodies share to the body named first.
+        recovered : bool
+            False: the stress of the displacement, constant on each element (with the mean hoop strain); nodes have
+            none. True: continuous in each body and linear on elements, fitted around each node (Zienkiewicz and Zhu):
+            more accurate where the solution is smooth, too smooth where it is not.
+
+        Returns
+        -------
+        (n, 6) array
+            Pa.
+
+        Raises
+        ------
+        ValueError
+            Without mesh or materials, at a point outside the mesh, or for nodes without ``recovered``.
+        """
+        return self._values(self._data().tensors(self.mesh, self.displacement), at, recovered)
+
+    def strain(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
+        """Strain tensor (n, 6), initial strains included: xx, yy, zz, xy, yz, xz; arguments as of :meth:`stress`.
+
+        xy is half of the change of the angle. zz is the strain through the thickness (0 in plane strain), in
+        axisymmetry the hoop strain.
+        """
+        return self._values(self._data().strains(self.mesh, self.displacement), at, recovered)
+
+    def von_mises(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
+        """Von Mises stress (n,), Pa, of :meth:`stress`, whose arguments it takes."""
+        return von_mises(as_tensors(self.stress(at, recovered=recovered)))
+
+    def principal_stresses(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
+        """Principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose arguments it takes."""
+        return np.linalg.eigvalsh(as_tensors(self.stress(at, recovered=recovered)))[:, ::-1]
 
     def stresses(self) -> np.ndarray:
-        """Return the Cauchy stress (n_elements, 6), Pa, tension positive: xx, yy, zz, xy, yz, xz.
+        """Return ``stress("elements")``: the constant stress of each element (n_elements, 6), Pa."""
+        return self.stress()
 
-        It is constant on each element (of axisymmetric bodies the mean hoop stress). In 2D zz is the stress through the
-        thickness, yz and xz are 0; in axisymmetry x is r, y the axis and zz the hoop stress. ValueError without a mesh
-        or materials.
+    @property
+    def energy(self) -> float:
+        """Strain energy, J (plane problems: J/m): u'Au / 2, or with initial strains that of the elastic strains.
+
+        The potential of loads and friction is not part of it.
         """
-        return self._stress_tensors()[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+        return self._data().energy(self.mesh, self.displacement)
 
-    def von_mises(self) -> np.ndarray:
-        """Return the von Mises stress (n_elements,), Pa."""
-        return von_mises(self._stress_tensors())
+    @property
+    def contact_area(self) -> float:
+        """Area of the surfaces in contact, m^2 (plane problems: length, m): boundary masses of nodes not open."""
+        return float(self.contact.weights[self.contact.closed].sum())
 
-    def _stress_tensors(self) -> np.ndarray:
+    @property
+    def max_pressure(self) -> float:
+        """Largest contact pressure of a node (force over boundary mass), Pa; 0 without contact nodes.
+
+        A node where a contact boundary ends, at a plane or an axis of symmetry too, is the least accurate.
+        """
+        return float(self.contact.pressure.max(initial=0.0))
+
+    @property
+    def contact_extent(self) -> np.ndarray:
+        """Half-widths (dim,) of the surfaces in contact along x, y (and z), m; 0 without contact.
+
+        Half the sides of the box around them, in axisymmetry first their outer radius; half a (symmetric) model has
+        half of its half. They end halfway between a node in contact and an open one. ValueError without a mesh.
+        """
+        return self._extent(np.ones(len(self.contact), dtype=bool))
+
+    def _extent(self, own: np.ndarray) -> np.ndarray:
+        """Of the contact nodes that the mask ``own`` chooses."""
+        c, mesh = self.contact, self.mesh
+        if mesh is None:
+            raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .contact_area")
+        closed = np.isin(np.arange(mesh.n_nodes), c.node[own & c.closed])
+        points = [mesh.points[closed]]
+        for k in np.unique(c.boundary[own]):
+            facets = mesh.boundary_facets(c.names[k])
+            for a, b in combinations(facets.T, 2):
+                ends = closed[a] != closed[b]
+                points.append(0.5 * (mesh.points[a[ends]] + mesh.points[b[ends]]))
+        every = np.concatenate(points)
+        if not len(every):
+            return np.zeros(self.dim)
+        low, high = every.min(axis=0), every.max(axis=0)
+        if c.axisymmetric:
+            low[0] = -high[0]
+        return 0.5 * (high - low)
+
+    def pairs(self) -> pandas.DataFrame:
+        """Return one row a contact boundary or pair, with units in the heads; ValueError without a mesh.
+
+        Nodes by state; the force on the body (the slave) and, unless axisymmetric, its moment about the origin; area,
+        half-widths as of :attr:`contact_extent`, largest pressure.
+        """
+        import pandas
+
+        c, axes, rows = self.contact, "xyz"[:self.dim], []
+        force, area = c.units
+        moment, about = ("N m", axes) if self.dim == 3 else ("N", "" if c.axisymmetric else "z")
+        for k, (name, pair) in enumerate(zip(c.names, c.pair_names, strict=True)):
+            own, on_it, row = c.boundary == k, self.resultant(name), {"pair": pair}
+            row |= c.counts(own) | {f"area [{area}]": c.weights[own & c.closed].sum()}
+            for what, unit, letters, values in (("force", force, axes, on_it.force),
+                                                ("moment", moment, about, np.atleast_1d(on_it.moment)),
+                                                ("half_width", "m", axes, self._extent(own))):
+                row |= {f"{what}_{axis} [{unit}]": value for axis, value in zip(letters, values, strict=False)}
+            rows.append(row | {"max_pressure [Pa]": c.pressure[own].max(initial=0.0)})
+        return pandas.DataFrame(rows)
+
+    def work_to(self, error: float, of: str = "error_estimate") -> float:
+        """Work units until an error of the history fell below ``error``, and stayed there; infinite if it never did.
+
+        ``of`` is the column of ``history``: "error_estimate" (algebraic: the estimate of ||u - u_h||_A / ||u_h||_A),
+        "true_error" (with a reference), "residual" or "change", all relative. The nested start is included.
+        """
+        error = checks.positive("error", error)
+        names = [name for name in self.history if name not in ("cycle", "work_units", "seconds")]
+        if of not in names:
+            raise ValueError(f"of must be one of {', '.join(map(repr, names)) or 'none'}, got {checks.shown(of)}")
+        known = ~np.isnan(self.history[of])
+        values, work = self.history[of][known], self.history["work_units"][known]
+        above = np.flatnonzero(~(values <= error))
+        first = above[-1] + 1 if len(above) else 0
+        return float(work[first]) if first < len(work) else float("inf")
+
+    def plot(self, kind: str = "deformation") -> Figure:
+        """Draw the result: ``am.plot.deformation``, ``am.plot.contact`` or ``am.plot.history``, by name."""
+        import adaptmg
+
+        return getattr(adaptmg.plot, checks.choice("kind", kind, ("deformation", "contact", "history")))(self)
+
+    def _data(self) -> StressData:
         if self.mesh is None or self.stress_data is None:
             raise ValueError("this result has no materials to compute stresses from (it comes from a bare "
                              "DiscreteProblem): replace its mesh and stress_data=StressData.of(mesh, material)")
-        return self.stress_data.tensors(self.mesh, self.displacement)
+        return self.stress_data
+
+    def _values(self, tensors: np.ndarray, at: str | ArrayLike, recovered: bool) -> np.ndarray:
+        """Tensors (n_elements, 3, 3) as columns where they are asked for."""
+        from adaptmg.discrete.recovery import recovered as fit
+
+        values = tensors[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+        found = None if isinstance(at, str) else self._located(at)
+        if found is None:
+            checks.choice("at", at, ("elements", "nodes"))
+        if not checks.flag("recovered", recovered):
+            if found is None and at == "nodes":
+                raise ValueError("at='nodes' needs recovered=True: the elements of a node have different values")
+            return values if found is None else values[found.element]
+        cells, nodal = fit(self.mesh, values)
+        if found is not None:
+            return np.einsum("nk,nkc->nc", found.weights, nodal[cells[found.element]])
+        return nodal[:self.mesh.n_nodes] if at == "nodes" else nodal[cells].mean(axis=1)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
         """Force and moment exerted on the body through a boundary.
@@ -339,6 +505,9 @@ class NotConverged(RuntimeError):
                          f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}."
                          f"{contradicted} The last iterate is in the exception's .result; throw=False returns "
                          "it instead.")
+
+    def __repr__(self) -> str:
+        return shortened(super().__repr__())
 
     def __reduce__(self) -> tuple[object, ...]:
         # exceptions are rebuilt from .args, which is the text here: a process that is handed one back must not fail

@@ -15,6 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -179,10 +180,12 @@ def _fields(text: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
     columns = {name.removeprefix("history."): array for name, array in arrays.items() if name.startswith("history.")}
     if any(values.ndim != 1 for values in columns.values()) or len({len(v) for v in columns.values()}) > 1:
         raise ValueError("the columns of history differ in length")
-    objects = {}
+    objects: dict[str, Any] = {}
     for group, cls in (("contact", ContactResult), ("mesh", MeshArrays), ("stress", StressData)):
         own = {name: labels[name] for name, of in _LABELS.items() if of == group and of in found}
         objects[group] = cls(**groups[group], **own) if group in found else None
+    if objects["stress"] is not None and objects["stress"].axisymmetric:
+        objects["contact"] = replace(objects["contact"], axisymmetric=True)
     if labels["masters"] and len(labels["masters"]) != len(labels["names"]):
         raise ValueError(f"there are {len(labels['names'])} names and {len(labels['masters'])} masters")
     # later steps of a load path are kept without their mesh

@@ -233,7 +233,7 @@ def test_rigid_motion_in_supports_is_no_excuse():
 def test_it_is_printed_saved_and_computed_again(tmp_path):
     result = exact()
     assert f"worst {result.certificate().worst.name}" in repr(result)
-    text = repr(result.certificate())
+    text = str(result.certificate())
     assert all(line.name in text for line in result.certificate().lines) and "energy error" in text
     result.save(tmp_path / "run.npz")
     loaded = am.Result.load(tmp_path / "run.npz")

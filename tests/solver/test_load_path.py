@@ -343,7 +343,7 @@ class TestOutcome:
         table = cycle.table()
         assert list(table["factor left"]) == [0.5, 1, 0.5, 0] and (table["status"] == "CONVERGED").all()
         assert (table[["open", "slip", "stick"]].sum(axis=1) == len(rough.finest.discrete.contact)).all()
-        np.testing.assert_allclose(table["force_y"], 5e7 * 0.04)
+        np.testing.assert_allclose(table["force_y [N/m]"], 5e7 * 0.04)
         assert cycle[-1] is cycle.results[3] and len(cycle[1:3]) == 2 and list(cycle) == list(cycle.results)
         rows = []
         am.solve_path(rough, am.LoadPath({"left": [0.5, 1]}), progress=lambda k, row: rows.append((k, row["cycle"])))
