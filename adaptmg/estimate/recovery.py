@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel, read_only
+from adaptmg._runtime import inner_kernel, kernel, one_blas_thread, read_only
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, elements_of_nodes, posed
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
@@ -34,6 +34,7 @@ __all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"
 class Recovery:
     """The recovery indicator; it has no parameters."""
 
+    @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
         """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 

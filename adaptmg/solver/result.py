@@ -64,6 +64,8 @@ class Result:
         The names of the problem and of the solver with its options.
     fallback : str
         The method that took over where the solver did not converge, and from which cycle; empty if none did.
+    choice : str
+        Why the solver was taken, where :func:`adaptmg.solve` chose one for one mesh; else empty.
     mesh : MeshArrays or None
         Finest mesh (without its NGSolve source after loading).
     start_work_units : float
@@ -101,6 +103,7 @@ class Result:
     checked: Certificate | None = None
     supports: dict[str, str] = field(default_factory=dict)
     fallback: str = ""
+    choice: str = ""
 
     @property
     def method(self) -> str:
@@ -124,7 +127,7 @@ class Result:
                 f"{states[0]} open, {states[1]} slip, {states[2]} stick\n"
                 f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
                 f"  natural residual {self.residual:.2e}, estimated error {self.error_estimate:.2e} "
-                f"(rtol {self.rtol:g})" + self._certified())
+                f"(rtol {self.rtol:g})" + self._certified() + f"\n  solver=None: {self.choice}" * bool(self.choice))
 
     def _certified(self) -> str:
         if self.checked is None:
