@@ -92,7 +92,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     first = displacement_argument("start", start, discrete)
     run = Run(unit=discrete.matrix.nnz, callback=_watched(callback, progress), reference=exact,
               timings={} if grids is given else dict(grids.timings))
-    _LOG.debug("%r", grids)
+    _LOG.debug("nodes of the levels: %s (%s)", ", ".join(str(level.n_nodes) for level in grids.levels), grids.origin)
     with run.phase("statics"):
         check_statics_of(grids)
     with run.phase("setup"):
@@ -121,9 +121,10 @@ def _watched(callback: Callable[[dict[str, float]], None] | None, progress: bool
         return callback
 
     def take(row: dict[str, float]) -> None:
-        error, residual = (row.get(name, np.nan) for name in ("error_estimate", "residual"))
-        line = (f"cycle {row['cycle']}: error {error:.1e}, residual {residual:.1e}, {row['work_units']:.1f} work "
-                f"units, {row['seconds']:.2f} s")
+        known = [f"{name.removesuffix('_estimate')} {row[name]:.1e}" for name in ("error_estimate", "residual")
+                 if np.isfinite(row.get(name, np.nan))]
+        line = ", ".join([f"cycle {row['cycle']}: {row['work_units']:.1f} work units", *known,
+                          f"{row['seconds']:.2f} s"])
         _LOG.debug(line)
         if progress:
             say(line)

@@ -32,7 +32,8 @@ def warned(act):
 
 BEYOND = {
     "poisson is 0.495": ({"poisson": 0.495}, {"poisson": 0.49}, {"poisson": 0.495, "material": am.PlaneStress}),
-    "span 40 m, with young up to 1.3e\\+11 Pa.*in mm\\?": ({"scale": 1e3}, {"scale": 100}, {"scale": 1e3, "young": 1e9}),
+    "span 40 m, with young .*1.3e\\+11 Pa.*in mm\\?": ({"scale": 1e3}, {"scale": 100},
+                                                        {"scale": 1e3, "young": 1e9}),
     "in mm and moduli in N/mm": ({"scale": 1e3, "young": 1.3e5, "pressure": 1e2}, {"young": 1.3e5, "pressure": 1e2}),
     "strains exceed 5 %.*young \\(1.3e\\+08 Pa": ({"young": 1.3e8}, {"young": 1.3e9}),
     "stays at least .* they cannot meet": ({"above": 1e-3}, {"above": 5e-5})}
@@ -53,7 +54,7 @@ def test_a_limit_of_the_theory_is_named_once_at_the_line_of_the_user(message):
 def test_slips_beyond_an_element_count_between_bodies_alone():
     def pushed(by):
         problem = bar_on_block(am.Coulomb(0.1))
-        supports = tuple(replace(one, x=by) if one.x == 0.0 and "bar" in one.boundary else one
+        supports = tuple(replace(one, x=by) if one.boundary == "upper.right" else one
                          for one in problem.supports)
         return bar_hierarchy(replace(problem, supports=supports), 2)
 
@@ -83,7 +84,7 @@ def test_no_case_is_beyond_the_theory_and_every_one_adapts_without_options(name)
 def test_one_mesh_takes_the_quickest_method_and_a_given_one_stays(monkeypatch, tmp_path):
     grids = bar(divisions=(16,))
     result = am.solve(grids)
-    assert result.solver_name == "ActiveSet()" and "active set method is the quickest" in repr(result)
+    assert result.solver_name.startswith("ActiveSet(") and "active set method is the quickest" in repr(result)
     assert am.solve(grids.finest.discrete).choice == result.choice
     result.save(tmp_path / "bar.npz")
     assert am.Result.load(tmp_path / "bar.npz").choice == result.choice
@@ -94,7 +95,7 @@ def test_one_mesh_takes_the_quickest_method_and_a_given_one_stays(monkeypatch, t
     assert large.displacement == pytest.approx(result.displacement, abs=1e-7 * np.abs(result.displacement).max())
     pair = am.Hierarchy.from_meshes((posed := bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 2)).problem,
                                     (posed.finest.mesh,))
-    assert am.solve(pair).status.ok and am.solve_path(pair, am.LoadPath({"bar.left": [0.5, 1.0]})).complete
+    assert am.solve(pair).status.ok and am.solve_path(pair, am.LoadPath({"upper.left": [0.5, 1.0]})).complete
     given = am.solve(grids, am.SingleGrid(rtol=1e-3))
     assert given.solver_name == "SingleGrid(rtol=0.001)" and given.choice == "" and "solver=None" not in repr(given)
 
@@ -104,13 +105,13 @@ def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
     with caplog.at_level(logging.DEBUG, "adaptmg"):
         result = am.solve(grids, progress=True)
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == len(result.history["cycle"]) and lines[0].startswith("cycle 0: error ")
+    assert len(lines) == len(result.history["cycle"]) and lines[0].startswith("cycle 0: 2.")
     records = [(one.levelno, one.getMessage()) for one in caplog.records if one.name == "adaptmg.solver.solve"]
     assert [text for level, text in records if level == logging.INFO] == [
         text for level, text in records if "CONVERGED after" in text]
     assert set(lines) < {text for _, text in records}
     steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}), progress=True)
-    assert [line[:19] for line in capsys.readouterr().err.splitlines()] == [f"step {k} of 2 (left=" for k in (0, 1)]
+    assert [line.partition("=")[0] for line in capsys.readouterr().err.splitlines()] == [f"step {k} of 2 (left" for k in (0, 1)]
     assert steps.complete
     meshes = list(am.adapt(grids.problem, max_nodes=300, progress=True))
     assert len(capsys.readouterr().err.splitlines()) == 2 * len(meshes)
