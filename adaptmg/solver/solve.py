@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -149,12 +150,14 @@ def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy,
     if len(grids) > 1:
         return grids, FullMultigrid() if grids.discretised else Multigrid(), ""
     level, n_dofs = grids.finest, grids.finest.discrete.n_dofs
-    if n_dofs <= FACTORISED[level.discrete.dim]:
-        return grids, ActiveSet(), f"for one mesh of {n_dofs} unknowns the active set method is the quickest"
-    made = Hierarchy.algebraic(level.discrete)
-    levels = (*made.levels[:-1], replace(made.finest, mesh=level.mesh))
-    return (replace(made, levels=levels, problem=grids.problem), Multigrid(),
-            f"for one mesh of {n_dofs} unknowns multigrid on coarse spaces made from its matrix is the quickest")
+    why = f"for one mesh of {n_dofs} unknowns the quickest is "
+    if n_dofs > FACTORISED[level.discrete.dim]:
+        with suppress(ValueError):  # nothing to coarsen
+            made = Hierarchy.algebraic(level.discrete)
+            levels = (*made.levels[:-1], replace(made.finest, mesh=level.mesh))
+            made = replace(made, levels=levels, problem=grids.problem)
+            return made, Multigrid(), why + "multigrid on coarse spaces made from its matrix"
+    return grids, ActiveSet(), why + "the active set method"
 
 
 def displacement_argument(name: str, value: np.ndarray | Result | None, discrete: DiscreteProblem) -> np.ndarray | None:
