@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg._runtime import remembered
@@ -179,6 +178,8 @@ class _Forces:
 
     def least_unbalanced(self, work: np.ndarray) -> tuple[float, np.ndarray]:
         """Smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it is done."""
+        from scipy.optimize import linprog
+
         k, n_edges = self.edges.shape
         columns = np.hstack([self.edges, self.segments, np.eye(k), -np.eye(k)])
         bounds = np.zeros((columns.shape[1], 2))
