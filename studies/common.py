@@ -265,23 +265,30 @@ def write_picture(figure: Any, path: Path, dpi: int = 130) -> None:
     write_bytes(path, small_png(figure, dpi))
 
 
+def write(section: Section, out: Path, pictures: bool = True) -> None:
+    """Write a section's tables as CSV, and the figures as PNG if they are wanted."""
+    make_folder("--out", out)
+    for item in section.items:
+        if isinstance(item, Table):
+            text = item.frame.to_csv(index=False)
+            write_bytes(out / f"{item.name}.csv", text.encode("utf-8", "backslashreplace"))
+        elif pictures:
+            write_picture(item.figure, out / f"{item.name}.png")
+
+
 def show(section: Section, out: Path, pictures: bool = True) -> None:
-    """Print a section's tables; write them as CSV, and the figures as PNG if they are wanted."""
+    """Print a section's tables, and :func:`write` it."""
     from adaptmg.study.tables import as_text
 
+    write(section, out, pictures)
     said = "\n\n".join(text for text in (section.summary, section.text) if text)
     print(f"\n{section.title}\n{'=' * len(section.title)}\n{said}")
     for item in section.items:
         if isinstance(item, Table):
             print("\n" + as_text(item.frame, caption=item.caption, note=item.note, units=item.units,
                                  formats=item.formats))
-            make_folder("--out", out)
-            text = item.frame.to_csv(index=False)
-            write_bytes(out / f"{item.name}.csv", text.encode("utf-8", "backslashreplace"))
         elif pictures:
-            target = out / f"{item.name}.png"
-            write_picture(item.figure, target)
-            print(f"\n[figure {target}] {item.caption}")
+            print(f"\n[figure {out / f'{item.name}.png'}] {item.caption}")
 
 
 def main(run: Callable[[Context], Section], description: str) -> None:

@@ -14,12 +14,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import front
-import together
-from common import Context, Figure, Section, Table, show
-from watching import Watching
-
+# what takes seconds to import is imported where it is needed: the first line comes in the first second
 if TYPE_CHECKING:
+    from common import Context, Figure, Section, Table
+
     from adaptmg.export import Report
     from adaptmg.export.report import Picture
 
@@ -54,9 +52,14 @@ def main() -> None:
     if unknown:
         raise SystemExit(f"reproduce.py: unknown study {', '.join(unknown)}; there are {', '.join(STUDIES + LARGE)}")
     out = arguments.out / "quick" if arguments.quick else arguments.out
+    names = arguments.studies or (STUDIES + LARGE if arguments.full else STUDIES)
+    print(f"{len(names)} {'studies' if len(names) > 1 else 'study'} on {max(arguments.workers, 1)} "
+          f"{'processes' if arguments.workers > 1 else 'process'}, to {out / 'report.html'}: {', '.join(names)}",
+          file=sys.stderr, flush=True)
+    from common import Context
+
     if arguments.fresh:
         (out / "studies.sqlite").unlink(missing_ok=True)
-    names = arguments.studies or (STUDIES + LARGE if arguments.full else STUDIES)
     failed = report(Context(arguments.quick, out, arguments.full), names, arguments.workers, arguments.pictures)
     if failed:
         raise SystemExit(f"reproduce.py: failed: {', '.join(failed)} (the report says why; called again, it goes on)")
@@ -92,32 +95,37 @@ def cores() -> int:
 
 
 def report(context: Context, names: Sequence[str], workers: int, pictures: bool = False) -> list[str]:
-    """Run studies, show them as they are done, and write the report."""
+    """Run studies, write the tables of each as it is done and say so in a line, and write the report."""
+    import together
+    from common import write
+    from watching import Watching
+
     begin, sections, drawn = time.perf_counter(), {}, {}
 
     def done(name: str, section: Section, made: dict[str, Picture], seconds: float) -> None:
         sections[name] = section
         drawn.update(made)
-        with watching.printing():
-            show(section, context.out, pictures)
+        write(section, context.out, pictures)
         watching.study_ended(name, seconds)
 
     watching = Watching(len(names))
     if workers > 1:
-        print(f"{len(names)} studies on {workers} workers ...", file=sys.stderr, flush=True)
         with watching:
             failed = together.at_once(context, names, done, workers, watching.run_ended)
     else:
         failed = together.in_turn(context, names, done)
     page = page_of({name: sections[name] for name in names}, context, drawn)
     target = page.write(context.out / "report.html")
-    print(f"\nreport: {target}")
+    print(f"report: {target}")
     print(f"all done after {time.perf_counter() - begin:.0f} s", file=sys.stderr)
     return failed
 
 
 def page_of(sections: Mapping[str, Section], context: Context, drawn: Mapping[str, Picture] | None = None) -> Report:
     """The report of what studies returned, by their names: first screen, a section each, how it was made."""
+    import front
+    from common import Table
+
     from adaptmg.export import Report
 
     page = Report(TITLE, SUMMARY + " This is a quick run, on smaller grids." * context.quick, terms=TERMS)
@@ -152,6 +160,8 @@ def commit() -> str:
 
 def in_sight_first(items: Sequence[Table | Figure]) -> list[Table | Figure]:
     """Tables that stand open, then the figures side by side, then the tables that are folded."""
+    from common import Figure, Table
+
     tables = [item for item in items if isinstance(item, Table)]
     opened = [item for item in tables if item.open] or [item for item in tables[:1] if item.open is None]
     figures = [item for item in items if isinstance(item, Figure)]
@@ -160,6 +170,8 @@ def in_sight_first(items: Sequence[Table | Figure]) -> list[Table | Figure]:
 
 def add(page: Report, item: Table | Figure, drawn: Mapping[str, Picture]) -> None:
     """A table or figure of a section."""
+    from common import Table
+
     if isinstance(item, Table):
         page.table(item.frame, caption=item.caption, note=item.note, units=item.units, formats=item.formats,
                    open=item.open, csv=f"{item.name}.csv")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -41,18 +39,6 @@ class Watching:
             self._now = {key: watch for key, watch in self._now.items() if not key.startswith(f"{name}.")}
             self._print(f"[{self._ended}/{self._studies}] {name}: done after {seconds:.0f} s")
             self._tell()
-
-    @contextmanager
-    def printing(self) -> Iterator[None]:
-        """While something else is printed, the line on the terminal is away."""
-        with self._lock:
-            if self._line is not None:
-                self._line.stop()
-            try:
-                yield
-            finally:
-                if self._line is not None and self._ended < self._studies:
-                    self._line.start()
 
     def __enter__(self) -> Watching:
         if self._line is not None:

@@ -110,6 +110,7 @@ def _bar(begin: str, state: Callable[[Row], dict[str, object]]) -> Iterator[Call
 
     console, logger = Console(stderr=True), logging.getLogger("adaptmg")
     handler = RichHandler(console=console, show_time=False, show_level=False, show_path=False)
+    handler.addFilter(lambda record: record.name != "adaptmg.solver.solve")  # the command prints the result
     level = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)

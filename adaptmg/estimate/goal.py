@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._runtime import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import named_facets
 from adaptmg.estimate.adjoint import AdjointSolution, adjoint_system, linearised_contact
@@ -75,6 +76,7 @@ class Goal:
         """All of them."""
         return tuple(self.quantity) if isinstance(self.quantity, (list, tuple)) else (self.quantity,)
 
+    @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> GoalEstimate:
         """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._runtime import inner_kernel, kernel, one_blas_thread
 from adaptmg.discrete.recovery import apart, fitted
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, posed
@@ -28,6 +28,7 @@ __all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"
 class Recovery:
     """The recovery indicator; it has no parameters."""
 
+    @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
         """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg._runtime import kernel
+from adaptmg._runtime import kernel, one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, named_facets
 from adaptmg.discrete.loads import body_elements, load_density
@@ -45,6 +45,7 @@ __all__ = ["Residual", "boundary_squares", "condition_squares", "jump_squares", 
 class Residual:
     """The residual indicator; it has no parameters."""
 
+    @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
         """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 

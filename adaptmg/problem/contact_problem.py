@@ -53,7 +53,10 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactProblem:
-    """Elastic bodies in contact: pure data in SI units, without a mesh.
+    """Elastic bodies in contact: pure data in SI units (m, N, Pa), without a mesh.
+
+    The theory is linear but for contact and friction: small strains and slips, isotropic linear elasticity, linear
+    elements; contact is sought in the undeformed position. :func:`adaptmg.solve` warns where a solution goes beyond.
 
     Parameters
     ----------

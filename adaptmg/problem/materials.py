@@ -22,7 +22,8 @@ _FROM_LIMIT = 1e-9  # closer to its limits, one modulus is of the size of roundi
 class Elastic:
     """Isotropic linear elasticity; use one of the subclasses.
 
-    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5); P1 elements lock well before 0.5.
+    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5). Strains are to be small (a few per
+    cent). Above 0.49 linear elements lock, but in plane stress: they are too stiff, and stresses oscillate.
     """
 
     young: float

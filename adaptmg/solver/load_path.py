@@ -21,7 +21,7 @@ import numpy as np
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder
-from adaptmg._runtime import one_blas_thread
+from adaptmg._runtime import one_blas_thread, say
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.load_steps import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.problem import DiscreteProblem
@@ -29,13 +29,14 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
+from adaptmg.solver.advice import advise_on_path, advise_on_problem, once
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result
 from adaptmg.solver.result_file import damage
-from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, result_of, solver_argument
+from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, method_argument, result_of
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
 from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
 
@@ -194,12 +195,13 @@ class StepNotConverged(NotConverged):
         return type(self), (self.result, self.step, self.described, self.partial)
 
 
+@once()
 @one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
                start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
                depends: Mapping[str, object] | None = None, throw: bool = True,
                callback: Callable[[int, Result], None] | None = None,
-               progress: Callable[[int, dict[str, float]], None] | None = None) -> PathResult:
+               progress: Callable[[int, dict[str, float]], None] | bool | None = None) -> PathResult:
     """Solve a contact problem along a load path on the finest level of a hierarchy.
 
     Parameters
@@ -225,8 +227,8 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         whose status says it; ``complete`` is then False.
     callback : callable, optional
         Called with the number and the Result of each step when it is finished, and kept.
-    progress : callable, optional
-        Called with the number of the step and each row of its history.
+    progress : callable or bool, optional
+        Called with the number of the step and each row of its history. True: write a line a step to standard error.
 
     Returns
     -------
@@ -237,13 +239,18 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     ValueError
         Bad input, or a rigid motion that neither supports nor contact hold in a step.
     StepNotConverged
+
+    Warns
+    -----
+    UserWarning, RuntimeWarning
+        As :func:`adaptmg.solve`, once for the whole path.
     """
-    grids = grids_argument(grids)
     checks.instance("path", path, LoadPath, "a LoadPath")
-    solver = solver_argument(solver, grids)
+    grids, solver, choice = method_argument(solver, grids_argument(grids))
     checks.flag("throw", throw)
     checks.optional_callable("callback", callback, "the number and Result of a step")
-    checks.optional_callable("progress", progress, "the number of a step and a row of its history")
+    if not isinstance(progress, bool):
+        checks.optional_callable("progress", progress, "the number of a step and a row of its history (or a bool)")
     start = displacement_argument("start", start, grids.finest.discrete)
     loop = PathLoop(grids, path, solver, start)
     mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, start,
@@ -254,8 +261,11 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         loop.replay(k, result)
     if len(results) < len(path):
         warn_of_large_friction(loop.examiner)
+        advise_on_problem(grids.problem, grids.finest.mesh)
     for k in range(len(results), len(path)):
-        result = loop.step(k, progress)
+        result = replace(loop.step(k, progress if callable(progress) else None), choice=choice)
+        if progress is True:
+            say(loop.report(k, result))
         results.append(result)
         if not result.status.ok:
             partial_result = PathResult(tuple(results), loop.factors, mark, len(path))
@@ -266,6 +276,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
             kept.put(k, _stored(k, result))
         if callback is not None:
             callback(k, result)
+    advise_on_path(grids.problem, results)
     return PathResult(tuple(results), loop.factors, mark, len(path))
 
 
@@ -345,9 +356,13 @@ class PathLoop:
                 result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
         with run.phase("result"):
             self._remember(grids, result, forces, coarse)
-        _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,
-                  result.cycles)
+        _LOG.info(self.report(k, result))
         return result
+
+    def report(self, k: int, result: Result) -> str:
+        """How a step ended, as text."""
+        return (f"step {k} of {len(self.path)} ({self.described(k)}): {result.status.name} after {result.cycles} "
+                f"cycles and {result.seconds:.2g} s")
 
     def replay(self, k: int, result: Result) -> None:
         grids = self._posed(k)

@@ -74,6 +74,8 @@ class Result:
         The names of the problem and of the solver with its options.
     fallback : str
         The method that took over where the solver did not converge, and from which cycle; empty if none did.
+    choice : str
+        Why the solver was taken, where :func:`adaptmg.solve` chose one for one mesh; else empty.
     mesh : MeshArrays or None
         Finest mesh (without its NGSolve source after loading).
     start_work_units : float
@@ -111,6 +113,7 @@ class Result:
     checked: Certificate | None = None
     supports: dict[str, str] = field(default_factory=dict)
     fallback: str = ""
+    choice: str = ""
 
     #: of the columns of stresses and strains
     COMPONENTS: ClassVar[tuple[str, ...]] = ("xx", "yy", "zz", "xy", "yz", "xz")
@@ -143,7 +146,7 @@ class Result:
                 f"{', '.join(f'{count} {state}' for state, count in states.items())}\n"
                 f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
                 f"  natural residual {self.residual:.2e}, estimated error {self.error_estimate:.2e} "
-                f"(rtol {self.rtol:g})" + self._certified())
+                f"(rtol {self.rtol:g})" + self._certified() + f"\n  solver=None: {self.choice}" * bool(self.choice))
 
     def _certified(self) -> str:
         if self.checked is None:

@@ -281,8 +281,7 @@ def test_what_is_posed_in_a_load_step_is_what_its_result_solves():
 
 def test_the_parts_of_a_loop_fit_each_other():
     grids = am.Hierarchy.uniform(upset(), (3, 6))
-    for problem, options, words in ((grids.problem, {}, "at least one of tolerance"),
-                                    (upset(), {"max_nodes": 9}, "start must be a hierarchy for the problem"),
+    for problem, options, words in ((upset(), {"max_nodes": 9}, "start must be a hierarchy for the problem"),
                                     (grids.problem, {"transfer": am.L2(), "max_nodes": 9}, "transfer")):
         with pytest.raises(ValueError, match=words):
             am.adapt(problem, grids, **options)

@@ -56,7 +56,7 @@ def _arguments():
         "indicator": (Residual, "residual", 3, Doerfler()), "mark": (Doerfler, 0.5, Residual()),
         "engine": (Remesh, "bisect", 2.5, Residual()), "solver": (am.FullMultigrid, "multigrid", am.AMG()),
         "transfer": (am.L2, "L2", 3), "load_path": (am.LoadPath, [0.5, 1.0], 1.0),
-        "adapt_on": ("first", 0, None, True), "progress": (True, "bar", 3), "store": (3, True, "", b"\0", ["a"])}
+        "adapt_on": ("first", 0, None, True), "progress": (1, "bar", 3), "store": (3, True, "", b"\0", ["a"])}
     for name, values in arguments.items():
         yield from _rows(name, lambda v, n=name: _loop(**{n: v}), name, values)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import subprocess
 import sys
@@ -16,7 +15,7 @@ import pytest
 from smoother_problems import LAWS, dual_solution, network, tresca_energy
 
 import adaptmg as am
-from adaptmg.smoother import OPEN, SLIP, STICK, ProjectedGaussSeidel, compiling
+from adaptmg.smoother import OPEN, SLIP, STICK, ProjectedGaussSeidel
 from adaptmg.smoother.residuals import contact_share, natural_residual, normal_force, residual, states
 from adaptmg.smoother.system import LocalProblem, local_system
 
@@ -211,22 +210,6 @@ def test_bad_arrays(changes, error, message):
         given["contact"] = replace(problem.contact, **given["contact"])
     with pytest.raises(error, match=message):
         ProjectedGaussSeidel().smooth(problem.system, **given)
-
-
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing compiles")
-def test_the_notice_of_compiling_comes_once_and_not_for_cached_kernels(caplog, monkeypatch):
-    problem = network(2, "tresca")
-    residual(problem.system, problem.load, problem.load)
-    monkeypatch.setattr(compiling, "_announced", False)
-    monkeypatch.setattr(compiling, "_checked", set())
-    kernels = [numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 2)]
-    with caplog.at_level(logging.INFO, "adaptmg"):
-        residual(problem.system, problem.load, problem.load)
-        compiling.notice(len)
-        assert not caplog.records
-        compiling.notice(*kernels)
-        compiling.notice(*kernels)
-    assert [record.getMessage() for record in caplog.records] == ["compiling kernels (once per machine; cached)"]
 
 
 @pytest.mark.slow
