@@ -19,7 +19,7 @@ _SUBMODULES = ("cases", "discrete", "estimate", "export", "mesh", "multigrid", "
                "solver", "study", "transfer")
 
 _WHERE = {
-    "adaptmg.problem": ("Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Common", "Contact", "ContactPair",
+    "adaptmg.problem": ("Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact", "ContactPair",
                         "ContactProblem", "Coulomb", "Cut", "Cylinder", "Extrusion", "Frictionless", "Fuse",
                         "GapFunction", "InitialStrain", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",
                         "PlaneStress", "Polygon", "Pressure", "Rectangle", "Revolution", "Solid", "StepFile", "Support",
