@@ -14,12 +14,13 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg._runtime import OnDemand, one_blas_thread
 from adaptmg.discrete.contact import contact_data
-from adaptmg.discrete.elasticity import body_materials, stiffness
+from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.exchange import find_carriers
-from adaptmg.discrete.facets import fixed_dofs
+from adaptmg.discrete.facets import fixed_dofs, supported_nodes
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.discrete.rigid_modes import rigid_motions
+from adaptmg.discrete.springs import supported_stiffness
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
 
@@ -66,7 +67,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
         raise ValueError(f"mesh too coarse: {len(contact)} contact nodes on {', '.join(problem.contact_boundaries)}, "
                          f"at least {mesh.dim + 1} are needed; refine the mesh there")
     materials = body_materials(mesh, problem.material)
-    parts = {"matrix": stiffness(mesh, materials), "load": load_vector(mesh, problem.loads, materials),
+    parts = {"matrix": supported_stiffness(mesh, materials, problem.supports),
+             "load": load_vector(mesh, problem.loads, materials),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
@@ -112,8 +114,10 @@ def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
     """Raise ValueError if a body has neither a support nor a surface in contact."""
     held = np.zeros(mesh.n_nodes, dtype=bool)
-    for name in (*problem.pair_boundaries, *(support.boundary for support in problem.supports)):
+    for name in problem.pair_boundaries:
         held[mesh.boundary_facets(name)] = True
+    for support in problem.supports:
+        held[supported_nodes(mesh, support)] = True
     for name, nodes in bodies.items():
         if not held[nodes].any():
             raise ValueError(f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "

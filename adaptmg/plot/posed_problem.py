@@ -21,6 +21,7 @@ from matplotlib.path import Path
 from mpl_toolkits.mplot3d import Axes3D
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.facets import supported_nodes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.domains import in_edges
 from adaptmg.plot import style
@@ -37,11 +38,14 @@ from adaptmg.problem import (
     InitialStrain,
     Law,
     Outline,
+    PointSpring,
     Pressure,
-    Support,
+    Spring,
+    Symmetry,
     Traction,
     Tresca,
 )
+from adaptmg.problem.loads import AnySupport
 
 __all__ = ["boundary_edges", "problem", "spread", "support_text"]
 
@@ -72,7 +76,8 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
     """
     checks.instance("posed", posed, ContactProblem)
     if posed.domain is None and mesh is None:
-        raise ValueError("the problem has no domain to draw: give mesh=..., for example that of a level of the hierarchy")
+        raise ValueError("the problem has no domain to draw: give mesh=..., for example that of a level of the "
+                         "hierarchy")
     if mesh is not None:
         checks.instance("mesh", mesh, MeshArrays, "MeshArrays: adaptmg.mesh.as_mesh converts")
         posed.check_boundaries(mesh.boundaries)
@@ -81,7 +86,7 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
         _draw_solid(posed, _coarse_mesh(posed.domain) if mesh is None else mesh, ax, checks.number("explode", explode))
     else:
         bodies = _loops(posed.domain) if mesh is None else _triangles(mesh)
-        lower, upper, _ = style.bounds(np.concatenate(sum(bodies.values(), [])))
+        lower, upper, _ = style.bounds(np.concatenate([loop for loops in bodies.values() for loop in loops]))
         width, height = (upper - lower) / np.max(upper - lower)
         ax = style.canvas(ax, (4.4 * width + 3.9, 4.4 * height + 1.4))
         _draw_plane(posed, bodies, boundary_edges(posed.domain) if mesh is None else _mesh_edges(mesh), ax)
@@ -91,7 +96,7 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
 
 def _draw_plane(posed: ContactProblem, bodies: dict[str, list[np.ndarray]], edges: dict[str, np.ndarray], ax: Axes
                 ) -> None:
-    diagonal = style.bounds(np.concatenate(sum(bodies.values(), [])))[2]
+    diagonal = style.bounds(np.concatenate([loop for loops in bodies.values() for loop in loops]))[2]
     scale, unit = style.scaled(diagonal, "m")
     size, fills = 0.7 * diagonal, style.body_fills(len(bodies))
     for loops, fill in zip(bodies.values(), fills, strict=True):
@@ -102,7 +107,9 @@ def _draw_plane(posed: ContactProblem, bodies: dict[str, list[np.ndarray]], edge
         ax.add_patch(PathPatch(path, facecolor=fill, edgecolor="none", zorder=3 - area / diagonal**2))
     ax.add_collection(LineCollection(scale * np.concatenate(list(edges.values())), color=style.INK, linewidth=1.2,
                                      zorder=3.2, capstyle="round"))
-    for boundary, color, _ in _uses(posed):
+    for point in _points(posed).values():
+        ax.plot(*scale * point, "^", color=_SUPPORT, markeredgecolor=style.INK, markersize=9, zorder=5)
+    for boundary, color, _ in (use for use in _uses(posed) if use[0] in edges):
         ax.add_collection(LineCollection(scale * edges[boundary], color=color, zorder=4, capstyle="butt",
                                          linewidth=2.0 if color == _MASTER else 4.0))
     enlarged = {contact.boundary: _draw_obstacle(ax, contact, edges[contact.boundary], size, scale)
@@ -235,7 +242,7 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: fl
     corners, of_boundary = points[mesh.facets], {name: mesh.facet_labels == k for k, name in enumerate(mesh.boundaries)}
     body, fills = body_of_node[mesh.facets[:, 0]], style.body_fills(len(mesh.bodies))
     colors = to_rgba_array(fills)[body]
-    for boundary, color, _ in _uses(posed):
+    for boundary, color, _ in (use for use in _uses(posed) if use[0] in of_boundary):
         colors[of_boundary[boundary]] = to_rgba(color)
     places = []
     for load in _surface_loads(posed):
@@ -247,6 +254,8 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: fl
     arrows = [stroke for arrow in _arrows(places, float(np.max(np.ptp(points, axis=0))) / 6)
               for stroke in _strokes(*arrow)]
     edges = np.concatenate([sharp_edges(points, mesh.facets[body == k]) for k in range(len(mesh.bodies))])
+    for support in (one for one in posed.supports if one.boundary is None):
+        ax.plot(*points[supported_nodes(mesh, support)].T, "^", color=_SUPPORT, markeredgecolor=style.INK, zorder=9)
     draw_facets(ax, corners, colors, lines=False, extra=(
         Lines(points[edges], style.INK, 0.9), Lines(np.concatenate([np.empty((0, 2, 3)), *arrows]), style.BLUE, 1.1)))
     finish_axes(ax, points, unit)
@@ -296,7 +305,7 @@ def _arrows(places: list[Place], reach: float) -> list[tuple[np.ndarray, np.ndar
 
 def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
     """Boundary, colour and text of supports and contacts; later ones are painted over earlier ones."""
-    uses = [(support.boundary, _SUPPORT, support_text(support, posed.dim, "rz" if posed.axisymmetric else "xyz"))
+    uses = [(support.place, _SUPPORT, support_text(support, posed.dim, "rz" if posed.axisymmetric else "xyz"))
             for support in posed.supports]
     for contact in posed.contact:
         uses.append((contact.boundary, _CONTACT, "contact"))
@@ -346,8 +355,19 @@ def _value(value: object, unit: str = "") -> str:
     return f"{style.number(float(value) * factor)} {unit}".strip()
 
 
-def support_text(support: Support, dim: int, axes: str = "xyz") -> str:
-    """Return the prescribed components as text, equal ones together: '$u_x$ = $u_y$ = 0'."""
+def _points(posed: ContactProblem) -> dict[str, np.ndarray]:
+    """The points at which something holds a body, m."""
+    return {support.place: np.array(support.point) for support in posed.supports if support.boundary is None}
+
+
+def support_text(support: AnySupport, dim: int, axes: str = "xyz") -> str:
+    """Return the prescribed components as text, equal ones together: '$u_x$ = $u_y$ = 0'; or what else holds."""
+    if isinstance(support, Symmetry):
+        return "symmetry: $u_n$ = 0"
+    if isinstance(support, Spring | PointSpring):
+        names, unit = (("normal", "tangential"), "N/m³") if isinstance(support, Spring) else ("xyz"[:dim], "N/m")
+        return "springs " + ", ".join(f"{name} {_value(getattr(support, name), unit)}" for name in names
+                                      if callable(getattr(support, name)) or getattr(support, name))
     values: dict[str, list[str]] = {}
     for axis, value in zip(axes, support.components(dim), strict=False):
         if value is not None:

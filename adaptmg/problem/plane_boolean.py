@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -41,8 +42,8 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     points: list[np.ndarray] = []
     edges = [[outline.edge(i) for i in range(len(outline.vertices))] for outline in (a, b)]
     meetings = [[_meetings(e, f, tol) for f in edges[1]] for e in edges[0]]
-    of_a = _pieces(a, edges[0], [sum(row, []) for row in meetings], points, tol)
-    of_b = _pieces(b, edges[1], [sum(column, []) for column in zip(*meetings, strict=True)], points, tol)
+    of_a = _pieces(a, edges[0], [list(chain(*row)) for row in meetings], points, tol)
+    of_b = _pieces(b, edges[1], [list(chain(*column)) for column in zip(*meetings, strict=True)], points, tol)
     kept = []
     for piece in of_a:
         twins = [other for other in of_b if {piece.start, piece.end} == {other.start, other.end}
@@ -115,7 +116,7 @@ def _pieces(outline: Outline, edges: list[Segment | Arc], cuts: list[list[np.nda
         last = number(ends[1])
         numbers = [k for k in numbers if k != last] + [last]
         centre = outline.arcs.get(i)
-        for start, end in zip(numbers, numbers[1:], strict=False):
+        for start, end in pairwise(numbers):
             middle = 0.5 * (points[start] + points[end])
             if centre is not None:
                 off = middle - np.array(centre)
@@ -158,7 +159,7 @@ def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outli
                          "piece: pose several as an Assembly")
     loops.insert(0, loops.pop(outer[0]))
     starts = np.cumsum([0, *map(len, loops)])
-    every = sum(loops, [])
+    every = list(chain(*loops))
     return Outline(vertices=tuple(tuple(points[piece.start].tolist()) for piece in every),
                    boundaries=tuple(piece.name for piece in every), holes=tuple(starts[1:-1].tolist()),
                    arcs={k: piece.centre for k, piece in enumerate(every) if piece.centre is not None})

@@ -279,8 +279,8 @@ class Outline(Domain):
         object.__setattr__(self, "holes", holes)
         ends = (0, *holes, len(self.vertices))
         if holes and min(b - a for a, b in pairwise(ends)) < 2:
-            raise ValueError(f"holes must be ascending vertex numbers, two or more apart, up to {len(self.vertices) - 2}, "
-                             f"got {holes}")
+            raise ValueError("holes must be ascending vertex numbers, two or more apart, from 2 to "
+                             f"{len(self.vertices) - 2}, got {holes}")
         for i in arcs:
             if i >= len(self.vertices):
                 raise ValueError(f"arcs names edge {i}, but there are {len(self.vertices)} edges, counted from 0")

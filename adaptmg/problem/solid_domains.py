@@ -259,8 +259,8 @@ class Combination(SolidDomain):
 
     def __post_init__(self) -> None:
         for name, part in (("a", self.a), ("b", self.b)):
-            checks.instance(name, part, (SolidDomain, Box, *_PLANE), f"{_SOLID}, or a plane domain (Rectangle, Polygon, "
-                            "Outline, Circle, Cut, ...)")
+            checks.instance(name, part, (SolidDomain, Box, *_PLANE),
+                            f"{_SOLID}, or a plane domain (Rectangle, Polygon, Outline, Circle, Cut, ...)")
         if self.a.dim != self.b.dim:
             raise ValueError(f"a is {self.a.dim}D, b {self.b.dim}D: combine two solids or two plane domains")
         checks.convert(self, checks.mapping, "rename", words="names to names")

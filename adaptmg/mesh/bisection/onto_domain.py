@@ -5,9 +5,9 @@ that halve edges of moved nodes follow. The moved mesh is not nested in the mesh
 
 An arc moves the midpoint of two nodes along its radius, as cylinders and balls do. In a turned profile the midpoint
 keeps its angle about the axis and gets the radius and height of the profile, in an extruded one it keeps its height. Of
-several edges of one name that is taken which both nodes lie on and which faces as the boundary does there. Plane domains
-combined are outlines; combined solids (:class:`~adaptmg.problem.solid_domains.Cut`, ``Fuse``, ``Common``) and STEP files do not say which surface a
-face lies on: their midpoints stay on the chord.
+several edges of one name that is taken which both nodes lie on and which faces as the boundary does there. Plane
+domains combined are outlines; combined solids (:class:`~adaptmg.problem.solid_domains.Cut`, ``Fuse``, ``Common``) and
+STEP files do not say which surface a face lies on: their midpoints stay on the chord.
 """
 
 from __future__ import annotations
