@@ -187,7 +187,7 @@ def test_another_problem_on_the_same_meshes_is_what_building_anew_makes():
             assert k > 0 or new.finest.matrix is old.finest.matrix
     with pytest.raises(ValueError, match="another domain, Rectangle"):
         old.with_problem(bar())
-    with pytest.raises(ValueError, match="contact on .*, but these meshes were made for contact on"):
+    with pytest.raises(ValueError, match=r"contact on .*, but these meshes were made for contact on"):
         old.with_problem(replace(joint, contact=am.Contact(joint.contact_boundaries[0], am.Plane((0, 0), (0, 1)))))
-    with pytest.raises(ValueError, match="with_problem: these levels .* are not made of meshes"):
+    with pytest.raises(ValueError, match=r"with_problem: these levels .* are not made of meshes"):
         am.Hierarchy.single(old.finest.discrete).with_problem(joint)

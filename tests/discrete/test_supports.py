@@ -87,7 +87,8 @@ def test_a_point_support_holds_one_node_and_symmetry_one_component():
     (lambda: am.PointSupport((0, 0)), r"'point \(0, 0\)' fixes nothing"),
     (lambda: am.PointSupport((0,), x=0.0), "2 or 3 components"),
     (lambda: replace(on_springs(am.Solid), supports=[am.PointSupport((0, 0), x=0.0)]), "2 components in a 3D problem"),
-    (lambda: replace(on_springs(am.PlaneStress), supports=[am.Spring("foot", normal=1.0)]), "'foot', used for a support"),
+    (lambda: replace(on_springs(am.PlaneStress), supports=[am.Spring("foot", normal=1.0)]),
+     "'foot', used for a support"),
     (lambda: fixed_dofs(structured(am.Rectangle(width=1, height=1), 4), [am.PointSupport((0.3, 0), x=0.0)]),
      "nearest one 0.05 m away"),
     (lambda: am.Hierarchy.graded(replace(on_springs(am.PlaneStress), domain=am.Cut(

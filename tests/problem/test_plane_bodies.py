@@ -44,7 +44,8 @@ def test_known_areas_and_names():
     assert lens.outline.area == pytest.approx(2 * math.pi / 3 - math.sqrt(3) / 2, rel=1e-14)
     assert set(lens.boundaries) == {"circle", "right"}
     # edges that coincide, and tangents that go on
-    stadium = am.Fuse(am.Fuse(am.Rectangle(width=3, height=2), am.Circle((0, 1), 1.0, "l")), am.Circle((3, 1), 1.0, "r"))
+    half = am.Fuse(am.Rectangle(width=3, height=2), am.Circle((0, 1), 1.0, "l"))
+    stadium = am.Fuse(half, am.Circle((3, 1), 1.0, "r"))
     assert stadium.outline.area == pytest.approx(6 + math.pi) and stadium.boundaries == ("bottom", "r", "top", "l")
     assert PLATE.boundaries == (*BLOCK.boundaries, "hole") and PLATE.outline.area == pytest.approx(8 - math.pi / 4)
     notched = am.Cut(PLATE, am.Rectangle(width=1.0, height=0.5), rename={"b.top": "notch", "b.right": "notch"})
