@@ -19,11 +19,11 @@ _SUBMODULES = ("cases", "discrete", "estimate", "export", "mesh", "multigrid", "
                "solver", "study", "transfer")
 
 _WHERE = {
-    "adaptmg.problem": ("Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Common", "Contact", "ContactPair",
-                        "ContactProblem", "Coulomb", "Cut", "Cylinder", "Extrusion", "Frictionless", "Fuse",
-                        "GapFunction", "InitialStrain", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",
-                        "PlaneStress", "Polygon", "Pressure", "Rectangle", "Revolution", "Solid", "StepFile", "Support",
-                        "Traction", "Tresca"),
+    "adaptmg.problem": ("Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact",
+                        "ContactPair", "ContactProblem", "Coulomb", "Cut", "Cylinder", "Extrusion", "Frictionless",
+                        "Fuse", "GapFunction", "InitialStrain", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",
+                        "PlaneStress", "PointSpring", "PointSupport", "Polygon", "Pressure", "Rectangle", "Revolution",
+                        "Solid", "Spring", "StepFile", "Support", "Symmetry", "Traction", "Tresca"),
     "adaptmg.discrete.problem": ("ContactNodes", "DiscreteProblem"),
     "adaptmg.mesh": ("MeshArrays", "SizeNear"),
     "adaptmg.discrete.discretise": ("discretise",),

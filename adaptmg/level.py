@@ -24,7 +24,8 @@ from adaptmg.problem import ContactProblem
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
-__all__ = ["Level", "check_coarse_to_fine", "joined", "level_of", "need_domain", "the_transfer"]
+__all__ = ["Level", "check_coarse_to_fine", "joined", "level_of", "need_domain", "reposed", "the_transfer",
+           "touches_alike"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +130,25 @@ def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
     from adaptmg.discrete.discretise import discretise
 
     return Level(discretise(problem, mesh), mesh)
+
+
+def reposed(level: Level, problem: ContactProblem, before: ContactProblem) -> Level:
+    """The level with another problem; its prolongation is that from a level with the contact that there was."""
+    from adaptmg.discrete.discretise import rediscretise
+
+    return level.posing(rediscretise(problem, before, level.mesh, level.discrete))
+
+
+def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
+    """Whether the same nodes carry contact and follow the same others: what prolongations depend on."""
+    if a.contact is b.contact and a.coupling is b.coupling:
+        return True
+    arrays = [(p.contact.nodes, p.contact.boundary) for p in (a, b)]
+    if a.coupling is not None and b.coupling is not None:
+        arrays = [(*own, *(getattr(p.coupling.weights, part) for part in ("indptr", "indices", "data")), p.fixed)
+                  for p, own in zip((a, b), arrays, strict=True)]
+    return (a.contact.names, a.contact.masters, a.coupling is None) == (
+        b.contact.names, b.contact.masters, b.coupling is None) and all(map(np.array_equal, *arrays))
 
 
 def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -> Level:

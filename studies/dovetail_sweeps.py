@@ -36,10 +36,17 @@ def sizes(finest: float, step: float, levels: int) -> tuple[float, ...]:
 
 
 @lru_cache(maxsize=4)
-def grids_of(friction: float, clearance: float, angle: float, finest: float, step: float, levels: int) -> am.Hierarchy:
+def meshed(clearance: float, angle: float, finest: float, step: float, levels: int) -> am.Hierarchy:
     """Graded grids of a joint, 4 times finer at contact."""
-    problem = am.cases.dovetail(law=am.Coulomb(friction), clearance=clearance, angle=angle)
+    problem = am.cases.dovetail(clearance=clearance, angle=angle)
     return am.Hierarchy.graded(problem, sizes(finest, step, levels), contact_ratio=4)
+
+
+@lru_cache(maxsize=4)
+def grids_of(friction: float, clearance: float, angle: float, finest: float, step: float, levels: int) -> am.Hierarchy:
+    """The same grids for every friction."""
+    problem = am.cases.dovetail(law=am.Coulomb(friction), clearance=clearance, angle=angle)
+    return meshed(clearance, angle, finest, step, levels).with_problem(problem)
 
 
 def joint(friction: float, clearance: float, angle: float, finest: float, levels: int, rtol: float) -> dict[str, Any]:

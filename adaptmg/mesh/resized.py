@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, trusted
-from adaptmg.mesh.domains import extent
+from adaptmg.mesh.domains import extent, in_edges
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_guard import MAX_NODES, Netgen, NetgenUnfinished, netgen
 from adaptmg.mesh.netgen_plane import SizesAt, finished, one_mesh, onto_outline
@@ -86,6 +86,7 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, gra
     if isinstance(domain, StepFile):
         return _step(domain, sizes, grading, refinements)
     checks.instance("sizes", sizes, PointSizes)
+    domain = in_edges(domain)
     if isinstance(domain, SolidDomain):
         with netgen() as worker:
             shape = built_shape(worker, domain)

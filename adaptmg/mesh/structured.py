@@ -74,8 +74,8 @@ def lattice_nodes(domain: Rectangle | Box | Assembly, divisions: Divisions | Map
 def _counts(domain: Rectangle | Box, divisions: Divisions) -> tuple[int, ...]:
     """Cells along each axis; what cannot be divided so is refused."""
     if not isinstance(domain, Rectangle | Box):
-        raise TypeError(f"domain must be a Rectangle or a Box, or an Assembly of them, got {domain!r}; graded meshes "
-                        "other domains")
+        raise TypeError("structured grids are made of a Rectangle or a Box, or an Assembly of them, got "
+                        f"{checks.described(domain)}; graded meshes other domains (Hierarchy.graded)")
     if isinstance(divisions, Mapping):
         raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
     return _divisions(divisions, domain.dim)

@@ -16,6 +16,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.springs import moment
 from adaptmg.discrete.stress import StressData, as_tensors, von_mises
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
@@ -88,6 +89,9 @@ class Result:
         The certificate of the solve.
     supports : dict of str to str
         By boundary the components that supports hold, such as "xy"; empty for a bare DiscreteProblem.
+    springs : dict of str to list of float
+        By boundary, or "point (0, 1)", the force (dim) that springs exert on the bodies, N, and its moment about the
+        origin, N m.
     """
 
     displacement: np.ndarray
@@ -114,6 +118,7 @@ class Result:
     supports: dict[str, str] = field(default_factory=dict)
     fallback: str = ""
     choice: str = ""
+    springs: dict[str, list[float]] = field(default_factory=dict)
 
     #: of the columns of stresses and strains
     COMPONENTS: ClassVar[tuple[str, ...]] = ("xx", "yy", "zz", "xy", "yz", "xz")
@@ -384,7 +389,7 @@ class Result:
         ----------
         boundary : str
             'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its contact
-            forces), or any other boundary (reactions of its supports).
+            forces), or any other boundary (reactions of its supports and springs), or "point (0, 1)" of a PointSpring.
         about : (dim,) array-like, optional
             Point of the moment, m; default the origin.
 
@@ -395,13 +400,16 @@ class Result:
             surfaces that lie on each other, and else up to the lever between the two discrete surfaces: 1e-8 to 1e-4 of
             force times size on curved ones. The mortar transmits each force across the gap without regard to its arm.
         """
-        nodes, forces = self._forces_on(boundary)
+        at_point = boundary in self.springs and boundary not in self.mesh.boundaries
+        nodes, forces = (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)
         if self.mesh is None:
             return Resultant(forces.sum(axis=0), None)
         about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
-        arms = self.mesh.points[nodes] - about
-        moment = np.cross(arms, forces) if self.dim == 3 else arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0]
-        return Resultant(forces.sum(axis=0), moment.sum(axis=0))
+        touches = boundary in ("contact", *self.contact.names, *(self.contact.masters or ()))
+        of_springs = np.array(self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3)))
+        force, turning = of_springs[:self.dim], of_springs[self.dim:]
+        turning = turning - moment(about[None], force[None]) + moment(self.mesh.points[nodes] - about, forces)
+        return Resultant(forces.sum(axis=0) + force, turning if self.dim == 3 else turning[0])
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
         """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node may have both)."""

@@ -40,8 +40,8 @@ _TEXT: dict[str, object] = {
     "problem_name": str, "solver_name": str, "fallback": str, "cycles": int, "work_units": float, "residual": float,
     "rtol": float, "error_estimate": float, "rate": float, "start_work_units": float, "timings": {str: float},
     "path": [(int, str, int)], "levels": [{str: float}], "versions": {str: str}, "supports": {str: str},
-    "choice": str}
-_LATER = {"supports": {}, "choice": ""}  # missing in files of earlier versions
+    "choice": str, "springs": {str: [float]}}
+_LATER = {"supports": {}, "choice": "", "springs": {}}  # missing in files of earlier versions
 _LABELS = {"names": "contact", "masters": "contact", "boundaries": "mesh", "bodies": "mesh"}
 #: shapes of the arrays, a letter for each length: p nodes, d components, t tangents, n contact nodes, m nodes that
 #: follow, e elements of c corners, f facets, b bodies, s initial strains

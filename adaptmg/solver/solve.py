@@ -17,7 +17,9 @@ import numpy as np
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import one_blas_thread, say
+from adaptmg.discrete.facets import held_components
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.springs import spring_resultants
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.advice import advise_on_problem, advise_on_result, once
@@ -208,6 +210,7 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
     """The Result on the finest level; the certificate and the natural residual confirm the status."""
     with run.phase("certificate"):
         found = examiner(outcome.displacement)
+    mesh, bare = grids.finest.mesh, grids.problem is None or grids.finest.mesh is None
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
     return Result(displacement=found.displacement, reaction=found.reaction, checked=found.checked,
@@ -219,9 +222,11 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
                   problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
-                  mesh=grids.finest.mesh,
+                  mesh=mesh,
                   start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data,
-                  supports={} if grids.problem is None or grids.finest.mesh is None else grids.problem.held_components)
+                  supports={} if bare else held_components(mesh, grids.problem.supports),
+                  springs={} if bare else spring_resultants(mesh, grids.problem.supports, found.displacement,
+                                                            grids.problem.axisymmetric))
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:

@@ -127,7 +127,9 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     basis = vectors[:, kept] * np.sqrt(len(nodes) / values[kept])
     modes, forces = modes @ basis, forces @ basis
     strained = np.abs(forces).max(axis=1) > 1e-9
-    return modes @ _null_combinations(np.vstack([modes[problem.fixed[dofs]], forces[strained]])).T
+    # springs far softer than the body hold it too
+    scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
+    return modes @ _null_combinations(np.vstack([modes[problem.fixed[dofs]], forces[strained] / scale])).T
 
 
 def _null_combinations(rows: np.ndarray) -> np.ndarray:

@@ -130,7 +130,7 @@ class TestDomains:
         assert self.HOLE.arc(4).angle < 0 < HALF.arc(0).angle and self.HOLE.arc(0) is None
 
     def test_chords_are_inscribed(self):
-        chords, edges = HALF.chords()
+        chords, edges, _ = HALF.chords()
         np.testing.assert_allclose(np.linalg.norm(chords[edges == 0] - [0, 2], axis=1), 2, rtol=1e-15)
         x, y = chords.T
         assert 0.998 * HALF.area < 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < HALF.area
