@@ -40,6 +40,12 @@ class ContactNodes:
         Names of the contact boundaries.
     masters : tuple of str, optional
         For each of ``names`` the boundary of another body that it may touch; "" (the default) is a rigid obstacle.
+
+    Examples
+    --------
+    >>> contact = am.ContactNodes(nodes=[0, 1], normals=[[0, -1], [0, -1]], gaps=[0.0, 1e-5])
+    >>> len(contact)
+    2
     """
 
     nodes: np.ndarray

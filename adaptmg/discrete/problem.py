@@ -75,6 +75,16 @@ class DiscreteProblem(Unknowns):
     exchange : Exchange, optional
         Contact as it was posed where slave and master were exchanged at single nodes
         (:mod:`adaptmg.discrete.exchange`).
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> contact = am.ContactNodes(nodes=[0], normals=[[0.0, -1.0]], gaps=[0.0])
+    >>> discrete = am.DiscreteProblem(matrix=2.0 * sparse.eye_array(2), load=np.array([0.1, -1.0]),
+    ...                               fixed=np.zeros(2, bool), law=am.Coulomb(0.3), contact=contact)
+    >>> result = am.solve(discrete, am.SingleGrid())
+    >>> result.contact.force_n.round(6).tolist()
+    [1.0]
     """
 
     matrix: sparse.bsr_array

@@ -48,6 +48,12 @@ class Estimate:
         Of a goal: the quantity of the discrete solution, and the estimate of exact minus discrete value.
     energy_error : float, optional
         Of a goal: an estimated relative energy error, by which tolerances of solvers are chosen.
+
+    Examples
+    --------
+    >>> estimate = am.Estimate(squares=[9.0, 16.0], norm=50.0)
+    >>> estimate.total, estimate.relative
+    (5.0, 0.1)
     """
 
     squares: np.ndarray
@@ -168,6 +174,11 @@ class Doerfler:
     ----------
     theta : float
         Share of the sum of squares, above 0 and at most 1.
+
+    Examples
+    --------
+    >>> am.Doerfler(0.3).theta
+    0.3
     """
 
     theta: float = 0.5
@@ -200,6 +211,11 @@ class Maximum:
     ----------
     theta : float
         Share of the largest square, above 0 and at most 1.
+
+    Examples
+    --------
+    >>> am.Maximum(0.5).theta
+    0.5
     """
 
     theta: float = 0.5

@@ -32,7 +32,15 @@ __all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"
 
 @dataclass(frozen=True)
 class Recovery:
-    """The recovery indicator; it has no parameters."""
+    """The recovery indicator; it has no parameters.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=am.Recovery(), max_nodes=30))
+    >>> 0 < step.estimate.relative < 1
+    True
+    """
 
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
         """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.

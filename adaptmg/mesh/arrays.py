@@ -99,6 +99,13 @@ class MeshArrays:
     refinement : Refinement or None
         The history of a bisected mesh, which further bisection and coarsening need. Pickled, but not saved in a result;
         a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
+
+    Examples
+    --------
+    >>> triangle = am.MeshArrays(points=[[0, 0], [1, 0], [0, 1]], elements=[[0, 1, 2]], facets=[[0, 1], [1, 2], [2, 0]],
+    ...                          facet_labels=[0, 1, 1], boundaries=("bottom", "rest"))
+    >>> triangle.n_nodes, triangle.dim
+    (3, 2)
     """
 
     points: np.ndarray

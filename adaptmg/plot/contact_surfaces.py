@@ -52,6 +52,12 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     Pressures and tractions are nodal forces over the nodes' weights (the lumped mass of the surface, with dual
     multipliers that of its covered part); the gap is that of the constraint, g0 minus the (relative) normal
     displacement.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> len(am.plot.contact(result).axes)                               # pressure, friction, gap and slip
+    3
     """
     solid = checks.instance("result", result, Result).dim == 3
     names = chosen_boundaries(result, boundary, "boundary")

@@ -63,6 +63,12 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
         Direction of view in 3D, degrees; default (22, -58).
     ax : matplotlib Axes, optional
         In 3D with ``projection="3d"``.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> len(am.plot.deformation(result, amplify=10, stress=True).axes)  # with a colour bar
+    2
     """
     if checks.instance("result", result, Result).mesh is None:
         raise ValueError("this result has no mesh to draw (it comes from a bare DiscreteProblem)")

@@ -42,6 +42,15 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     steps : int
         The largest number of steps drawn for each pair: the first, the last, that of the largest pressure, those where
         ``factors`` turn, and others between them; 0 for none. The title says how many are left out.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> path = am.LoadPath({"left": [0.5, 1.0]})
+    >>> pressure = {"largest pressure [MPa]": lambda step: 1e-6 * step.contact.pressure.max()}
+    >>> figure = am.plot.load_history(am.solve_path(grids, path), path.factors["left"], pressure)
+    >>> len(figure.axes)                                               # the curve, and two steps
+    3
     """
     results, factors = _checked(results, factors)
     against = label_text(checks.instance("against", against, str))

@@ -65,6 +65,12 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
         3D only: the mesh whose surface is drawn; default: a coarse mesh of the domain.
     explode : float
         3D only: move each body away from the centre by this multiple of its distance, to show contact surfaces.
+
+    Examples
+    --------
+    >>> figure = am.plot.problem(am.cases.greco_bar())
+    >>> figure.axes[0].get_title()
+    'GRECO bar'
     """
     checks.instance("posed", posed, ContactProblem)
     if posed.domain is None and (mesh is None or posed.dim == 2):

@@ -25,3 +25,7 @@ __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Common", "Co
            "InitialStrain", "Law", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain", "PlaneStress", "Polygon",
            "Pressure", "Rectangle", "Revolution", "Solid", "StepFile", "Support", "Traction", "Tresca",
            "step_problem"]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -69,7 +69,13 @@ def _with(law: _AnyLaw, name: str, values: np.ndarray) -> _AnyLaw:
 
 @dataclass(frozen=True, eq=False)
 class Frictionless:
-    """No tangential force: f_t = 0."""
+    """No tangential force: f_t = 0.
+
+    Examples
+    --------
+    >>> isinstance(am.cases.greco_bar(law=am.Frictionless()).law, am.Frictionless)
+    True
+    """
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Frictionless:
         return self
@@ -87,6 +93,11 @@ class Tresca:
     limit : float, callable or array
         On a ContactProblem a traction in Pa (number or function of position); on a DiscreteProblem the nodal
         forces in N (number or array over the contact nodes).
+
+    Examples
+    --------
+    >>> am.Tresca(2e6).limit                                            # Pa
+    2000000.0
     """
 
     limit: FieldLike | np.ndarray
@@ -110,6 +121,12 @@ class Coulomb:
     ----------
     friction : float, callable or array
         The coefficient (number or function of position; on a DiscreteProblem also an array over the contact nodes).
+
+    Examples
+    --------
+    >>> am.Coulomb(0.3).friction
+    0.3
+    >>> rough = am.Coulomb(lambda x: 0.1 + x[:, 0])
     """
 
     friction: FieldLike | np.ndarray

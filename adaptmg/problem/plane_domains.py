@@ -72,6 +72,11 @@ class Rectangle(Domain):
         m, > 0.
     origin : pair of float
         Lower left corner, m.
+
+    Examples
+    --------
+    >>> am.Rectangle(width=0.2, height=0.1).boundaries
+    ('bottom', 'right', 'top', 'left')
     """
 
     width: float
@@ -104,6 +109,11 @@ class Box(Domain):
         Lengths along x, y and z, m, > 0.
     origin : triple of float
         Lowest corner, m.
+
+    Examples
+    --------
+    >>> am.Box(width=0.2, depth=0.1, height=0.1).boundaries
+    ('bottom', 'top', 'left', 'right', 'front', 'back')
     """
 
     width: float
@@ -153,6 +163,12 @@ class Polygon(Domain):
         Corners in counter-clockwise order, m.
     boundaries : sequence of str
         ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
+
+    Examples
+    --------
+    >>> wedge = am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "slope", "left"))
+    >>> wedge.boundaries
+    ('bottom', 'slope', 'left')
     """
 
     vertices: tuple[tuple[float, float], ...]
@@ -220,6 +236,12 @@ class Outline(Domain):
     arcs : mapping of int to pair of float
         Edge i is the shorter arc about the centre ``arcs[i]``, m: less than 180 degrees, both vertices at the same
         distance from the centre. A full circle takes three edges or more. Other edges are straight.
+
+    Examples
+    --------
+    >>> quarter = am.Outline(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "arc", "left"), arcs={1: (0, 0)})
+    >>> quarter.boundaries
+    ('bottom', 'arc', 'left')
     """
 
     vertices: tuple[tuple[float, float], ...]

@@ -29,6 +29,12 @@ class Plane:
         A point of the plane, m.
     normal : sequence of float
         Its normal, pointing towards the body; any length > 0.
+
+    Examples
+    --------
+    >>> floor = am.Plane(point=(0, 0, 0), normal=(0, 0, 2))
+    >>> floor.normal.tolist()                                         # of unit length
+    [0.0, 0.0, 1.0]
     """
 
     point: np.ndarray
@@ -78,6 +84,12 @@ class GapFunction:
     ----------
     function : callable
         Points (n, dim) in m -> gaps (n,) in m, measured along the outward normal of the body.
+
+    Examples
+    --------
+    >>> parabola = am.GapFunction(lambda x: 0.5 * x[:, 0]**2 / 0.1)      # m, at points (n, dim)
+    >>> parabola.function(np.array([[0.01, 0.0]])).round(6).tolist()
+    [0.0005]
     """
 
     function: Callable[[np.ndarray], np.ndarray]
@@ -110,6 +122,11 @@ class ContactPair:
     gap : float or callable, optional
         Initial gap along the slave's normal, m, in place of the computed one: a number, or a function of position
         (n, dim) -> (n,).
+
+    Examples
+    --------
+    >>> am.ContactPair("upper.bottom", "lower.top").master
+    'lower.top'
     """
 
     slave: str

@@ -59,6 +59,13 @@ class PathResult(Sequence[Result]):
         What the path was solved for, see :mod:`adaptmg.solver.step_store`; empty without a store.
     n_steps : int
         Steps of the whole path.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}))
+    >>> len(steps), steps.complete
+    (2, True)
     """
 
     results: tuple[Result, ...]
@@ -227,6 +234,13 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     ValueError
         Bad input, or a rigid motion that neither supports nor contact hold in a step.
     StepNotConverged
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0, 0.0]}))
+    >>> len(steps)
+    3
     """
     grids = grids_argument(grids)
     checks.instance("path", path, LoadPath, "a LoadPath")

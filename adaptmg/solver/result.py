@@ -76,6 +76,16 @@ class Result:
         The certificate of the solve.
     supports : dict of str to str
         By boundary the components that supports hold, such as "xy"; empty for a bare DiscreteProblem.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.displacement.shape
+    (25, 2)
+    >>> result.probe([(0.01, 0.02)]).shape
+    (1, 2)
+    >>> len(result.contact.pressure)
+    5
     """
 
     displacement: np.ndarray
@@ -329,6 +339,15 @@ class NotConverged(RuntimeError):
     ----------
     result : Result
         The last iterate with its true residual.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> try:
+    ...     am.solve(grids, am.SingleGrid(max_sweeps=1))
+    ... except am.NotConverged as error:
+    ...     error.result.status.name
+    'LIMIT'
     """
 
     def __init__(self, result: Result) -> None:

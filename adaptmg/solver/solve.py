@@ -59,6 +59,12 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     ValueError
         Bad input, or a rigid motion that neither supports nor contact prevent.
     NotConverged
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.status.name, len(result.contact.pressure)
+    ('CONVERGED', 5)
     """
     grids = grids_argument(grids)
     solver = solver_argument(solver, grids)
