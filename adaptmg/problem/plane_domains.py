@@ -113,7 +113,7 @@ class Box(Domain):
     Examples
     --------
     >>> am.Box(width=0.2, depth=0.1, height=0.1).boundaries
-    ('bottom', 'top', 'left', 'right', 'front', 'back')
+    ('bottom', 'right', 'top', 'left', 'front', 'back')
     """
 
     width: float
