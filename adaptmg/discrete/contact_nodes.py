@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
@@ -57,6 +59,12 @@ class ContactNodes:
     boundary: np.ndarray | None = None
     names: tuple[str, ...] = ("contact",)
     masters: tuple[str, ...] | None = None
+
+    if TYPE_CHECKING:
+        def __init__(self, *, nodes: ArrayLike, normals: ArrayLike, gaps: ArrayLike, weights: ArrayLike | None = None,
+                     slip_reference: ArrayLike | None = None, allow_interference: bool = False,
+                     boundary: ArrayLike | None = None, names: tuple[str, ...] = ("contact",),
+                     masters: tuple[str, ...] | None = None) -> None: ...
 
     def __post_init__(self) -> None:
         nodes = check_arrays.array("nodes", self.nodes, (None,), integer=True)

@@ -16,8 +16,10 @@ import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
@@ -99,6 +101,13 @@ class DiscreteProblem(Unknowns):
     coupling: Coupling | None = None
     bodies: Mapping[str, np.ndarray] | None = None
     exchange: Exchange | None = None
+
+    if TYPE_CHECKING:
+        def __init__(self, *, matrix: sparse.sparray | sparse.spmatrix, load: ArrayLike, fixed: ArrayLike, law: Law,
+                     contact: ContactNodes, fixed_values: ArrayLike | None = None,
+                     coordinates: ArrayLike | None = None, near_nullspace: ArrayLike | None = None,
+                     name: str = "discrete problem", coupling: Coupling | None = None,
+                     bodies: Mapping[str, np.ndarray] | None = None, exchange: Exchange | None = None) -> None: ...
 
     @classmethod
     def assembled(cls, **parts: object) -> DiscreteProblem:

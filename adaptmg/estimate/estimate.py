@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
 
@@ -63,6 +64,11 @@ class Estimate:
     value: float | None = None
     signed: float | None = None
     energy_error: float | None = None
+
+    if TYPE_CHECKING:
+        def __init__(self, *, squares: ArrayLike, norm: float, indicator: str = "", terms: Mapping[str, float] = ...,
+                     value: float | None = None, signed: float | None = None,
+                     energy_error: float | None = None) -> None: ...
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "squares", _checked_squares("squares", self.squares))

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy import sparse
@@ -218,7 +218,10 @@ class Monotone:
     'CONVERGED'
     """
 
-    needs_initial: ClassVar[bool] = False
+    @property
+    def needs_initial(self) -> bool:
+        """Return False."""
+        return False
 
     def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

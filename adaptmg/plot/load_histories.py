@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -22,7 +23,7 @@ _COLUMNS = 4
 
 
 @styled
-def load_history(results: Sequence[Result], factors: Sequence[float],
+def load_history(results: Sequence[Result], factors: ArrayLike,
                  quantities: Mapping[str, Callable[[Result], float]], *, against: str = "load factor",
                  pair: object = None, steps: int = 8) -> Figure:
     """Draw quantities against the load factor, and below them the contact pressure of single steps.
@@ -78,7 +79,7 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     return figure
 
 
-def _checked(results: Sequence[Result], factors: Sequence[float]) -> tuple[list[Result], np.ndarray]:
+def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result], np.ndarray]:
     results = list(results)
     if not results or not all(isinstance(r, Result) for r in results):
         raise TypeError("results must be a sequence of at least one Result, one a load step")

@@ -29,8 +29,8 @@ from adaptmg.solver.result import Result
 
 __all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "STATE_COLORS",
            "STATE_INKS", "STATE_NAMES", "axes_of", "axis_names", "body_fills", "bounds", "canvas", "entitle",
-           "halves", "label_text", "legend_below", "new_figure", "number", "plain", "polylines", "quoted", "scaled", "shade", "state_lines",
-           "stated_curve", "states_of", "styled"]
+           "halves", "label_text", "legend_below", "new_figure", "number", "plain", "polylines", "quoted", "scaled",
+           "shade", "state_lines", "stated_curve", "states_of", "styled"]
 
 INK, GREY, PALE = "#1f2328", "#8a9099", "#eceef1"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"

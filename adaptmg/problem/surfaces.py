@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -39,6 +41,9 @@ class Plane:
 
     point: np.ndarray
     normal: np.ndarray
+
+    if TYPE_CHECKING:
+        def __init__(self, point: ArrayLike, normal: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         point = check_arrays.vector("point", self.point)

@@ -17,6 +17,7 @@ from functools import partial
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -193,7 +194,7 @@ class StepNotConverged(NotConverged):
 
 @one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
-               start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
+               start: ArrayLike | Result | None = None, store: str | os.PathLike[str] | None = None,
                depends: Mapping[str, object] | None = None, throw: bool = True,
                callback: Callable[[int, Result], None] | None = None,
                progress: Callable[[int, dict[str, float]], None] | None = None) -> PathResult:

@@ -8,6 +8,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -166,7 +167,7 @@ class Result:
                              "(grids.finest.discrete)")
         return self.checked
 
-    def probe(self, points: np.ndarray) -> np.ndarray:
+    def probe(self, points: ArrayLike) -> np.ndarray:
         """Displacement at points.
 
         Parameters

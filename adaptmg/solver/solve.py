@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -28,8 +29,8 @@ _LOG = logging.getLogger(__name__)
 
 
 @one_blas_thread()
-def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, start: np.ndarray | Result | None = None,
-          reference: np.ndarray | Result | None = None, throw: bool = True,
+def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, start: ArrayLike | Result | None = None,
+          reference: ArrayLike | Result | None = None, throw: bool = True,
           callback: Callable[[dict[str, float]], None] | None = None) -> Result:
     """Solve a contact problem on the finest level of a hierarchy.
 
