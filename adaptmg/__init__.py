@@ -1,6 +1,25 @@
 """adaptmg: multigrid for frictional contact on adaptively refined, non-nested meshes.
 
-``import adaptmg as am``; names are loaded when first used, so that importing stays fast.
+``import adaptmg as am``; names are loaded when first used, so that importing stays fast. SI units throughout.
+
+Problem     ContactProblem; Contact or ContactPair (obstacles Plane, GapFunction); Support, Pressure, Traction,
+            BodyForce, InitialStrain; Frictionless, Coulomb, Tresca; LoadPath
+Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
+Domain      Rectangle, Polygon, Outline; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut, Fuse, Common, Moved;
+            Assembly of several bodies; ready problems in cases, problem data in problem
+Grids       Hierarchy of Levels: uniform, graded, from_meshes, ...; transfers Interpolation, PseudoL2, L2, LumpedL2,
+            QuasiInterpolation; mesh, MeshArrays, SizeNear
+Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG
+Ingredients Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel; corrections Truncated, Monotone, PaperCorrection;
+            modules multigrid, smoother, transfer, solver
+Result      Result, Status, NotConverged, Certificate, PathResult; contact states OPEN, SLIP, STICK
+Adapt       adapt, which yields Steps; indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
+            MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate, GoalEstimate; estimate
+Matrices    discretise, DiscreteProblem, ContactNodes; discrete
+Show        plot, export
+Sweep       Study; designs and tables in study
+
+``help(am.solve)`` shows one name with an example, ``dir(am.plot)`` lists the names of a module.
 """
 
 from __future__ import annotations
@@ -56,7 +75,8 @@ _WHERE = {
 }
 _HOME = {name: module for module, names in _WHERE.items() for name in names}
 
-__all__ = sorted([*_HOME, *_SUBMODULES, "__version__"])
+#: not __all__, with which help(adaptmg) would show each class at length
+_NAMES = sorted([*_HOME, *_SUBMODULES, "__version__"])
 
 
 def __getattr__(name: str) -> Any:
@@ -70,4 +90,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return _NAMES

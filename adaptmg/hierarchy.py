@@ -62,6 +62,12 @@ class Hierarchy:
         What built the prolongations between meshes; None for interpolation, or where there are no meshes.
     contact_rows : bool
         Whether the rows of contact nodes were replaced, see :meth:`from_meshes`.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> len(grids), grids.finest.discrete.n_nodes
+    (2, 25)
     """
 
     levels: tuple[Level, ...]

@@ -47,6 +47,12 @@ class Level:
     surface_prolongation : csr_array or None
         With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for corrections that need
         it (:mod:`adaptmg.transfer.contact_rows`).
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> grids.finest.prolongation.shape                               # to its nodes from those of the level below
+    (25, 9)
     """
 
     discrete: DiscreteProblem | None

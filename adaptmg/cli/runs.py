@@ -185,7 +185,7 @@ def write(table: pd.DataFrame, path: Path, units: Mapping[str, str] | None = Non
         try:
             table.map(_plain).apply(_of_one_type).to_parquet(buffer, index=False)
         except ImportError:
-            raise ValueError("--to FILE.parquet needs the package pyarrow: pip install \"adaptmg[parquet]\", or write "
+            raise ValueError("--to FILE.parquet needs the package pyarrow: pip install pyarrow, or write "
                              ".csv") from None
         content = buffer.getvalue()
     write_bytes(target, content)

@@ -55,6 +55,13 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     ValueError
         If dimensions, boundary or body names differ, if a body has neither support nor contact, if the mesh has fewer
         than dim + 1 contact nodes, or loads and supports do not fit it.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> discrete = am.discretise(problem, am.mesh.structured(problem.domain, 4))
+    >>> discrete.matrix.shape
+    (50, 50)
     """
     checks.instance("problem", problem, ContactProblem, "a ContactProblem")
     checks.instance("mesh", mesh, MeshArrays, "MeshArrays")

@@ -112,8 +112,10 @@ def adapt(problem: ContactProblem,
 
     Examples
     --------
-    >>> for step in am.adapt(am.cases.upset_block(), max_nodes=20_000):
-    ...     print(step)
+    >>> problem = am.cases.upset_block()
+    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=30))
+    >>> steps[-1].estimate.relative < steps[0].estimate.relative
+    True
     """
     checks.instance("problem", problem, ContactProblem, "a ContactProblem")
     if tolerance is None and max_nodes is None and max_seconds is None:

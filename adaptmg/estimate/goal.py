@@ -58,6 +58,14 @@ class Goal:
     The signed estimate contains the algebraic error, as far as it leaves the contact state unchanged. It is of first
     order in the residual: ``energy_error`` of the estimate, by which solvers are stopped, is the energy error that has
     as large a part in the quantity as the discretisation has, and not the energy error of the discretisation.
+
+    Examples
+    --------
+    >>> goal = am.Goal(am.ContactForce("contact", "normal"))
+    >>> problem = am.cases.greco_bar()
+    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=goal, max_nodes=30))
+    >>> step.estimate.value > 0                                       # N/m
+    True
     """
 
     quantity: Quantity | Sequence[Quantity]

@@ -80,6 +80,14 @@ class GoalEstimate(Estimate):
     """An estimate of the error of quantities of interest.
 
     Arrays (n,) and tuples have an entry for each quantity.
+
+    Examples
+    --------
+    >>> goal = am.Goal(am.Opening("contact"))
+    >>> problem = am.cases.greco_bar()
+    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=goal, max_nodes=30))
+    >>> len(step.estimate.values)
+    1
     """
 
     names: tuple[str, ...]

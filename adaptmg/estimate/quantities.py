@@ -56,6 +56,11 @@ class Displacement:
     component : 0, 1, 2 or "x", "y", "z"
     body : str, optional
         Of which body; where two touch, a point lies in both.
+
+    Examples
+    --------
+    >>> am.Goal(am.Displacement((0.0, 0.04), "x")).quantity.component
+    'x'
     """
 
     points: Sequence[float] | Sequence[Sequence[float]]
@@ -118,6 +123,11 @@ class MeanDisplacement:
     ----------
     boundary : str
     component : 0, 1, 2 or "x", "y", "z"
+
+    Examples
+    --------
+    >>> am.Goal(am.MeanDisplacement("top", "y")).quantity.boundary
+    'top'
     """
 
     boundary: str
@@ -173,6 +183,11 @@ class ContactForce:
         "normal": the sum of the compressive nodal forces; "tangential" (2D): that of the tangential forces on the
         slave, along the normal turned by +90 degrees; 0, 1, 2 or "x", "y", "z": the component of the force on the body
         of this boundary.
+
+    Examples
+    --------
+    >>> am.Goal(am.ContactForce("contact", "normal")).quantity.direction
+    'normal'
     """
 
     boundary: str = "contact"
@@ -226,6 +241,11 @@ class Opening:
         A contact boundary, or the slave or name ("slave on master") of a pair.
     point : (dim,) array-like, optional
         On the boundary, m. Default: the mean, weighted with the lumped masses of the contact nodes.
+
+    Examples
+    --------
+    >>> am.Goal(am.Opening("contact", point=(0.0, 0.0))).quantity.point
+    (0.0, 0.0)
     """
 
     boundary: str = "contact"

@@ -26,7 +26,15 @@ __all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"
 
 @dataclass(frozen=True)
 class Recovery:
-    """The recovery indicator; it has no parameters."""
+    """The recovery indicator; it has no parameters.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=am.Recovery(), max_nodes=30))
+    >>> 0 < step.estimate.relative < 1
+    True
+    """
 
     @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:

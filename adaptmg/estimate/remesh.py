@@ -68,6 +68,11 @@ class Remesh:
         Netgen makes a mesh of :math:`2^{-dk}` of the nodes, which is refined k times uniformly. One refinement takes a
         third of the time for up to 11 % more error on coarse meshes (flat punch, 1 000 nodes; none at 26 000, 0 to 6 %
         on dovetail and junction); take 0 for goals. With more, sizes grow more slowly.
+
+    Examples
+    --------
+    >>> am.Remesh(growth=2.0).growth
+    2.0
     """
 
     growth: float = 2.5

@@ -44,7 +44,15 @@ __all__ = ["Residual", "boundary_squares", "condition_squares", "jump_squares", 
 
 @dataclass(frozen=True)
 class Residual:
-    """The residual indicator; it has no parameters."""
+    """The residual indicator; it has no parameters.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=am.Residual(), max_nodes=30))
+    >>> step.estimate.squares.shape == (len(step.hierarchy.finest.mesh.elements),)
+    True
+    """
 
     @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:

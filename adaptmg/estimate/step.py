@@ -77,6 +77,13 @@ class Step:
         printed before the estimate, and the loop does not end by ``tolerance``. None for energy norms.
     outcome : str
         Why the loop stopped after this step; empty as long as it has not.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=20))
+    >>> steps[0].nodes < steps[-1].nodes
+    True
     """
 
     #: heading of the rows of steps

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
@@ -101,6 +102,13 @@ class MeshArrays:
     refinement : Refinement or None
         The history of a bisected mesh, which further bisection and coarsening need. Pickled, but not saved in a result;
         a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
+
+    Examples
+    --------
+    >>> triangle = am.MeshArrays(points=[[0, 0], [1, 0], [0, 1]], elements=[[0, 1, 2]], facets=[[0, 1], [1, 2], [2, 0]],
+    ...                          facet_labels=[0, 1, 1], boundaries=("bottom", "rest"))
+    >>> triangle.n_nodes, triangle.dim
+    (3, 2)
     """
 
     points: np.ndarray
@@ -113,6 +121,11 @@ class MeshArrays:
     source: ngsolve.Mesh | None = field(default=None, repr=False)
     sound: bool = field(default=False, init=False, repr=False)
     refinement: Refinement | None = field(default=None, init=False, repr=False)
+
+    if TYPE_CHECKING:
+        def __init__(self, points: ArrayLike, elements: ArrayLike, facets: ArrayLike, facet_labels: ArrayLike,
+                     boundaries: tuple[str, ...], element_body: ArrayLike | None = None,
+                     bodies: tuple[str, ...] = ("body",), source: ngsolve.Mesh | None = None) -> None: ...
 
     def __post_init__(self) -> None:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),

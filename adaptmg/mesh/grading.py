@@ -86,6 +86,12 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     TypeError, ValueError
         On an unknown domain or boundary, sizes <= 0, a ratio < 1, an outline that crosses itself, sizes that ask for
         more than 5 million nodes (3D: 2 million), or where Netgen fails or does not finish.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.graded(am.Rectangle(width=1, height=1), 0.5, "bottom", contact_ratio=2)
+    >>> mesh.dim
+    2
     """
     check_domain(domain)
     domain = in_edges(domain)
@@ -180,6 +186,12 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     ------
     TypeError, ValueError
         On an unknown domain, sizes <= 0 or not finite, or as :func:`graded`.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.sized(am.Rectangle(width=1, height=1), lambda x: 0.1 + x[:, 0], max_size=0.5)
+    >>> mesh.n_nodes > 10
+    True
     """
     check_domain(domain)
     domain = in_edges(domain)

@@ -60,6 +60,12 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     ------
     TypeError, FileNotFoundError, ValueError
         If it is none of these, there is no such file, it cannot be read, or it is not sound (:func:`check_mesh`).
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> am.mesh.as_mesh(mesh) is mesh
+    True
     """
     if isinstance(mesh, MeshArrays):
         return check_mesh(mesh) if _fits(mesh) else check_stranger(mesh)
@@ -118,6 +124,12 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     TypeError, ValueError
         If it is no NGSolve mesh; on other elements, curved or of second order, a deformation, periodic boundaries,
         dimensions other than 2 and 3, or a mesh that is not sound (:func:`adaptmg.mesh.check_mesh`).
+
+    Examples
+    --------
+    >>> mesh = am.mesh.graded(am.Rectangle(width=1, height=1), 0.5)
+    >>> am.mesh.from_ngsolve(mesh.source).n_nodes == mesh.n_nodes
+    True
     """
     import ngsolve
 

@@ -34,6 +34,12 @@ class SizeNear:
     grading : float
         Growth of the edge length per distance beyond, above 0 and at most 1 (the smaller, the surer a single point
         is found in a coarse mesh: take 0.5 at most).
+
+    Examples
+    --------
+    >>> size = am.SizeNear([(0.0, 0.0)], size=1e-3, radius=5e-3)
+    >>> size.size
+    0.001
     """
 
     points: Sequence[Sequence[float]]

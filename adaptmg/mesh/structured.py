@@ -56,6 +56,11 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     TypeError, ValueError
         On another domain, divisions below 1, more nodes than the main memory holds or can be
         numbered (3D: 2 million), a body left out, or an unknown diagonal.
+
+    Examples
+    --------
+    >>> am.mesh.structured(am.Rectangle(width=1, height=1), 4).n_nodes
+    25
     """
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
@@ -195,6 +200,13 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
     TypeError, ValueError
         If ``meshes`` is empty or no mapping, on names with ".", meshes of several bodies, of different dimensions, or
         that are not sound (:func:`adaptmg.mesh.check_mesh`).
+
+    Examples
+    --------
+    >>> block = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> below = am.mesh.structured(am.Rectangle(width=1, height=1, origin=(0, -1)), 2)
+    >>> am.mesh.merged({"upper": block, "lower": below}).bodies
+    ('upper', 'lower')
     """
     if not isinstance(meshes, Mapping):
         raise TypeError(f"meshes must map body names to MeshArrays, got {type(meshes).__name__}")

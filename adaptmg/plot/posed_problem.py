@@ -52,8 +52,8 @@ __all__ = ["boundary_edges", "problem", "spread", "support_text"]
 _CONTACT, _MASTER, _SUPPORT = "#e8833a", "#f2c530", "#4fb38a"
 
 SurfaceLoad = Pressure | Traction
-#: points, outward unit normals and tractions (n, dim) of a load
-Place = tuple[np.ndarray, np.ndarray, np.ndarray]
+#: a load, and points, outward unit normals and tractions (n, dim) on its boundary
+_Drawn = tuple[SurfaceLoad, np.ndarray, np.ndarray, np.ndarray]
 
 
 @style.styled
@@ -73,6 +73,12 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
         The mesh whose bodies and boundaries are drawn; default: the domain, in 3D a coarse mesh of it.
     explode : float
         3D only: move each body away from the centre by this multiple of its distance, to show contact surfaces.
+
+    Examples
+    --------
+    >>> figure = am.plot.problem(am.cases.greco_bar())
+    >>> figure.axes[0].get_title()
+    'GRECO bar'
     """
     checks.instance("posed", posed, ContactProblem)
     if posed.domain is None and mesh is None:
@@ -90,7 +96,7 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
         width, height = (upper - lower) / np.max(upper - lower)
         ax = style.canvas(ax, (4.4 * width + 3.9, 4.4 * height + 1.4))
         _draw_plane(posed, bodies, boundary_edges(posed.domain) if mesh is None else _mesh_edges(mesh), ax)
-    ax.set_title(style.plain(posed.name))
+    style.entitle(ax, style.plain(posed.name))
     return ax.figure
 
 
@@ -114,11 +120,11 @@ def _draw_plane(posed: ContactProblem, bodies: dict[str, list[np.ndarray]], edge
                                          linewidth=2.0 if color == _MASTER else 4.0))
     enlarged = {contact.boundary: _draw_obstacle(ax, contact, edges[contact.boundary], size, scale)
                 for contact in posed.contact if isinstance(contact, Contact)}
-    places = []
+    places: list[_Drawn] = []
     for load in _surface_loads(posed):
         length = np.linalg.norm(np.diff(edges[load.boundary], axis=1), axis=2).sum()
         x, normals = spread(edges[load.boundary], np.linspace(0.06, 0.94, max(3, round(12 * length / size))))
-        places.append((x, normals, _tractions(load, x, normals)))
+        places.append((load, x, normals, _tractions(load, x, normals)))
     for tails, arrows in _arrows(places, 0.17 * size):
         ax.quiver(*scale * tails.T, *scale * arrows.T, angles="xy", scale_units="xy", scale=1, color=style.BLUE,
                   units="inches", width=0.02, headwidth=4.5, headlength=5.5, headaxislength=5, zorder=5)
@@ -249,7 +255,7 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: fl
         mine = np.flatnonzero(of_boundary[load.boundary])
         mine = mine[np.unique(np.linspace(0, len(mine) - 1, 24).astype(int))]
         normals = normals_of(corners[mine])
-        places.append((corners[mine].mean(axis=1), normals,
+        places.append((load, corners[mine].mean(axis=1), normals,
                        _tractions(load, mesh.points[mesh.facets[mine]].mean(axis=1), normals)))
     arrows = [stroke for arrow in _arrows(places, float(np.max(np.ptp(points, axis=0))) / 6)
               for stroke in _strokes(*arrow)]
@@ -257,7 +263,8 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: fl
     for support in (one for one in posed.supports if one.boundary is None):
         ax.plot(*points[supported_nodes(mesh, support)].T, "^", color=_SUPPORT, markeredgecolor=style.INK, zorder=9)
     draw_facets(ax, corners, colors, lines=False, extra=(
-        Lines(points[edges], style.INK, 0.9), Lines(np.concatenate([np.empty((0, 2, 3)), *arrows]), style.BLUE, 1.1)))
+        Lines(points[edges], style.INK, 0.9), Lines(np.concatenate([np.empty((0, 2, 3)), *arrows]), style.BLUE, 1.6,
+                                                     hidden="#8fbfe0")))
     finish_axes(ax, points, unit)
     if len(mesh.bodies) == 1:
         # the view in which contact, three times, and loads show most
@@ -295,10 +302,10 @@ def _tractions(load: SurfaceLoad, x: np.ndarray, normals: np.ndarray) -> np.ndar
     return np.stack([at(component) for component in load.components], axis=1)
 
 
-def _arrows(places: list[Place], reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
+def _arrows(places: list[_Drawn], reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """Tails and vectors (n, dim) for points, normals and tractions of each load, the longest ``reach``."""
     largest = max((float(np.linalg.norm(traction, axis=1).max()) for *_, traction in places), default=0.0)
-    arrows = [(x, normals, traction * (reach / largest if largest else 0.0)) for x, normals, traction in places]
+    arrows = [(x, normals, traction * (reach / largest if largest else 0.0)) for _, x, normals, traction in places]
     return [(np.where(np.einsum("nd,nd->n", arrow, normals)[:, None] <= 0, x - arrow, x), arrow)
             for x, normals, arrow in arrows]
 
@@ -315,7 +322,7 @@ def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
 
 
 def _legend(posed: ContactProblem, ax: Axes, bodies: Sequence[str], fills: Sequence[str], axes: str,
-            places: list[Place], boundaries: Sequence[str], enlarged: dict[str, int]) -> None:
+            places: list[_Drawn], boundaries: Sequence[str], enlarged: dict[str, int]) -> None:
     """List bodies, uses of boundaries and loads under the name of the law; of a single body the free boundaries too."""
     entries: list[tuple[Artist, str]] = []
     if len(bodies) > 1:
@@ -326,12 +333,12 @@ def _legend(posed: ContactProblem, ax: Axes, bodies: Sequence[str], fills: Seque
         text = f"{text} on" if color != _MASTER else text
         entries.append((Patch(facecolor=color, edgecolor=style.INK),
                         f"{text} {style.quoted(boundary)}" + (f"\n(gap drawn {times} times)" if times > 1 else "")))
-    loads = _surface_loads(posed)
+    acting = [(load, traction) for load, _, _, traction in places if traction.any()]
     entries += [(Line2D([], [], color=style.BLUE), f"{_surface_text(load, traction)} on {style.quoted(load.boundary)}")
-                for load, (_, _, traction) in zip(loads, places, strict=True)]
+                for load, traction in acting]
     entries += [(Line2D([], [], color=style.BLUE, linestyle=":"), _volume_text(load, axes)) for load in posed.loads
                 if isinstance(load, BodyForce | InitialStrain)]
-    used = {name for name, *_ in _uses(posed)} | {load.boundary for load in loads}
+    used = {name for name, *_ in _uses(posed)} | {load.boundary for load, _ in acting}
     if len(bodies) == 1 and (free := [style.quoted(name) for name in boundaries if name not in used]):
         entries.append((Patch(facecolor=style.PALE, edgecolor=style.INK), f"free: {', '.join(free)}"))
     handles, labels = zip(*entries, strict=True)

@@ -35,3 +35,7 @@ __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Co
            "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain", "PlaneStress",
            "PointSpring", "PointSupport", "Polygon", "Pressure", "Rectangle", "Revolution", "Solid", "Spring",
            "StepFile", "Support", "Symmetry", "Traction", "Tresca", "step_problem"]
+
+
+def __dir__() -> list[str]:
+    return __all__

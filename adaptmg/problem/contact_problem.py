@@ -40,6 +40,11 @@ class Contact:
         What it may touch.
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
+
+    Examples
+    --------
+    >>> am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1))).boundary
+    'bottom'
     """
 
     boundary: str
@@ -74,6 +79,15 @@ class ContactProblem:
         For tables and pictures.
     reference : mapping
         Reference values and their sources, as the case provides them.
+
+    Examples
+    --------
+    >>> posed = am.ContactProblem(
+    ...     domain=am.Rectangle(width=1.0, height=1.0), material=am.PlaneStrain(young=2e11, poisson=0.3),
+    ...     contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))), law=am.Coulomb(0.3),
+    ...     loads=(am.Pressure("top", 1e6),), supports=(am.Support("left", x=0),))
+    >>> posed.dim
+    2
     """
 
     material: Elastic | Mapping[str, Elastic]

@@ -48,7 +48,9 @@ class LoadPath:
 
     Examples
     --------
-    >>> am.LoadPath({"top": [1, 1, 1], "left": [0, 0.5, 1]})
+    >>> path = am.LoadPath({"top": [1, 1, 1], "left": [0, 0.5, 1]})
+    >>> path.factors["left"].tolist()
+    [0.0, 0.5, 1.0]
     """
 
     factors: Mapping[str, Factors] = field(default_factory=dict)

@@ -37,6 +37,12 @@ class Pressure:
         Name of the boundary.
     value : float or callable
         Pa; positive pushes into the body.
+
+    Examples
+    --------
+    >>> am.Pressure("top", 5e7).value
+    50000000.0
+    >>> ramp = am.Pressure("top", lambda x: 1e9 * x[:, 0])            # Pa, at points (n, dim)
     """
 
     boundary: str
@@ -57,6 +63,11 @@ class Traction:
         Name of the boundary.
     components : sequence of float or callable
         Cartesian components, Pa.
+
+    Examples
+    --------
+    >>> am.Traction("top", (0.0, 1e6)).components
+    (0.0, 1000000.0)
     """
 
     boundary: str
@@ -77,6 +88,11 @@ class BodyForce:
         Cartesian components, N/m^3.
     body : str, optional
         Name of the body it acts on; all by default.
+
+    Examples
+    --------
+    >>> am.BodyForce((0.0, -9.81 * 7850)).components
+    (0.0, -77008.5)
     """
 
     components: tuple[FieldLike, ...]
@@ -102,6 +118,11 @@ class InitialStrain:
     components : sequence of float or callable
         Normal strains; shear strains are zero. In 2D (xx, yy) or (xx, yy, zz), axisymmetric (rr, zz) or (rr, zz,
         hoop), the third being 0 where it is left out; in 3D (xx, yy, zz). Negative shortens.
+
+    Examples
+    --------
+    >>> am.InitialStrain("bolt", (0.0, -1e-3)).components
+    (0.0, -0.001)
     """
 
     body: str
@@ -182,6 +203,11 @@ class Support(_Prescribes):
         Name of the boundary.
     x, y, z : float, callable or None
         Prescribed displacement, m; a function of position is taken at the nodes.
+
+    Examples
+    --------
+    >>> am.Support("right", x=0).x
+    0.0
     """
 
     boundary: str

@@ -50,14 +50,26 @@ class Elastic:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneStrain(Elastic):
-    """Plane strain: a long body, strain only in the plane. Forces are per metre of length."""
+    """Plane strain: a long body, strain only in the plane. Forces are per metre of length.
+
+    Examples
+    --------
+    >>> am.PlaneStrain(young=2.1e11, poisson=0.3).young
+    210000000000.0
+    """
 
     dim: ClassVar[int] = 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneStress(Elastic):
-    """Plane stress: a thin sheet. Forces are per metre of thickness."""
+    """Plane stress: a thin sheet. Forces are per metre of thickness.
+
+    Examples
+    --------
+    >>> am.PlaneStress(young=2.1e11, poisson=0.3).young
+    210000000000.0
+    """
 
     dim: ClassVar[int] = 2
 
@@ -72,6 +84,11 @@ class Axisymmetric(Elastic):
     """A body of revolution without torsion: x is the radius r >= 0, y the axial coordinate z.
 
     All forces are those over the full circumference, N: integrals are weighted with 2 pi r.
+
+    Examples
+    --------
+    >>> am.Axisymmetric(young=2.1e11, poisson=0.3).poisson
+    0.3
     """
 
     dim: ClassVar[int] = 2
@@ -79,6 +96,12 @@ class Axisymmetric(Elastic):
 
 @dataclass(frozen=True, kw_only=True)
 class Solid(Elastic):
-    """A three-dimensional body."""
+    """A three-dimensional body.
+
+    Examples
+    --------
+    >>> am.Solid(young=2.1e11, poisson=0.3).young
+    210000000000.0
+    """
 
     dim: ClassVar[int] = 3

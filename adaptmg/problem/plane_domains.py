@@ -75,6 +75,11 @@ class Rectangle(Domain):
         m, > 0.
     origin : pair of float
         Lower left corner, m.
+
+    Examples
+    --------
+    >>> am.Rectangle(width=0.2, height=0.1).boundaries
+    ('bottom', 'right', 'top', 'left')
     """
 
     width: float
@@ -107,6 +112,11 @@ class Box(Domain):
         Lengths along x, y and z, m, > 0.
     origin : triple of float
         Lowest corner, m.
+
+    Examples
+    --------
+    >>> am.Box(width=0.2, depth=0.1, height=0.1).boundaries
+    ('bottom', 'right', 'top', 'left', 'front', 'back')
     """
 
     width: float
@@ -166,6 +176,12 @@ class Polygon(Domain):
         Corners in counter-clockwise order, m.
     boundaries : sequence of str
         ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
+
+    Examples
+    --------
+    >>> wedge = am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "slope", "left"))
+    >>> wedge.boundaries
+    ('bottom', 'slope', 'left')
     """
 
     vertices: tuple[tuple[float, float], ...]
@@ -265,6 +281,12 @@ class Outline(Domain):
     holes : sequence of int
         Numbers of the vertices at which holes begin: the vertices of each follow those of the outer edge, clockwise,
         so that the body lies to the left of every edge. The last edge of each closes it. ``Cut`` makes holes.
+
+    Examples
+    --------
+    >>> quarter = am.Outline(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "arc", "left"), arcs={1: (0, 0)})
+    >>> quarter.boundaries
+    ('bottom', 'arc', 'left')
     """
 
     vertices: tuple[tuple[float, float], ...]

@@ -66,6 +66,11 @@ class Cylinder(SolidDomain):
         Direction from bottom to top, of any length; stored as a unit vector.
     radius, height : float
         m, > 0.
+
+    Examples
+    --------
+    >>> am.Cylinder((0, 0, 0), (0, 0, 1), radius=0.1, height=0.5).height
+    0.5
     """
 
     point: Triple
@@ -95,6 +100,11 @@ class Ball(SolidDomain):
         m.
     radius : float
         m, > 0.
+
+    Examples
+    --------
+    >>> am.Ball((0, 0, 0.1), 0.1).radius
+    0.1
     """
 
     centre: Triple
@@ -122,6 +132,11 @@ class Revolution(SolidDomain):
         Profile in the half plane (r, z), r >= 0. It may touch the axis along edges, not at a single vertex.
     angle : float
         Degrees, 0 < angle <= 360.
+
+    Examples
+    --------
+    >>> am.Revolution(am.Rectangle(width=0.1, height=0.2, origin=(0.1, 0)), angle=90).angle
+    90.0
     """
 
     polygon: Profile
@@ -174,6 +189,12 @@ class Extrusion(SolidDomain):
         m, > 0.
     base : float
         z of the bottom, m.
+
+    Examples
+    --------
+    >>> corner = am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("south", "slope", "west"))
+    >>> am.Extrusion(corner, height=0.01).height
+    0.01
     """
 
     polygon: Profile
@@ -212,6 +233,11 @@ class Moved(SolidDomain):
         Degrees, right-handed about ``axis``.
     axis : triple of float
         Direction, of any length; stored as a unit vector.
+
+    Examples
+    --------
+    >>> am.Moved(am.Ball((0, 0, 0), 0.1), offset=(0, 0, 0.1)).offset
+    (0.0, 0.0, 0.1)
     """
 
     solid: SolidDomain | Box
@@ -319,6 +345,9 @@ class Cut(Combination):
     >>> plate = am.Cut(am.Rectangle(width=0.2, height=0.1), am.Circle((0.1, 0.05), 0.02, "hole"))
     >>> am.Cut(plate, am.Rectangle(width=0.02, height=0.03), rename={"b.right": "notch", "b.top": "notch"}).boundaries
     ('bottom', 'right', 'top', 'left', 'notch', 'hole')
+    >>> drilled = am.Cut(am.Box(width=1, depth=1, height=1), am.Cylinder((0.5, 0.5, 0), (0, 0, 1), 0.2, 1.0))
+    >>> drilled.a.width
+    1.0
     """
 
     def _extremes(self) -> np.ndarray:
@@ -326,14 +355,28 @@ class Cut(Combination):
 
 
 class Fuse(Combination):
-    """``a`` and ``b`` as one body. Parameters as of :class:`Combination`."""
+    """``a`` and ``b`` as one body. Parameters as of :class:`Combination`.
+
+    Examples
+    --------
+    >>> both = am.Fuse(am.Box(width=1, depth=1, height=1), am.Ball((0.5, 0.5, 1.0), 0.3))
+    >>> both.b.radius
+    0.3
+    """
 
     def _extremes(self) -> np.ndarray:
         return np.stack([self.a.lower, self.b.lower, self.a.upper, self.b.upper])
 
 
 class Common(Combination):
-    """The intersection of ``a`` and ``b``. Parameters as of :class:`Combination`."""
+    """The intersection of ``a`` and ``b``. Parameters as of :class:`Combination`.
+
+    Examples
+    --------
+    >>> lens = am.Common(am.Ball((0, 0, 0), 1.0), am.Ball((0, 0, 1.5), 1.0))
+    >>> lens.b.centre[2]
+    1.5
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -422,6 +465,12 @@ class StepFile(Domain):
     names : mapping of str to str
         New names: "solid1": "upper" of a solid, "solid1.face3": "contact" of one of its faces. Keys are names as in
         the file, or solids and faces by their numbers, counted from 1.
+
+    Examples
+    --------
+    >>> part = am.StepFile("bracket.step", names={"face3": "foot"})
+    >>> part.unit                                                      # of the file's lengths, m
+    0.001
     """
 
     path: str | Path

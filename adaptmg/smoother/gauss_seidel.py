@@ -48,6 +48,12 @@ class ProjectedGaussSeidel:
     friction_update : "sweep" or int
         When mu * p is updated: "sweep": within each node solve; k >= 1: before the first sweep of a call and every k
         sweeps after it.
+
+    Examples
+    --------
+    >>> smoother = am.ProjectedGaussSeidel(omega=1.2, order="symmetric")
+    >>> am.Multigrid(correction=am.Monotone(), smoother=smoother).smoother.omega
+    1.2
     """
 
     omega: float = 1.0

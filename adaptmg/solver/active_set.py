@@ -77,6 +77,12 @@ class ActiveSet:
     springs tie the contact nodes to the last trusted iterate (a proximal point method): each problem with springs is
     solved until its residual is a tenth of that of its centre, which then moves to its solution. The springs become
     weaker with every problem that is solved and stiffer with every other one; at the end none are left.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.ActiveSet(linear=am.Direct())).status.name
+    'CONVERGED'
     """
 
     linear: LinearSolver = field(default_factory=Direct)

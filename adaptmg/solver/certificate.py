@@ -50,6 +50,12 @@ class Certificate:
         Whether a factorisation was made.
     force, displacement, energy_norm : float
         The scales of the lines: N, m, and sqrt(u'Au) (sqrt(N m)); in 2D per metre of thickness.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.certificate().energy_error < 1e-7
+    True
     """
 
     lines: tuple[Condition, ...]

@@ -70,7 +70,14 @@ class LinearSolver(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Direct:
-    """Sparse factorisation by SuperLU with a nested-dissection order, and one step of iterative refinement a solve."""
+    """Sparse factorisation by SuperLU with a nested-dissection order, and one step of iterative refinement a solve.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.ActiveSet(linear=am.Direct())).cycles < 20
+    True
+    """
 
     #: |K^-1 D| beyond this, D the diagonal of K, means singular
     SINGULAR = 1e13
@@ -137,6 +144,12 @@ class AMG:
     -----
     P. Vanek, J. Mandel, M. Brezina, Computing 56, 1996, doi:10.1007/BF02238511; N. Bell, L. Olson, J. Schroder,
     B. Southworth, PyAMG, JOSS 8 (87), 2023, doi:10.21105/joss.05495.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.ActiveSet(linear=am.AMG())).status.name
+    'CONVERGED'
     """
 
     max_iterations: int = 500

@@ -17,6 +17,7 @@ from functools import partial
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -60,6 +61,13 @@ class PathResult(Sequence[Result]):
         What the path was solved for, see :mod:`adaptmg.solver.step_store`; empty without a store.
     n_steps : int
         Steps of the whole path.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}))
+    >>> len(steps), steps.complete
+    (2, True)
     """
 
     results: tuple[Result, ...]
@@ -198,7 +206,7 @@ class StepNotConverged(NotConverged):
 @once()
 @one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
-               start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
+               start: ArrayLike | Result | None = None, store: str | os.PathLike[str] | None = None,
                depends: Mapping[str, object] | None = None, throw: bool = True,
                callback: Callable[[int, Result], None] | None = None,
                progress: Callable[[int, dict[str, float]], None] | bool | None = None) -> PathResult:
@@ -244,6 +252,13 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     -----
     UserWarning, RuntimeWarning
         As :func:`adaptmg.solve`, once for the whole path.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0, 0.0]}))
+    >>> len(steps)
+    3
     """
     checks.instance("path", path, LoadPath, "a LoadPath")
     grids, solver, choice = method_argument(solver, grids_argument(grids))

@@ -69,6 +69,13 @@ class Multigrid:
     max_cycles : int
         With Truncated also for what takes over where it does not converge (:class:`~adaptmg.solver.truncated.Fallback`;
         ``Result.fallback`` names it).
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> solver = am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="W", pre=2))
+    >>> am.solve(grids, solver).residual < 1e-7
+    True
     """
 
     cycle: Cycle = field(default_factory=Cycle)
@@ -158,6 +165,12 @@ class FullMultigrid(Multigrid):
         How the levels below are solved first.
 
     See :class:`Multigrid` for the others.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.FullMultigrid(rtol=1e-6)).error_estimate < 1e-6
+    True
     """
 
     start: NestedStart = field(default_factory=NestedStart)

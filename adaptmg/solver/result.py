@@ -10,6 +10,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -92,6 +93,16 @@ class Result:
     springs : dict of str to list of float
         By boundary, or "point (0, 1)", the force (dim) that springs exert on the bodies, N, and its moment about the
         origin, N m.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.displacement.shape
+    (25, 2)
+    >>> result.probe([(0.01, 0.02)]).shape
+    (1, 2)
+    >>> len(result.contact.pressure)
+    5
     """
 
     displacement: np.ndarray
@@ -506,6 +517,15 @@ class NotConverged(RuntimeError):
     ----------
     result : Result
         The last iterate with its true residual.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> try:
+    ...     am.solve(grids, am.SingleGrid(max_sweeps=1))
+    ... except am.NotConverged as error:
+    ...     error.result.status.name
+    'LIMIT'
     """
 
     def __init__(self, result: Result) -> None:

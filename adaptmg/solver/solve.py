@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -37,8 +38,8 @@ _LOG = logging.getLogger(__name__)
 
 @once()
 @one_blas_thread()
-def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, start: np.ndarray | Result | None = None,
-          reference: np.ndarray | Result | None = None, throw: bool = True,
+def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, start: ArrayLike | Result | None = None,
+          reference: ArrayLike | Result | None = None, throw: bool = True,
           callback: Callable[[dict[str, float]], None] | None = None, progress: bool = False) -> Result:
     """Solve a contact problem on the finest level of a hierarchy.
 
@@ -84,6 +85,12 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     Notes
     -----
     A solve takes one thread; several run at the same time as a :class:`adaptmg.Study`.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.status.name, len(result.contact.pressure)
+    ('CONVERGED', 5)
     """
     given = grids_argument(grids)
     grids, solver, choice = method_argument(solver, given)

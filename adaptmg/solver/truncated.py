@@ -64,6 +64,12 @@ class Truncated:
         A user-defined smoother of the linear problems between the coarsest level and the finest, anything with
         ``setup(matrix) -> object with smooth(rhs, x) -> passes``. Default: Gauss-Seidel sweeps. The smoother of the
         finest level, projected sweeps that leave the residual behind, is part of the method.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.Multigrid(correction=am.Truncated())).status.name
+    'CONVERGED'
     """
 
     #: how much denser than the finest matrix a coarse one is that is smoothed once only

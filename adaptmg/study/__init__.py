@@ -26,3 +26,7 @@ def __getattr__(name: str) -> Any:
 
         return getattr(importlib.import_module(_WHERE[name]), name)
     raise AttributeError(f"module 'adaptmg.study' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -134,7 +134,14 @@ _MOST = 12
 
 @dataclass(frozen=True, kw_only=True)
 class StudyStatus:
-    """Counts of the runs of a study, and why runs are stale or failed."""
+    """Counts of the runs of a study, and why runs are stale or failed.
+
+    Examples
+    --------
+    >>> study = am.Study(lambda n: {"square": n * n}, {"n": [1, 2]})
+    >>> study.status().missing
+    2
+    """
 
     name: str  # of the study
     done: int  # stored and valid

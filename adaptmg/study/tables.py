@@ -57,6 +57,13 @@ def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
         Shown in the header: ``{"seconds": "s"}`` gives 'seconds [s]'.
     formats : mapping of column to str
         Format of numbers, as in ``format(x, ".2e")``; default ``.4g`` for floats.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> text = am.study.as_text(pd.DataFrame({"cycles": [14, 9]}), caption="Cycles")
+    >>> "14" in text
+    True
     """
     headers, columns = cells(table, units, formats)
     widths = [max(map(len, (header, *column)), default=0) for header, column in zip(headers, columns, strict=True)]
@@ -74,7 +81,14 @@ def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
 
 def as_html(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
             formats: Mapping[str, str] | None = None) -> str:
-    """Return a table as an HTML ``<figure>``, escaped, numbers in class ``n``; arguments as of :func:`as_text`."""
+    """Return a table as an HTML ``<figure>``, escaped, numbers in class ``n``; arguments as of :func:`as_text`.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> "<table" in am.study.as_html(pd.DataFrame({"cycles": [14, 9]}))
+    True
+    """
     headers, columns = cells(table, units, formats)
     classes = [' class="n"' if numeric(column) else "" for _, column in table.items()]
     head = "".join(f"<th{c}>{in_html(h)}</th>" for h, c in zip(headers, classes, strict=True))
