@@ -28,7 +28,7 @@ TIMED = {"amg": 40, "adaptive_vs_uniform": 90}
 #: only with --full, or where they are named
 LARGE = {"hertz": 120, "benchmark": 300}
 TITLE = "adaptmg: multigrid for frictional contact"
-SUMMARY = """Multigrid in Structure Assembling Problem (M. Raous and co-workers), recomputed: its three tables next to
+SUMMARY = """The paper Multigrid in Structure Assembling Problem recomputed: its three tables next to
 ours, its assemblies, and what it leaves open, adaptive meshes with non-nested grids."""
 TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,
 inside coarse solves and in nested starts too. Not counted: direct factorisations, which are in the seconds only; a pass
