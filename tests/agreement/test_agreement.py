@@ -1,11 +1,4 @@
-"""Agreement: every method finds the same solution, for each law, in 2D, 3D, axisymmetry and between bodies.
-
-The reference of a problem is the active set method to 1e-12. It is compared with a conic programme solved by clarabel,
-which shares no code with adaptmg; every other method is compared with it, to its tolerance. Where a closed form exists,
-all methods are compared with that.
-"""
-
-from __future__ import annotations
+"""Agreement: every method finds the same solution, for each law, in 2D, 3D, axisymmetry and between bodies."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """The bolted junction: equilibrium, preload, the effect of the pressure, 2D against 3D, agreement of methods."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

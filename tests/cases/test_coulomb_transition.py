@@ -1,7 +1,5 @@
 """The exact Coulomb transition fields: equations to rounding, admissible states; discrete solutions and estimates."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -220,11 +220,6 @@ class TestRefusals:
         with pytest.raises(ValueError, match="share node 4"):
             self.made(slave=np.r_[self.DATA[1], [[3, 4]]])
 
-    def test_normals_elsewhere_are_not_read(self):
-        points, slave, master, normals = self.DATA
-        normals = np.where(np.arange(7)[:, None] < 4, normals, np.nan)
-        assert_same(mortar_2d(points, slave, master, normals), mortar_2d(*self.DATA))
-
 
 class TestNormals:
     def test_weighted_by_length(self):
@@ -246,11 +241,6 @@ class TestNormals:
         np.testing.assert_array_equal(normals[0], [0, -1])
         np.testing.assert_allclose(normals[1:], plain[1:], atol=1e-15)
         assert abs(plain[0, 0]) > 0.1
-
-    def test_refusals(self):
-        points = np.array([[0.0, 0.0], [1.0, 0.0]])
-        with pytest.raises(ValueError, match="no normal at node 0"):
-            surface_normals(points, np.array([[0, 1], [1, 0]]))
 
 
 def test_without_jit(monkeypatch):

@@ -1,7 +1,5 @@
 """am.adapt: steps are solved as exactly as meshes deserve, limits end it with a reason, parts may be user-defined."""
 
-from __future__ import annotations
-
 import itertools
 from functools import cache
 
@@ -166,10 +164,9 @@ def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
             am.adapt(problem, start, engine=engine, max_nodes=10**7, max_seconds=3)
 
 
-@pytest.mark.parametrize("case, size", [
-    ("upset_block", 5e-3), ("flat_punch", 5e-2), ("coulomb_transition", 0.18), ("hertz_cylinder", 5.9e-3),
-    ("bolted_junction", 6.9e-3)])
-@pytest.mark.parametrize("engine", [BISECT, am.Remesh()])
+@pytest.mark.parametrize(("case", "size", "engine"), [
+    ("upset_block", 5e-3, BISECT), ("upset_block", 5e-3, am.Remesh()), ("hertz_cylinder", 5.9e-3, am.Remesh()),
+    ("bolted_junction", 6.9e-3, BISECT)])
 def test_the_first_size_follows_the_domain(case, size, engine):
     problem = getattr(am.cases, case)()
     first = next(am.adapt(problem, engine=engine, max_nodes=400)).hierarchy

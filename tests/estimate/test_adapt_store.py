@@ -1,7 +1,5 @@
 """The store of an adaptive loop: what was killed goes on and ends with the same numbers, other folders are refused."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import json
@@ -98,9 +96,9 @@ def test_a_finished_loop_is_read_not_made_again(kept, whole, monkeypatch):
     assert found[1].hierarchy[0] is found[0].hierarchy[0]
 
 
-@pytest.mark.parametrize("at", [1, 3, None])
+@pytest.mark.parametrize("at", [1, None])
 def test_a_killed_loop_goes_on_with_the_same_numbers(tmp_path, whole, at):
-    """Killed while it writes the head or the second step, or from outside."""
+    """Killed while it writes the head, or from outside."""
     child = subprocess.Popen([sys.executable, "-c", CHILD, str(tmp_path), str(at or -1)], stdout=subprocess.PIPE,
                              text=True)
     if at is None:
@@ -171,7 +169,6 @@ def rewritten(file: Path, **changes: object) -> None:
 @pytest.mark.parametrize("change, message", [
     (lambda file: file.write_bytes(file.read_bytes()[:-10]), "is damaged"),
     (lambda file: rewritten(file, levels=[[1, -1], [0, -1]]), "another computation"),
-    (lambda file: rewritten(file, numbers={}), "another computation"),
     (lambda file: shutil.copy(file.with_name("step_0000.npz"), file), "another computation|holds step 0"),
     (lambda file: am.Result.load(file).save(file), "another computation")])
 def test_a_damaged_or_foreign_step_is_named_and_can_be_made_again(copied, whole, change, message):

@@ -1,7 +1,5 @@
 """Meshes for tests of bisection, and what is asked of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

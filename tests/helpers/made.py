@@ -1,7 +1,5 @@
 """Meshes and results made by hand, for tests of what only reads them. No NGSolve, no solver."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays

@@ -1,12 +1,4 @@
-"""Contact of several bodies by multipliers on the untransformed system: shares nothing with the solvers.
-
-With C the local relative displacements at slave nodes (frames by row), f the contact forces on the slaves and the
-Cartesian system A u - b = C' f: a semismooth Newton method for -f_n = max(0, -f_n + c (C_n u - g)) and for
-f_t = proj(f_t - c (C_t u - r)), onto the disc of radius s + mu p. Multipliers are scaled by the largest diagonal entry
-of A; each system is solved with two steps of refinement.
-"""
-
-from __future__ import annotations
+"""Contact of several bodies by multipliers on the untransformed system: shares nothing with the solvers."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Kernels as plain Python: their results must not depend on the compiler."""
 
-from __future__ import annotations
-
 from types import ModuleType
 
 import pytest

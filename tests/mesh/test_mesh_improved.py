@@ -1,7 +1,5 @@
 """halved and improved: sound meshes of the same bodies, better shapes, sizes and boundaries kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,17 +1,13 @@
 """Meshes by sizes at points: sizes are followed, domains met, the same arguments give the same arrays."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
-from netgen.occ import Box as OccBox
-from netgen.occ import Compound, Pnt
 
 import adaptmg as am
 import adaptmg.mesh.resized as resized_module
-from adaptmg.mesh import check_mesh, graded, quality
+from adaptmg.mesh import check_mesh, quality
 from adaptmg.mesh.resized import PointSizes, resized
 
 PLATE = am.Rectangle(width=0.46, height=0.25, origin=(0.6, 0.2))
@@ -90,19 +86,6 @@ def test_bodies_have_their_own_sizes():
     assert nodes[0] < 20 and nodes[1] > 100
     with pytest.raises(ValueError, match="sizes must name each body once"):
         resized(both, {"left": uniform["left"]})
-
-
-def test_solids_of_step_files_have_their_own_sizes(tmp_path):
-    path = tmp_path / "two.step"
-    Compound([OccBox(Pnt(0, 0, low), Pnt(20, 20, low + 10)) for low in (0, 10)]).WriteStep(str(path))
-    domain = am.StepFile(path)
-    lower, upper = graded(domain, 10e-3).bodies
-    mesh = check_mesh(resized(domain, {lower: PointSizes(np.zeros((1, 3)), [10e-3]),
-                                       upper: PointSizes(np.zeros((1, 3)), [2.5e-3])}, refinements=1))
-    assert mesh.bodies == (lower, upper)
-    assert mesh.volumes.sum() == pytest.approx(8e-6, rel=1e-9)
-    nodes = [len(np.unique(mesh.elements[mesh.element_body == k])) for k in range(2)]
-    assert nodes[1] > 5 * nodes[0]
 
 
 def test_where_netgen_fails_it_is_asked_again(monkeypatch):

@@ -113,8 +113,8 @@ def test_flange_names_and_nodes():
     assert areas["hole"] == pytest.approx(2 * 2 * math.pi * HOLE * 0.0225, rel=0.1)
 
 
-@pytest.mark.parametrize("near", [1e-3])
-def test_a_ball_refined_at_its_lowest_point(near):
+def test_a_ball_refined_at_its_lowest_point():
+    near = 1e-3
     mesh = solid_mesh(OCTANT, 0.25, size_function=lambda x: near + 0.3 * np.linalg.norm(x, axis=1))
     surface = mesh.points[mesh.boundary_nodes("surface")]
     # also the nodes that bisection made lie on the sphere and in the planes of symmetry
@@ -170,11 +170,6 @@ def test_a_mesh_with_holes_is_noticed(monkeypatch):
     monkeypatch.setattr(module, "normalised", holey)
     with pytest.raises(ValueError, match=r"could not mesh Common.*boundary facets are given twice"):
         solid_mesh(OCTANT, 0.5)
-
-
-def test_the_volume_converges_with_the_square_of_the_size():
-    errors = [math.pi / 6 - solid_mesh(OCTANT, h, curvature=0.1).volumes.sum() for h in (0.5, 0.25, 0.125)]
-    assert errors[0] > 2.5 * errors[1] > 2.5**2 * errors[2] > 0
 
 
 @pytest.mark.parametrize("solid", [OCTANT, flange()], ids=["octant", "flange"])

@@ -1,7 +1,5 @@
 """Local sweeps near contact between bodies: exact residuals, falling energy, what is moved and what is not, work."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The parts of the truncated multigrid against dense algebra."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

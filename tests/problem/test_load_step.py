@@ -1,7 +1,5 @@
 """Problems of single load steps, and supports that prescribe functions of position."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 

@@ -1,7 +1,5 @@
 """What is posed: moduli, laws at the nodes, obstacles, domains and the names of a problem."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import pickle

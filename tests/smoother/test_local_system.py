@@ -1,7 +1,5 @@
 """LocalSystem: the same problem in contact frames, fixed dofs eliminated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The smoother step and the natural residual on networks and meshes: 2D, 3D, one body, two bodies, axisymmetric."""
 
-from __future__ import annotations
-
 import logging
 import os
 import subprocess

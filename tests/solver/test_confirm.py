@@ -1,7 +1,5 @@
 """A method that thinks too well of its iterate is made to go on by the certificate."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -86,7 +84,7 @@ def test_a_patch_test_to_the_discretisation_error():
 
 
 @pytest.mark.parametrize("start", [am.FullMultigrid, am.Multigrid])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_gaps_of_thousands_of_displacements_do_not_stall(seed, start):
     certificate = am.solve(slender.random_gaps(seed)[1], start(rtol=1e-8)).certificate()
     # the product of rounding and the whole gap, over the work of contact, is 2e-8 to 1e-7

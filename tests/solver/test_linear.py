@@ -1,7 +1,5 @@
 """Linear solvers: elimination order, direct solver, algebraic multigrid, and the glued problem."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Load histories: friction acts on increments, every step is solved, and an interrupted path goes on where it was."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -250,10 +248,9 @@ class Kept:
 
 
 class TestStore:
-    @pytest.mark.parametrize("solver", [am.FullMultigrid(), am.Multigrid(), EXACT,
-                                        am.FullMultigrid(rtol="discretisation")],
-                             ids=["nested", "cold", "exact", "discretisation"])
-    @pytest.mark.parametrize("grids", ["rough", "bodies"])
+    @pytest.mark.parametrize(("grids", "solver"), [
+        ("rough", am.FullMultigrid(rtol="discretisation")), ("rough", EXACT), ("bodies", am.FullMultigrid()),
+        ("bodies", am.Multigrid())], ids=["discretisation", "exact", "nested", "cold"])
     def test_an_interrupted_path_goes_on(self, grids, solver, tmp_path, request):
         path, grids = CYCLE if grids == "rough" else CYCLE_OF_BODIES, request.getfixturevalue(grids)
         whole = am.solve_path(grids, path, solver)

@@ -1,7 +1,5 @@
 """Rigid-body statics: what contact can hold passes, what it cannot is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -106,7 +104,7 @@ def test_block_on_an_incline(angle, friction):
             check_statics(problem)
 
 
-@pytest.mark.parametrize("direction", np.linspace(0, np.pi / 2, 7))
+@pytest.mark.parametrize("direction", np.linspace(0, np.pi / 2, 4))
 @pytest.mark.parametrize("law", [am.Coulomb(0.5), am.Tresca(0.5)])
 def test_sliding_in_any_direction(direction, law):
     # the polygon with 16 sides is at most 1 / cos(pi / 16) = 1.02 too wide; weight 16 on 16 m2

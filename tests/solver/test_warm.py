@@ -1,7 +1,5 @@
 """WarmMultigrid: from a start that is nearly solved a cycle may do, and what it leaves is what it says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -26,7 +24,7 @@ def error(grids: am.Hierarchy, displacement: np.ndarray, exact: np.ndarray) -> f
     return float(np.sqrt(left @ (discrete.matrix @ left)) / np.sqrt(size @ (discrete.matrix @ size)))
 
 
-@pytest.mark.parametrize("rtol", [3e-2, 1e-2, 1e-3, 1e-6])
+@pytest.mark.parametrize("rtol", [1e-2, 1e-6])
 def test_it_leaves_no_larger_error_than_it_says(near, rtol):
     grids, exact, start = near
     result = am.solve(grids, WarmMultigrid(rtol=rtol), start=start)

@@ -156,9 +156,6 @@ def test_mesh_ratio_sees_a_local_jump():
     assert mesh_ratio(coarse, fine) > 200
     assert mesh_ratio(coarse, structured(16, 2)) == pytest.approx(2)
     assert mesh_ratio(coarse, fine, quantile=0.1) < mesh_ratio(coarse, fine, quantile=0.9) < mesh_ratio(coarse, fine)
-
-
-def test_size_ratio_leaves_out_the_hundredth_that_differs_most():
-    coarse, fine = structured(8, 2), log_graded(3000, 4)
+    # the hundredth that differs most is left out
     assert size_ratio(coarse, fine) == mesh_ratio(coarse, fine, quantile=0.99) < mesh_ratio(coarse, fine)
     assert size_ratio(coarse, fine, quantile=0.5) == mesh_ratio(coarse, fine, quantile=0.5)

@@ -352,28 +352,6 @@ def test_constraints_of_surface_rows(levels):
         assert np.isin(columns, allowed).all()
 
 
-class Wrong:
-    def __init__(self, change):
-        self.change = change
-
-    def build(self, coarse, fine):
-        return self.change(Interpolation().build(coarse, fine))
-
-
-def _spoiled(matrix):
-    matrix = sparse.csr_array(matrix, copy=True)
-    matrix.data[0] = np.nan
-    return matrix
-
-
-@pytest.mark.parametrize(("change", "message"), [(lambda m: m[:, :-1], r"shape \(\d+, \d+\) \(fine, coarse nodes\)"),
-                                                 (lambda m: m.T, "shape"), (_spoiled, "must be finite")])
-def test_what_a_transfer_must_not_return(change, message):
-    problem, meshes = flat(UPPER_ON_LOWER)
-    with pytest.raises(ValueError, match=message):
-        between_levels(Wrong(change), *meshes, *(discretise(problem, mesh) for mesh in meshes))
-
-
 def test_soft_bodies_next_to_stiff_ones_count_when_matrices_are_compared():
     """is_galerkin is relative row by row: a soft body with another coarse matrix is seen next to a stiff one."""
     coarse, fine = structured(2, 2), structured(4, 2)

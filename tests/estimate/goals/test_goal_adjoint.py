@@ -1,7 +1,5 @@
 """Dual fields: the sensitivity of quantities to forces, for every law, one body and pairs; multigrid against LU."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache, partialmethod
 

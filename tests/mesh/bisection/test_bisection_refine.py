@@ -15,7 +15,7 @@ import adaptmg as am
 from adaptmg.mesh import MeshArrays, bisect, check_mesh, quality, refine_near, structured
 from adaptmg.mesh.bisection.refine import bisected, refined
 from adaptmg.mesh.bisection.tables import cells_of, nodes_of, tree_of
-from adaptmg.problem import Box, Outline, Rectangle
+from adaptmg.problem import Box, Rectangle
 
 HELPERS = Path(__file__).parents[2] / "helpers"
 MESHES = {"2D": SQUARE, "2D crooked": crooked(SQUARE), "3D": cube(), "3D crooked": crooked(cube(3))}
@@ -122,14 +122,6 @@ def test_the_history_is_frozen_and_not_kept_with_other_arrays():
     assert SQUARE.refinement is None and replace(fine, source=None).refinement is None
 
 
-def test_a_graded_mesh_is_an_initial_one_that_keeps_its_labels():
-    ring = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("a", "out", "b", "in"),
-                   arcs={1: (0, 0), 3: (0, 0)})
-    mesh = am.mesh.graded(ring, 0.3, "in", 100)
-    assert len(mesh.refinement.tree) == 0 and (mesh.refinement.generation == 0).all()
-    assert am.mesh.coarsen(mesh, np.ones(len(mesh.elements), dtype=bool)) is mesh
-
-
 def as_arrays(mesh):
     return mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.element_body
 
@@ -184,14 +176,6 @@ def test_tables_that_grow_hold_the_same_as_those_with_room(mesh, every_edge):
         found.append((cells[:n_cells], more[:n_tree], nodes[fine.n_nodes:n_nodes]))
     for tight, roomy in zip(*found, strict=True):
         np.testing.assert_array_equal(tight, roomy)
-
-
-def test_a_flat_box_and_a_needle_end():
-    for domain in (Box(width=1, depth=1, height=1e-3), Box(width=1, depth=1e-3, height=1e-3)):
-        mesh = structured(domain, 1)
-        for _ in range(3):
-            mesh, _ = bisect(mesh, (mesh.elements == 0).any(axis=1))
-        verified(mesh)
 
 
 FINE_SQUARE = structured(Rectangle(width=1, height=1), 4)
