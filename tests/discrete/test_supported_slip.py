@@ -63,14 +63,14 @@ def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate, solver):
 
 @pytest.mark.parametrize("pull", [1e-6, 1e-3])
 @pytest.mark.parametrize(("on_pad", "on_plate"), [(8, 5), (6, 9)])
-def test_a_pad_against_multipliers(pull, on_pad, on_plate):
+def test_solvers_agree_on_a_pad(pull, on_pad, on_plate):
     levels = grids(pad(2, pull=pull), 2, on_pad, on_plate)
     assert_agrees(levels, {"nested": am.FullMultigrid(rtol=1e-11), "sparse": am.ActiveSet(condensed=False),
                            "monotone": am.FullMultigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400)})
 
 
 @pytest.mark.parametrize("pull", [1e-6, 1e-3])
-def test_a_pad_in_3d_against_multipliers(pull):
+def test_solvers_agree_on_a_pad_in_3d(pull):
     levels = grids(pad(3, pull=pull), 3, 4, 5)
     assert_agrees(levels, {"nested": am.FullMultigrid(rtol=1e-11), "active set": EXACT})
 

@@ -4,7 +4,11 @@ from types import ModuleType
 
 import pytest
 
+from adaptmg.smoother import compiling
+
 __all__ = ["uncompile"]
+
+HINTS = {compiling.prefetch: compiling._ignored, compiling.likely: compiling._itself}
 
 
 def uncompile(monkeypatch: pytest.MonkeyPatch, *modules: ModuleType) -> None:
@@ -13,3 +17,5 @@ def uncompile(monkeypatch: pytest.MonkeyPatch, *modules: ModuleType) -> None:
         for name, value in vars(module).copy().items():
             if hasattr(value, "py_func"):
                 monkeypatch.setattr(module, name, value.py_func)
+            elif callable(value) and value in HINTS:
+                monkeypatch.setattr(module, name, HINTS[value])

@@ -103,13 +103,6 @@ class TestSteps:
         rest = am.solve_path(grids, am.LoadPath({side: [0.5, 0]}), FINE, start=whole[0])
         assert distance(rest[1], whole[2]) <= 1e-9
 
-    def test_3d(self):
-        grids = am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4))
-        side = next(load.boundary for load in grids.problem.loads if load.boundary != "top")
-        path = am.LoadPath({side: [1, 0.3]})
-        results, exact = am.solve_path(grids, path, FINE), am.solve_path(grids, path, EXACT)
-        assert distance(results[1], exact[1]) <= 1e-8
-
     @pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(1.0)], ids=["smooth", "rough"])
     def test_proportional_loading_is_one_step_and_cheap(self, law):
         grids = bar(law, 32)
@@ -237,16 +230,6 @@ def solved_steps(*arguments, **options) -> list[int]:
     return done
 
 
-class Kept:
-    """A user-defined solver whose repr does not show its tolerance."""
-
-    def __init__(self, rtol):
-        self.rtol = rtol
-
-    def run(self, grids, run, start):
-        return am.Multigrid(rtol=self.rtol).run(grids, run, start)
-
-
 class TestStore:
     @pytest.mark.parametrize(("grids", "solver"), [
         ("rough", am.FullMultigrid(rtol="discretisation")), ("rough", EXACT), ("bodies", am.FullMultigrid()),
@@ -284,29 +267,6 @@ class TestStore:
         # rounding is not another run
         close = am.Hierarchy.uniform(am.cases.greco_bar(top_pressure=5e7 * (1 + 1e-14)), divisions=(4, 8, 16))
         assert not solved_steps(close, path, store=tmp_path)
-
-    def test_a_solver_of_the_user_is_compared_by_its_code_and_state(self, rough, tmp_path):
-        path = am.LoadPath({"left": [0.5, 1]})
-        am.solve_path(rough, path, Kept(1e-2), store=tmp_path)
-        assert not solved_steps(rough, path, Kept(1e-2), store=tmp_path)
-        with pytest.raises(ValueError, match="value of solver differs"):
-            am.solve_path(rough, path, Kept(1e-8), store=tmp_path)
-        drawn = Kept(np.random.default_rng(0))
-        with pytest.raises(TypeError, match=r"value of solver, which cannot be compared.*depends=\{'solver': \.\.\.\}"):
-            am.solve_path(rough, path, drawn, store=tmp_path)
-        with pytest.raises(TypeError, match="depends must be a mapping"):
-            am.solve_path(rough, path, store=tmp_path, depends=3)
-
-    def test_a_step_that_was_removed_is_solved_again(self, rough, tmp_path):
-        path = am.LoadPath({"left": [0.5, 1, 0.2]})
-        am.solve_path(rough, path, store=tmp_path)
-        kept = (tmp_path / "step_0001.npz").read_bytes()
-        (tmp_path / "step_0001.npz").unlink()
-        with pytest.raises(ValueError, match=r"step_0001\.npz is missing, though step_0002\.npz is there"):
-            am.solve_path(rough, path, store=tmp_path)
-        (tmp_path / "step_0001.npz").write_bytes(kept)
-        (tmp_path / "step_0002.npz").unlink()
-        assert solved_steps(rough, path, store=tmp_path) == [2]
 
     def test_save_and_load(self, rough, cycle, tmp_path):
         cycle.save(tmp_path / "a")

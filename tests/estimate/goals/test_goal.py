@@ -35,19 +35,6 @@ def glued(a=1.0):
         supports=(am.Support("left", x=0.0), am.Support("right", x=0.0)))
 
 
-GLUED = (am.Displacement((0.3, 0.6), "y"), am.Displacement((0.3, 1.0), "x"), am.MeanDisplacement("left", "y"))
-
-
-@pytest.mark.parametrize("made", [{"divisions": (16,)}, {"sizes": (0.05,)}], ids=["uniform", "Netgen"])
-def test_a_linear_smooth_problem_has_an_effectivity_near_one(made):
-    (hierarchy, result), fine = solved(glued(), **made), solved(glued(), divisions=(64,))
-    assert (result.contact.state == am.STICK).all()
-    for item in GLUED:
-        exact = am.Goal(item).indicate(*fine).corrected[0]
-        estimate = am.Goal(item).indicate(hierarchy, result)
-        assert 0.9 < estimate.signed / (exact - estimate.value) < 1.05
-
-
 def test_points_of_the_bar_have_their_converged_values(divisions=16):
     estimate = am.Goal(LINE).indicate(*bar(divisions))
     errors = CONVERGED - estimate.values
