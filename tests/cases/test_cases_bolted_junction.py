@@ -88,15 +88,6 @@ def test_values_by_mesh_convergence(bolt):
     assert "values" not in bolted_junction(bolt=bolt, pressure=3e6).reference
 
 
-@pytest.mark.parametrize("bolt", ["ring", "traction"])
-def test_multigrid_agrees_with_the_active_set_method(bolt):
-    result, exact = am.solve(grids(bolt), am.FullMultigrid(rtol=1e-10)), solved(bolt)
-    assert result.status.ok and not result.fallback
-    error = (result.displacement - exact.displacement).reshape(-1)
-    assert np.linalg.norm(error) < 1e-8 * np.linalg.norm(exact.displacement)
-    assert (result.contact.state == exact.contact.state).all()
-
-
 def test_a_sector_in_three_dimensions_agrees_with_the_ring():
     hierarchy = am.Hierarchy.graded(bolted_junction(dim=3), (28 * MM,))
     tightened, loaded = am.solve_path(hierarchy, junction_path(bolted_junction(dim=3), [4e6]), am.ActiveSet())

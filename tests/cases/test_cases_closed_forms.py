@@ -1,7 +1,6 @@
 """Cases with closed forms, solved by the active set method and by multigrid, and their balance of forces."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from saddle import Parts
 import adaptmg as am
 from adaptmg import cases
 from adaptmg.mesh import graded
-from adaptmg.transfer import mesh_ratio
 
 # below 1e-11 the small weights of nodes at an axis of revolution leave rounding
 EXACT = am.ActiveSet(rtol=1e-11)
@@ -23,9 +21,6 @@ def solved(problem, meshes):
     grids = am.Hierarchy.from_meshes(problem, meshes)
     exact = am.solve(grids, EXACT)
     assert_balanced(exact, Parts.of(problem, exact.mesh), 1e-9, flat=False)
-    for coarse, fine in pairwise(meshes):
-        # nowhere else than in stray elements is a coarse mesh as fine as the next
-        assert mesh_ratio(coarse, fine, quantile=0.02) > 1.1 and mesh_ratio(coarse, fine, quantile=0.98) < 4.5
     if len(meshes) > 1:
         result = am.solve(grids, MULTIGRID)
         assert_balanced(result, Parts.of(problem, result.mesh), 1e-7, flat=False)

@@ -73,21 +73,6 @@ def test_it_coarsens_where_the_error_is_small_but_contact_keeps_nodes():
     assert len(mesh.boundary_nodes("bottom")) >= 5
 
 
-def test_a_mesh_that_misses_its_number_of_nodes_is_made_again(monkeypatch):
-    problem = am.cases.upset_block()
-    mesh = graded(problem.domain, 4e-3)
-    made, given = am.Remesh.mesh, []
-
-    def too_coarse(self, problem, field):
-        given.append(field)
-        return made(self, problem, SizeField(field.mesh, 1.3 * field.sizes))
-
-    monkeypatch.setattr(am.Remesh, "mesh", too_coarse)
-    fine = am.Remesh().refine(problem, mesh, am.Estimate(squares=mesh.volumes**2, norm=1.0))
-    assert len(given) == 2
-    assert fine.n_nodes == pytest.approx(2.5 * mesh.n_nodes, rel=0.15)
-
-
 @settings(max_examples=5, deadline=None)
 @given(growth=st.floats(1.3, 4), most=st.integers(200, 5000), exponent=st.floats(0.5, 1.5))
 def test_number_of_nodes(growth, most, exponent):

@@ -58,24 +58,6 @@ def test_a_tetrahedron_has_a_bounded_number_of_shapes(seed):
     assert max(classes) <= 72 and worst[-1] <= max(worst[:8]) * (1 + 1e-9)
 
 
-def test_all_kinds_of_marked_tetrahedra_are_met():
-    marks = {int(cells_of(single(np.random.default_rng(seed).random((4, 3))))[0, 8]) for seed in range(60)}
-    # codes of both faces: plane 00 11, adjacent 01 10, opposite 22, mixed 02 20 12 21
-    assert marks == {0, 4, 1, 3, 8, 2, 6, 5, 7}
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_shapes_at_a_corner_far_down(dim):
-    mesh = crooked(SQUARE if dim == 2 else cube(2))
-    worst = []
-    for _ in range(24 if dim == 2 else 30):
-        at_corner = (mesh.elements == 0).any(axis=1)
-        mesh, _ = bisect(mesh, at_corner, passes=1)
-        worst.append(quality(mesh).aspect_ratio)
-    assert mesh.element_sizes.min() < 1e-3 and verified(mesh)
-    assert worst[-1] <= max(worst[:12]) * (1 + 1e-9)
-
-
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 def test_marked_elements_have_all_edges_halved_and_passes_count(mesh):
     marked = random_mask(mesh, 0.15, 5)
