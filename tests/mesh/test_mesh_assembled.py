@@ -7,7 +7,7 @@ import pytest
 
 from adaptmg.mesh import MeshArrays, SizeNear, bisect, check_mesh, graded, merged, quality, sized, structured
 from adaptmg.mesh.domains import distance_to_boundaries, require_simple
-from adaptmg.problem import Assembly, Ball, Box, Outline, Rectangle, StepFile
+from adaptmg.problem import Assembly, Box, Outline, Rectangle
 
 UPPER = Rectangle(width=1.0, height=0.5)
 LOWER = Rectangle(width=2.0, height=1.0, origin=(-0.5, -1.0))
@@ -102,30 +102,6 @@ class TestGradedAssembly:
     def test_one_ratio_leaves_bodies_without_contact_alone(self):
         mesh = graded(TWO, 0.4, "upper.bottom", 8)
         assert lengths(mesh, "upper.bottom").max() < 0.08 and lengths(mesh, "lower.top").min() > 0.2
-
-    def test_solids(self):
-        mesh = graded(Assembly(parts={"ball": Ball((0, 0, 1), 1.0), "box": BOXES.parts["b"]}), 0.8, "box.top", 2)
-        assert mesh.boundaries[0] == "ball.surface" and mesh.bodies == ("ball", "box")
-        on_ball = mesh.points[mesh.boundary_nodes("ball.surface")]
-        np.testing.assert_allclose(np.linalg.norm(on_ball - [0, 0, 1], axis=1), 1, rtol=1e-6)
-
-    def test_step_files(self, tmp_path):
-        from netgen import occ
-
-        low, up = occ.Box(occ.Pnt(0, 0, 0), occ.Pnt(10, 10, 10)), occ.Box(occ.Pnt(0, 0, 10), occ.Pnt(8, 8, 20))
-        for name, solid in (("low", low), ("up", up)):
-            solid.name = name
-            solid.faces.Max(occ.Z).name, solid.faces.Min(occ.Z).name = "top", "bottom"
-        occ.Compound([low, up]).WriteStep(str(tmp_path / "two.step"))
-        domain = StepFile(tmp_path / "two.step")
-        mesh = graded(domain, {"low": 8e-3, "up": 6e-3}, ("low.top", "up.bottom"), {"low": 3, "up": 1})
-        assert mesh.bodies == ("low", "up") and {"low.top", "up.bottom"} < set(mesh.boundaries)
-        assert 1.2 * np.median(lengths(mesh, "low.top")) < np.median(lengths(mesh, "up.bottom"))
-        fine = sized(domain, SizeNear([(0, 0, 10e-3)], size=1e-3, grading=0.5), 8e-3)
-        near = np.linalg.norm(fine.points - [0, 0, 10e-3], axis=1)
-        assert fine.volumes.sum() == pytest.approx(1.64e-6) and 1 < (near < 2e-3).sum() < 100
-        with pytest.raises(ValueError, match="not the body 'up' of a contact boundary"):
-            graded(domain, {"low": 8e-3}, "up.bottom", 2)
 
 
 class TestSizedAssembly:

@@ -59,23 +59,6 @@ def test_nodes_lie_on_arcs():
     assert quality(mesh).min_angle > 20
 
 
-@pytest.mark.parametrize("refinements", [0, 1])
-@pytest.mark.parametrize("domain", [am.Box(width=0.04, depth=0.02, height=0.03),
-                                    am.Cylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=0.02, height=0.03)],
-                         ids=["box", "cylinder"])
-def test_solids(domain, refinements):
-    place = (0.0, 0.0, 0.0)
-    mesh = check_mesh(resized(domain, sizes_near(domain, place, 1.5e-3, 0.1, 14), refinements=refinements),
-                      domain.boundaries)
-    relative = relative_sizes(mesh, place, 1.5e-3, 0.1)
-    assert 0.8 < np.median(relative) < 1.2
-    assert np.quantile(relative, 0.01) > 0.5 and np.quantile(relative, 0.99) < 1.6
-    assert quality(mesh).min_angle > 10
-    if isinstance(domain, am.Cylinder):
-        radii = np.linalg.norm(mesh.points[mesh.boundary_nodes("side"), :2], axis=1)
-        np.testing.assert_allclose(radii, 0.02, rtol=1e-6)
-
-
 def test_bodies_have_their_own_sizes():
     left, right = am.Rectangle(width=1, height=1), am.Rectangle(width=1, height=1, origin=(1, 0))
     both = am.Assembly(parts={"left": left, "right": right})
