@@ -29,7 +29,7 @@ def wavy(points: np.ndarray) -> np.ndarray:
     return 5e-6 * (1 + np.sin(points[:, 0] * 300)) + 1e-5 * points[:, -1]
 
 
-def bar(law: am.problem.Law, gap: am.problem.Obstacle | None = None) -> am.ContactProblem:
+def bar(law: am.problem.Law, gap=None) -> am.ContactProblem:
     problem = replace(am.cases.greco_bar(), law=law, reference={})
     return problem if gap is None else replace(problem, contact=am.Contact("bottom", gap))
 

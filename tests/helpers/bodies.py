@@ -178,7 +178,7 @@ def assert_balanced(result, parts, tolerance, flat=True):
     supports = np.where(parts.fixed.reshape(load.shape), result.reaction - of_contact, 0.0)
     assert np.abs(result.reaction - of_contact - supports).max() <= tolerance * np.abs(of_contact).max()
     # around an axis of symmetry radial forces balance by themselves
-    assert np.abs((supports + load).sum(axis=0))[int(parts.axisymmetric):].max() <= tolerance * size
+    assert np.abs((supports + load + of_contact).sum(axis=0))[int(parts.axisymmetric):].max() <= tolerance * size
     # each force at the nodes of a boundary with a support belongs to one boundary, or is shared
     named = [result.resultant(name).force for name in mesh.boundaries if name not in (*contact.names, *contact.masters)]
     np.testing.assert_allclose(np.sum(named, axis=0), supports.sum(axis=0), atol=tolerance * size)
