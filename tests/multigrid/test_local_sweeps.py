@@ -15,6 +15,7 @@ from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.smoother import kernels, node_solve
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.transfer import without_fixed
 
@@ -208,5 +209,5 @@ def test_work_units_by_hand():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_sweeps_without_the_compiler(dim, monkeypatch):
-    uncompile(monkeypatch, projected_sweeps)
+    uncompile(monkeypatch, node_solve, kernels, projected_sweeps)
     test_sweeps(dim, "coulomb", 0.3 * GAP)

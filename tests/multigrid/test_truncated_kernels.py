@@ -16,6 +16,7 @@ from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact, count_cut
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother import blocks, node_solve
+from adaptmg.smoother import kernels as smoothing
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.system import BACKWARDS, CLOSED, SLIPS
@@ -288,8 +289,8 @@ def test_one_node_is_cut_and_many_are_not():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_kernels_without_the_compiler(dim, monkeypatch):
-    uncompile(monkeypatch, blocks, node_solve, kernels, linear_cycle, projected_sweeps, split_matrix, truncated_contact,
-              truncation)
+    uncompile(monkeypatch, blocks, node_solve, smoothing, kernels, linear_cycle, projected_sweeps, split_matrix,
+              truncated_contact, truncation)
     test_half_passes_are_gauss_seidel(dim)
     test_projected_half_passes_are_the_smoother(dim, "coulomb")
     test_truncated_coarse_matrices(dim, "coulomb", True, False)

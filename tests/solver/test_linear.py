@@ -43,14 +43,6 @@ def test_every_node_comes_once_and_the_last_come_last(seed, n, density):
         assert set(order[n - len(last):]) == set(last)
 
 
-def test_separators_come_after_what_they_separate():
-    n = 31
-    path = sparse.csr_array(sparse.diags_array([np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1]))
-    order = nested_dissection(path, np.arange(n, dtype=float)[:, None])
-    position = np.argsort(order)
-    assert order[-1] == n // 2 and position[:n // 2].max() < position[n // 2 + 1:].min()
-
-
 @pytest.mark.parametrize("with_coordinates", [True, False])
 def test_fill_is_that_of_a_good_order(with_coordinates):
     discrete = bar(40)
