@@ -124,17 +124,6 @@ def test_netgen_is_given_a_second_chance(monkeypatch):
         solid_mesh(OCTANT, 0.5)
 
 
-def test_a_mesh_with_holes_is_noticed(monkeypatch):
-    original = module.normalised
-
-    def holey(points, elements, facets, *others):
-        return original(points, elements, np.concatenate([facets[1:2], facets[1:]]), *others)
-
-    monkeypatch.setattr(module, "normalised", holey)
-    with pytest.raises(ValueError, match=r"could not mesh Common.*boundary facets are given twice"):
-        solid_mesh(OCTANT, 0.5)
-
-
 def test_the_volume_check_can_fail():
     shape = shape_of(OCTANT)
     mesh = solid_mesh(OCTANT, 0.5 * shape.scale)
