@@ -45,7 +45,6 @@ def meridian(inner: float, divisions: int | tuple[int, int] = (4, 3)) -> MeshArr
 PARTS = {dim: {"lower": part(dim, 3, 0.0), "upper": part(dim, 2, 1.0)} for dim in (2, 3)}
 BOTH = {dim: joined(parts, dict.fromkeys(parts, (0.0,) * dim)) for dim, parts in PARTS.items()}
 SOLID, RING = shaken(meridian(0.0), 0.007, 3), shaken(meridian(INNER), 0.007, 3)
-MESHES = pytest.mark.parametrize("mesh", [SOLID, RING], ids=["solid", "ring"])
 
 
 def two(kind) -> dict:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from bisected_meshes import containing_elements
 
-import adaptmg.mesh
 from adaptmg.mesh import check_mesh, structured
 from adaptmg.mesh.arrays import facet_table
 from adaptmg.problem import Box, Rectangle
@@ -56,9 +55,3 @@ def test_counts_volumes_and_the_boundary_side_by_side(domain, divisions, diagona
     assert mesh.n_nodes == np.prod(counts + 1) and len(mesh.elements) == math.factorial(mesh.dim) * np.prod(counts)
     volume = np.prod(domain.upper - domain.lower)
     np.testing.assert_allclose(mesh.volumes, volume / len(mesh.elements), rtol=1e-11)
-
-
-def test_names_are_those_of_the_list():
-    assert all(callable(getattr(adaptmg.mesh, name)) for name in adaptmg.mesh.__all__)
-    with pytest.raises(AttributeError, match="no attribute 'grade'"):
-        _ = adaptmg.mesh.grade

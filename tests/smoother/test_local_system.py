@@ -106,11 +106,6 @@ class TestLocalProblem:
         assert np.count_nonzero(system.contact_of >= 0) == len(problem.contact)
 
 
-def test_plane_at_45_degrees():
-    half = np.sqrt(0.5)
-    np.testing.assert_allclose(local_system(PROBLEMS[0]).frames, np.tile([[half, -half], [half, half]], (5, 1, 1)))
-
-
 @pytest.mark.parametrize("axes", [[0], [1], [0, 1]])
 def test_fixed_tangents_of_a_horizontal_plane(axes):
     fixed = np.zeros((1, 3), dtype=bool)
