@@ -13,6 +13,7 @@ from bodies import (
     P,
     assert_state,
     bar_on_block,
+    corner_pushed,
     far_node,
     held_at_points,
     in_the_corner,
@@ -182,3 +183,16 @@ class TestHierarchies:
         algebraic = am.Hierarchy.algebraic(grids.finest.discrete, max_coarse=60)
         again = am.solve(algebraic, am.Multigrid(), reference=result)
         assert again.history["true_error"][-1] <= 3e-8
+
+    def test_saved_and_loaded(self, tmp_path):
+        grids = am.Hierarchy.graded(corner_pushed(am.Coulomb(0.3)), sizes=(0.5, 0.3))
+        result = am.solve(grids)
+        result.save(tmp_path / "corner.npz")
+        loaded = am.Result.load(tmp_path / "corner.npz")
+        assert loaded.contact.masters == result.contact.masters == ("seat.wall", "seat.floor", "block.top")
+        assert loaded.mesh.bodies == ("seat", "block", "cap")
+        for name in ("master_node", "master_force", "master_boundary", "force", "pair"):
+            np.testing.assert_array_equal(getattr(loaded.contact, name), getattr(result.contact, name))
+        for name in ("contact", "block.left", "seat.wall", "block.top", "seat.bottom", "cap.right"):
+            np.testing.assert_array_equal(loaded.resultant(name).force, result.resultant(name).force)
+        np.testing.assert_array_equal(am.solve(grids, am.Multigrid(), start=loaded).contact.state, result.contact.state)

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bodies import bar_hierarchy, bar_on_block
 
 import adaptmg as am
-from adaptmg.mesh.structured import merged, structured
 from adaptmg.problem import step_problem
 from adaptmg.solver import load_steps as truncated_steps
 from adaptmg.solver.load_path import StepNotConverged
@@ -38,17 +38,7 @@ def cycle(rough: am.Hierarchy) -> am.PathResult:
 @pytest.fixture(scope="module")
 def bodies() -> am.Hierarchy:
     """A block pressed on a wider one and pushed along it."""
-    upper = am.Rectangle(width=0.04, height=0.04)
-    lower = am.Rectangle(width=0.06, height=0.04, origin=(-0.02, -0.04))
-    problem = am.ContactProblem(
-        name="two blocks", material=STEEL, domain=am.Assembly(parts={"upper": upper, "lower": lower}),
-        contact=am.ContactPair("upper.bottom", "lower.top"), law=am.Coulomb(0.3),
-        loads=(am.Pressure("upper.top", 5e7), am.Pressure("upper.left", 1.5e8)),
-        supports=(am.Support("upper.right", x=0.0), am.Support("lower.right", x=0.0),
-                  am.Support("lower.bottom", y=0.0)))
-    meshes = [merged({"upper": structured(upper, (n, n)), "lower": structured(lower, (5 * n // 4, n))})
-              for n in (4, 8, 16)]
-    return am.Hierarchy.from_meshes(problem, meshes)
+    return bar_hierarchy(bar_on_block(am.Coulomb(0.3)))
 
 
 def pulled(law: am.problem.Law = am.Coulomb(0.3)) -> am.Hierarchy:  # noqa: B008

@@ -7,7 +7,6 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from made import cube, result_on, same, square
-from made_bodies import two_bodies
 
 import adaptmg as am
 from adaptmg.mesh.arrays import MeshArrays
@@ -19,9 +18,9 @@ def moved(result: am.Result, folder) -> am.Result:
     return am.Result.load(folder / "r.npz")
 
 
-@pytest.mark.parametrize("result", [result_on(square(3)), result_on(cube(2)), two_bodies(), result_on(None),
+@pytest.mark.parametrize("result", [result_on(square(3)), result_on(cube(2)), result_on(None),
                                     result_on(square(2), history={}, path=[], levels=[], timings={})],
-                         ids=["2D", "3D", "two bodies", "bare", "without a history"])
+                         ids=["2D", "3D", "bare", "without a history"])
 def test_every_field_comes_back(tmp_path, result):
     found = moved(result, tmp_path)
     assert same(found, result)
