@@ -1,7 +1,5 @@
 """The package as it is installed and as it lies in the repository; .ci/run installs it and calls its command."""
 
-from __future__ import annotations
-
 import doctest
 import inspect
 import io

@@ -1,7 +1,5 @@
 """Recovered stresses reproduce linear ones, and do not cross materials."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The node solve meets the contact conditions by every law: in convex problems they have one solution."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

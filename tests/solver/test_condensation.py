@@ -1,7 +1,5 @@
 """Condensation to the contact dofs: against dense algebra, on one body and on several."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
