@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from adaptmg.study.progress import Watch
+    from adaptmg.study.study import Watch
 
 
 class Watching:

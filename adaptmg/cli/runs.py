@@ -13,11 +13,11 @@ import pandas as pd
 
 from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
-from adaptmg.study.record import DETAILS, RESERVED, Record
+from adaptmg.study.record import DETAILS, RESERVED, Record, frame
 from adaptmg.study.store import Store
-from adaptmg.study.tables import cells, frame, numeric
+from adaptmg.study.tables import cells, numeric
 
-__all__ = ["chosen", "ending", "made", "opened", "parsed", "same_in_all", "selected", "short", "units", "write"]
+__all__ = ["chosen", "ending", "opened", "parsed", "report", "selected", "short", "units", "write"]
 
 Condition = tuple[str, str, str]
 
@@ -65,10 +65,33 @@ def selected(store: Store, name: str, *, status: str | None = None, where: Seque
 def units(store: Store, name: str, columns: Sequence[str]) -> dict[str, str]:
     """Return units of the columns of a table: those of what study files measure where the study is of one."""
     if any("case.case" in record.parameters for record in store.runs(name, limit=1)):
-        from adaptmg.cli.measure import units_of  # loads the solvers
+        from adaptmg.cli.case_run import units_of  # loads the solvers
 
         return units_of(columns)
     return {column: unit for column, unit in {"seconds": "s", "peak_memory": "bytes"}.items() if column in columns}
+
+
+def report(path: Path, study: str | None, results: list[str] | None, to: Path | None) -> tuple[Path, Path]:
+    """Write the page of a study and its table; return both files."""
+    from adaptmg.export import study_report
+
+    store = opened(path)
+    name = chosen(path, store.studies(), study)
+    records = store.runs(name)
+    table, _ = selected(store, name)
+    table.attrs["study"] = name
+    parameters = {key for record in records for key in record.parameters}
+    if to is None and Path(name).name != name:
+        raise ValueError(f"--to must be given, as the name of the study cannot be that of a file: {name!r}")
+    page = path.with_name(f"{name}.html") if to is None else checks.file_path("--to", to)
+    csv = page.with_suffix(".csv")
+    if csv == page:
+        raise ValueError(f"--to must be an HTML file, got {checks.shown(str(to))}: its table is a .csv next to it")
+    written = study_report(table, page, parameters=[key for key in table if key in parameters], results=results,
+                           csv=csv.name, units=units(store, name, table), summary=same_in_all(records, table),
+                           made=made(records))
+    write(table, csv)
+    return written, csv
 
 
 def same_in_all(records: Sequence[Record], columns: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.cli import app
+from adaptmg.cli import main
 from adaptmg.cli.output import watched
 
 COMMANDS = ("cases", "solve", "adapt", "study", "runs", "report")
@@ -31,8 +31,10 @@ def test_every_help_has_an_example(command, arguments):
 
 
 def test_help_loads_nothing_heavy():
-    code = ("import sys\nfrom adaptmg.cli import app\n"
-            f"for name in {COMMANDS}:\n    try:\n        app([name, '--help'])\n    except SystemExit:\n        pass\n"
+    """That of ``solve`` and ``adapt`` reads the classes."""
+    code = ("import sys\nfrom adaptmg.cli import main\n"
+            "for name in ('', 'cases', 'study', 'runs', 'report'):\n    try:\n        main([*filter(None, [name]), "
+            "'--help'])\n    except SystemExit:\n        pass\n"
             "sys.stderr.write(' '.join(m for m in ('numpy', 'numba', 'pandas', 'matplotlib', 'ngsolve', 'sqlite3') "
             "if m in sys.modules))")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -116,20 +118,20 @@ def test_the_log_goes_to_standard_error_and_is_put_back_and_a_terminal_gets_a_ba
 def test_ctrl_c_ends_with_130_and_one_line():
     # in a shell's background the signal comes ignored
     code = ("import os, signal, time\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
-            "from adaptmg.cli import main, solve_case\n"
-            "solve_case.solved = lambda *arguments: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\nmain()")
+            "from adaptmg.cli import case_run, main\n"
+            "case_run.solved = lambda *arguments: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\nmain()")
     done = subprocess.run([sys.executable, "-c", code, "solve", "greco_bar", "--divisions", "2,4"], capture_output=True,
                           text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "adaptmg: interrupted\n")
 
 
 def test_what_cannot_be_printed_is_printed_as_codes(monkeypatch):
-    from adaptmg.cli import solve_case as work
+    from adaptmg.cli import outcome
 
-    monkeypatch.setattr(work, "write", lambda *arguments: [Path("\udcff\xb5\x1b/result.npz")])
+    monkeypatch.setattr(outcome, "write", lambda *arguments: [Path("\udcff\xb5\x1b/result.npz")])
     out = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
     with contextlib.redirect_stdout(out), pytest.raises(SystemExit) as end:
-        app(["solve", "greco_bar", "--divisions", "2,4", "--out", "x"], prog_name="adaptmg")
+        main(["solve", "greco_bar", "--divisions", "2,4", "--out", "x"])
     out.seek(0)
     assert not end.value.code and "wrote \\udcff\\xb5\\x1b/result.npz" in out.read()
 

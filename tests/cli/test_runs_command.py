@@ -59,7 +59,7 @@ def test_runs_that_lack_a_parameter_of_others(command):
 def test_a_table_does_not_load_a_solver(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     stored(3)
-    code = ("import sys\nfrom adaptmg.cli import app\ntry:\n    app(['runs', 's.sqlite', '--where', 'a=0'])\n"
+    code = ("import sys\nfrom adaptmg.cli import main\ntry:\n    main(['runs', 's.sqlite', '--where', 'a=0'])\n"
             "except SystemExit:\n    pass\n"
             "sys.stderr.write(' '.join(m for m in ('numba', 'ngsolve', 'dask', 'adaptmg.solver') "
             "if m in sys.modules))")

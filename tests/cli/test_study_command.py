@@ -15,10 +15,10 @@ import pandas as pd
 import pytest
 
 import adaptmg as am
-from adaptmg.cli import build, commands, explain
-from adaptmg.cli.build import grids
-from adaptmg.cli.measure import MEASURES, case_run
-from adaptmg.cli.study_file import PURPOSE, case_keys, checked, read, sections
+from adaptmg.cli import build, explain
+from adaptmg.cli.build import PURPOSE, case_keys, grids, sections
+from adaptmg.cli.case_run import MEASURES, case_run
+from adaptmg.cli.study_file import checked, read
 from adaptmg.study import Study
 from adaptmg.study.store import Store
 
@@ -299,15 +299,6 @@ def test_every_listed_default_of_a_method_is_its_default(method):
             value = tomllib.loads(f"value = {known.default}")["value"]
             value = float(value) if known.real else value
             assert build.solver_of({"method": build.name_of(method), key: value}) == method(), key
-
-
-def test_names_on_the_command_line_are_those_of_the_classes():
-    named = {"LawName": build.OBJECTS["law"], "TransferName": build.OBJECTS["transfer"], "SolverName": build.METHODS,
-             "CorrectionName": build.OBJECTS["correction"], "LinearName": build.OBJECTS["linear"],
-             "EngineName": build.OBJECTS["engine"], "IndicatorName": build.OBJECTS["indicator"][:2]}
-    for name, kinds in named.items():
-        assert list(getattr(commands, name).__args__) == [build.name_of(kind) for kind in kinds]
-    assert build.keys_of(am.Cycle)["shape"].values == " | ".join(commands.Shape.__args__)
 
 
 def test_sizes_of_bodies_can_be_varied(tmp_path, monkeypatch):

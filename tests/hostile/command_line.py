@@ -11,8 +11,7 @@ from unittest import mock
 
 from hostile_table import Hostile
 
-from adaptmg.cli import app
-from adaptmg.cli import solve_case as work
+from adaptmg.cli import case_run, main
 
 
 def command(*arguments: str, code: int = 2) -> None:
@@ -20,7 +19,7 @@ def command(*arguments: str, code: int = 2) -> None:
     out, err = io.StringIO(), io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.suppress(SystemExit):
         try:
-            app(list(arguments), prog_name="adaptmg")
+            main(arguments)
         except SystemExit as end:
             assert end.code == code, end.code
             raise
@@ -36,7 +35,7 @@ def usage(*arguments: str) -> None:
     err = io.StringIO()
     with contextlib.redirect_stderr(err):
         try:
-            app(list(arguments), prog_name="adaptmg")
+            main(arguments)
         except SystemExit as end:
             assert end.code == 2 and "Traceback" not in err.getvalue()
     raise ValueError(err.getvalue())
@@ -48,7 +47,7 @@ def during(error: BaseException, code: int = 2) -> Callable[[], None]:
         def failing(*arguments: object) -> None:
             raise error
 
-        with mock.patch.object(work, "solved", failing):
+        with mock.patch.object(case_run, "solved", failing):
             command("solve", "greco_bar", "--divisions", "2,4", code=code)
 
     return run
