@@ -167,20 +167,11 @@ def _value(record: Record, name: str) -> object:
 
 def _holds(value: object, sign: str, text: str) -> bool:
     """Whether a value meets a condition: as text, as a number, or as JSON (true, null, lists)."""
+    plain = type(value) in (int, float)
     if sign in _ORDERED:
-        return type(value) in (int, float) and _ORDERED[sign](value, float(text))
-    if value is _ABSENT:
-        return sign != "="
-    equal = str(value) == text
-    if type(value) in (int, float):
-        equal = equal or (_is_number(text) and value == float(text))
-    elif not equal:
-        try:
-            given = json.loads(text)
-        except ValueError:
-            return sign != "="
-        plain = json.loads(json.dumps(value)) if isinstance(value, tuple) else value
-        equal = type(plain) is type(given) and plain == given
+        return plain and _ORDERED[sign](value, float(text))
+    equal = value is not _ABSENT and (text in (str(value), json.dumps(value))
+                                      or (plain and _is_number(text) and value == float(text)))
     return equal == (sign == "=")
 
 
@@ -229,20 +220,11 @@ def _of_one_type(column: pd.Series) -> pd.Series:
     return column.map(lambda value: None if value is None else json.dumps(value))
 
 
-_SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}",
-            ">": r"\textgreater{}", "|": r"\textbar{}", **{c: f"\\{c}" for c in "&%$#_{}"},
-            # at the beginning of a row they would belong to the end of the row before
-            "[": "{[}", "*": "{*}"}
-_POWER = re.compile(r"^(-?[\d.]+)e(?:\+|(-))0*(\d+)$")
-
-
 def _latex(table: pd.DataFrame, units: Mapping[str, str] | None) -> str:
-    """Return a tabular of booktabs, numbers right-aligned, powers of ten as such."""
+    """Return a tabular of booktabs, numbers right-aligned."""
     headers, columns = cells(table, units)
     kinds = "".join("r" if numeric(column) else "l" for _, column in table.items())
-    escaped = [["".join(_SPECIAL.get(c, c) for c in cell) for cell in column] for column in [headers, *columns]]
-    escaped[1:] = [[_POWER.sub(r"$\1 \\cdot 10^{\2\3}$", cell) for cell in column] if kind == "r" else column
-                   for kind, column in zip(kinds, escaped[1:], strict=True)]
-    body = [" & ".join(row) + r" \\" for row in zip(*escaped[1:], strict=True)]
-    return "\n".join([f"\\begin{{tabular}}{{{kinds}}}", r"\toprule", " & ".join(escaped[0]) + r" \\", r"\midrule",
-                      *body, r"\bottomrule", r"\end{tabular}", ""])
+    made = pd.DataFrame(dict(zip(headers, columns, strict=True)))
+    text = made.to_latex(index=False, column_format=kinds, escape=True)
+    # at the beginning of a row these would belong to the end of the row before
+    return re.sub(r"^(?=[\[*])", "{}", text, flags=re.MULTILINE)

@@ -42,7 +42,10 @@ def test_help_loads_nothing_heavy():
 
 
 def test_cases_are_listed(command):
-    assert command("--version") == (0, f"adaptmg {am.__version__}\n", "")
+    version = f"adaptmg {am.__version__}\n"
+    assert command("--version") == (0, version, "")
+    module = subprocess.run([sys.executable, "-m", "adaptmg", "--version"], capture_output=True, text=True)
+    assert (module.returncode, module.stdout) == (0, version)
     _, out, _ = command("cases")
     assert [row.split()[0] for row in out.splitlines()] == list(am.cases.names())
     _, out, _ = command("cases", "--json")
@@ -57,6 +60,19 @@ def test_solve_prints_json_and_nothing_else_to_standard_output(command):
     problem = am.cases.greco_bar(law=am.Coulomb(0.3))
     wanted = am.solve(am.Hierarchy.uniform(problem, divisions=(4, 8)), am.FullMultigrid())
     assert row["max_pressure"] == pytest.approx(float(wanted.contact.pressure.max()), rel=1e-6)
+
+
+@pytest.mark.parametrize("case", am.cases.names())
+def test_every_case_is_solved_and_adapted_without_options(command, case):
+    """Grids, start sizes and limits follow the domain; the limit of nodes is lower here."""
+    code, out, _ = command("solve", case, "--json")
+    solved = json.loads(out)
+    assert code == 0 and solved["status"] == "CONVERGED" and len(solved["levels"]) >= 2
+    assert 400 <= solved["levels"][-1]["nodes"] <= 4000
+    assert solved["contact"]["slip"] + solved["contact"]["stick"] >= 5 or case == "leaning_strut"
+    code, out, _ = command("adapt", case, "--max-nodes", "900", "--json")
+    adapted = json.loads(out)
+    assert code == 0 and adapted["result"]["status"] == "CONVERGED" and adapted["steps"][0]["nodes"] <= 900
 
 
 @pytest.mark.slow

@@ -77,7 +77,7 @@ def _options():
     both = {"sizes and divisions": ("--sizes=1e-2", "--divisions=4", "--divisions"),
             "ratio alone": ("--contact-ratio=2", "--divisions=4", "--contact-ratio"),
             "ratio below one": ("--contact-ratio=0.5", "--sizes=1e-2", "ratio"),
-            "ratio huge": ("--contact-ratio=1e300", "--sizes=1e-2", "sizes"),
+            "ratio huge": ("--contact-ratio=1e300", "--sizes=1e-2", "--contact-ratio"),
             "useless option": ("--solver=active-set", "--omega=1", "--omega"),
             "law without friction": ("--law=coulomb", "--divisions=2", "--friction"),
             "two laws": ("--friction=1", "--limit=1", "belongs to --law tresca"),
@@ -85,7 +85,7 @@ def _options():
             "cycle of one grid": ("--solver=single-grid", "--cycle=W", "--shape has no meaning"),
             **{f"--set {text}": (f"--set={text}", "--divisions=2", says) for text, says in {
                 "yong=1": "did you mean 'young'", "young": "NAME=VALUE", "young=": "NAME=VALUE", "young=-1": "> 0",
-                "young=steel": "young must be a number", "friction=1": "an option of its own"}.items()}}
+                "young=steel": "young must be a number"}.items()}}
     for name, (first, second, says) in both.items():
         yield Hostile(name, lambda a=first, b=second: command("solve", "greco_bar", a, b), says, ValueError)
 
