@@ -201,11 +201,3 @@ def test_a_mesh_that_is_not_solved_ends_with_code_1(command, monkeypatch):
     monkeypatch.setattr(loop.AdaptiveLoop, "steps", lambda self: (_ for _ in ()).throw(am.NotConverged(result)))
     code, out, err = command(*SMALL, "--json")
     assert code == 1 and "not converged" in json.loads(out)["error"] and "not converged: " in err.splitlines()[-1]
-
-
-@pytest.mark.parametrize("options, words", [(("--max-nodes", "0"), "max_nodes"), (("--start", "-1"), "start"),
-                                            (("--theta", "2"), "theta"), (("--tolerance", "nan"), "tolerance"),
-                                            (("--limit", "3", "--friction", "1"), "limit")])
-def test_bad_input_is_a_line(command, options, words):
-    code, out, err = command(*SMALL, *options)
-    assert (code, out) == (2, "") and words in err and len(err.splitlines()) == 1

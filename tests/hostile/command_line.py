@@ -30,17 +30,6 @@ def command(*arguments: str, code: int = 2) -> None:
     raise ValueError(lines[-1])
 
 
-def usage(*arguments: str) -> None:
-    """Options that typer refuses itself, in a box."""
-    err = io.StringIO()
-    with contextlib.redirect_stderr(err):
-        try:
-            main(arguments)
-        except SystemExit as end:
-            assert end.code == 2 and "Traceback" not in err.getvalue()
-    raise ValueError(err.getvalue())
-
-
 def during(error: BaseException, code: int = 2) -> Callable[[], None]:
     """The command where solving fails with ``error``."""
     def run() -> None:
@@ -69,8 +58,11 @@ def _options():
     yield Hostile("fine to coarse", lambda: command("solve", "greco_bar", "--divisions=8,4"), "coarse to fine",
                   ValueError)
     for option, value in {"friction": "much", "law": "hooke", "pre": "1.5", "nothing": "1"}.items():
-        yield Hostile(f"--{option} {value}", lambda o=option, v=value: usage("solve", "greco_bar", f"--{o}", v),
+        yield Hostile(f"--{option} {value}", lambda o=option, v=value: command("solve", "greco_bar", f"--{o}", v),
                       option, ValueError)
+    for option, value in {"max-nodes": "0", "start": "-1", "theta": "2", "tolerance": "nan"}.items():
+        yield Hostile(f"adapt --{option}", lambda o=option, v=value: command("adapt", "upset_block", f"--{o}={v}"),
+                      option.replace("-", "_"), ValueError)
     for label, case in {"unknown": "greco_bax", "surrogate": "\udcff", "control": "a\x1b[31m"}.items():
         says = "did you mean 'greco_bar'" if label == "unknown" else "there is no case"
         yield Hostile(f"case {label}", lambda c=case: command("solve", c), says, ValueError)
