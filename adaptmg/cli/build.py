@@ -381,7 +381,7 @@ def _plain(name: str, value: object, place: str) -> Value:
                        place)
 
 
-def from_texts(case: str, texts: Mapping[str, str]) -> dict[str, Value]:
+def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Value]:
     """Return the settings that the options of a command give as texts, checked; lists have commas."""
     get(case)
     known, found = sections() | {"case": case_keys(case) | sections()["case"]}, {"case.case": case}
@@ -390,7 +390,7 @@ def from_texts(case: str, texts: Mapping[str, str]) -> dict[str, Value]:
         value = _value_of(text)
         listed = key in known[part] and known[part][key].values.startswith(("sequence", "list"))
         found[name] = setting(known, name, (value,) if listed and not isinstance(value, tuple) else value, name)
-    if section(found, "adapt") and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(found):
+    if adaptive and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(found):
         found["adapt.max_nodes"] = _NODES
     check(found)
     return found

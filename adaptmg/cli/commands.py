@@ -154,7 +154,7 @@ def _settings(given: Namespace) -> dict[str, object]:
         if not equals or not value:
             raise ValueError(f"--set must be NAME=VALUE, got {printable(ascii(text))}")
         texts[name if name.partition(".")[0] in build.PURPOSE else f"case.{name}"] = value
-    return build.from_texts(given.case, texts)
+    return build.from_texts(given.case, texts, adaptive=given.run is _adapt)
 
 
 def _print_json(value: object) -> None:
