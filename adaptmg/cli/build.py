@@ -66,7 +66,7 @@ PURPOSE = {
 }
 #: grids of rectangles and boxes; elements across other bodies, and along a contact boundary of the finest mesh
 _DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
-_ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, {2: 40, 3: 12}
+_ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, {2: 64, 3: 12}
 #: nodes of an adaptive loop of the command line without a limit
 _NODES = 3000
 #: arguments that settings cannot give

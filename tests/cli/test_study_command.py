@@ -71,12 +71,13 @@ def test_a_file_is_run_once_and_gives_what_a_script_gives(command):
     assert row["max_pressure"] == result.contact.pressure.max() and row["machine"]
 
 
-def test_workers_give_the_same_table(command):
-    text = written()
-    command("study", text, "--store", "one.sqlite")
-    code, *_ = command("study", text, "--store", "two.sqlite", "--workers", "2")
-    one, two = (Store(f"{name}.sqlite").get("bar") for name in ("one", "two"))
-    assert code == 0 and {k: r.results for k, r in one.items()} == {k: r.results for k, r in two.items()}
+def test_options_reach_the_study(command, monkeypatch):
+    given, run = {}, Study.run
+    monkeypatch.setattr(Study, "run", lambda self, **options: given.update(options) or run(self, progress=False))
+    text = written(SMALL.replace("[vary]", "[run]\nlimit_s = 9\ncost = \"cycles\"\n[vary]"))
+    assert command("study", text, "--workers", "2", "--rerun", "--retry-failed", "--store", "two.sqlite")[0] == 0
+    assert given == {"progress": None, "workers": 2, "scheduler": None, "rerun": True, "retry_failed": True,
+                     "limit_s": 9.0, "cost": "cycles"} and Path("two.sqlite").exists()
 
 
 def test_a_run_that_fails_ends_with_code_1_and_is_tried_again_when_asked(command):
