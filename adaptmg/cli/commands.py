@@ -72,26 +72,34 @@ def _parser(command: str) -> _Parser:
         own.set_defaults(run=run, options=own._option_string_actions)
         return own.add_argument
 
-    def add_json(add: Callable[..., object]) -> None:
-        add("--json", action="store_true", help="print JSON")
-
-    def add_store(add: Callable[..., object]) -> None:
-        add("store", metavar="STORE", type=Path, help="SQLite file of studies")
-        add("--study", metavar="NAME", help="name of a study in the store (default: the only one)")
-
     add = made(_cases, "list the benchmark cases, or explain one", "dovetail")
     add("case", metavar="CASE", nargs="?", help="explain this one: arguments with units and defaults, loads")
-    add_json(add)
+    _add_json(add)
     add = made(_solve, "solve a case and print the result", "greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
                "--transfer pseudo-l2 --friction 0.3 --set young=7e10 --out results/bar",
                "Without options grids follow the case. Options are the keys of study files; lists have commas.")
     add("--out", metavar="FOLDER", type=Path, help="folder for the result (.npz), pictures and a .vtu file")
-    add_json(add)
+    _add_json(add)
     add = made(_adapt, "solve a case on meshes that follow the error, until a limit is reached: a line a step",
                "upset_block --max-nodes 20000 --engine bisect --out results/upset")
     add("--out", metavar="FOLDER", type=Path, help="folder for the last result (.npz), pictures and a .vtu file")
     add("--store", metavar="FOLDER", type=Path, help="folder that keeps every step; an interrupted loop goes on there")
-    add_json(add)
+    _add_json(add)
+    _add_studies(made)
+    return parser
+
+
+def _add_json(add: Callable[..., object]) -> None:
+    add("--json", action="store_true", help="print JSON")
+
+
+def _add_store(add: Callable[..., object]) -> None:
+    add("store", metavar="STORE", type=Path, help="SQLite file of studies")
+    add("--study", metavar="NAME", help="name of a study in the store (default: the only one)")
+
+
+def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
+    """Add the commands of studies and their stores."""
     add = made(_study, "run a study file and print its table", "my.toml --workers 4",
                "Runs that are stored are not computed again. 'adaptmg study --template greco_bar > my.toml' writes a "
                "file to begin with. Exit code 0: all runs done and converged; 1: a run failed or did not converge.")
@@ -105,10 +113,10 @@ def _parser(command: str) -> _Parser:
     add("--retry-failed", action="store_true", help="run again what failed")
     add("--rerun", action="store_true", help="run everything again")
     add("-q", "--quiet", action="store_true", help="no progress and no table: errors alone")
-    add_json(add)
+    _add_json(add)
     add = made(_runs, "show the runs in a store", "results/bar.sqlite --where case.friction=0.2 --where \"cycles>20\" "
                "--to friction.csv", "Without --study those of its one study, or the list of its studies.")
-    add_store(add)
+    _add_store(add)
     add("--status", metavar="STATUS", help="only runs that are 'done' or 'failed'")
     add("--where", metavar="CONDITION", action="append", default=[],
         help="only runs with NAME=VALUE, or with !=, <, <=, >, >= and a number; several times: all of them")
@@ -116,13 +124,12 @@ def _parser(command: str) -> _Parser:
     add("--limit", metavar="ROWS", type=int, default=50, help="rows that are printed at most; JSON and files have all")
     add("--to", metavar="FILE", type=Path, help="write all of them: .csv, .tex, or .parquet (which needs pyarrow)")
     add("--take-in", metavar="STORE", type=Path, help="first copy the runs of another store into this one")
-    add_json(add)
+    _add_json(add)
     add = made(_report, "write a page that opens offline: pictures of results, all runs, those that failed",
                "results/friction.sqlite --result cycles --to friction.html")
-    add_store(add)
+    _add_store(add)
     add("--result", metavar="COLUMN", action="append", help="column to draw; several times (default: two that vary)")
     add("--to", metavar="FILE.html", type=Path, help="file to write (default: next to the store, named as the study)")
-    return parser
 
 
 def _add_settings(parser: _Parser, command: str) -> None:
