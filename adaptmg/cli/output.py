@@ -67,7 +67,7 @@ Row = dict[str, float]
 
 
 @contextmanager
-def watched(rtol: float) -> Iterator[Callable[[Row], None] | None]:
+def watched(rtol: float = 1e-8) -> Iterator[Callable[[Row], None] | None]:
     """Show log and progress of a solve inside: the bar fills by decades of the error."""
     first: list[float] = []
 

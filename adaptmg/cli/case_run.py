@@ -1,7 +1,9 @@
-"""The run function of study files, and what it measures."""
+"""From settings to a solution: one solve, a load path or an adaptive loop; the run function of study files, and what it
+measures."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,7 +17,7 @@ from adaptmg.study.record import Scalar, Value
 if TYPE_CHECKING:
     from adaptmg.solver.result import Result
 
-__all__ = ["COLUMNS", "MEASURES", "Solved", "case_run", "units_of"]
+__all__ = ["COLUMNS", "MEASURES", "Solved", "case_run", "solved", "units_of"]
 
 #: the measures of a file without [measure]
 COLUMNS = ("cycles", "work_units", "residual", "nodes")
@@ -23,13 +25,20 @@ COLUMNS = ("cycles", "work_units", "residual", "nodes")
 
 @dataclass(frozen=True)
 class Solved:
-    """The outcome of a load path or an adaptive loop, or of a single solve."""
+    """What the settings of a run give."""
 
-    result: Result  # of the last load step, on the last mesh
-    steps: int  # load steps or meshes
-    cycles: int  # of all steps
-    work_units: float  # of all steps
-    estimate: float | None = None  # of the last mesh
+    results: list[Result]  # of each load step (of the last mesh alone in an adaptive loop), or of one solve
+    grids: am.Hierarchy  # of the last one
+    steps: list[am.Step]  # of an adaptive loop
+
+    @property
+    def result(self) -> Result:
+        """The last one."""
+        return self.results[-1]
+
+    def total(self, name: str) -> float:
+        """Return the sum of an attribute of the results of all load steps or meshes."""
+        return sum(getattr(result, name) for result in ([step.result for step in self.steps] or self.results))
 
 
 def _states(solved: Solved, code: int) -> int:
@@ -58,8 +67,9 @@ def _in_contact(solved: Solved, name: str) -> np.ndarray:
 MEASURES: dict[str, tuple[Callable[[Solved], Scalar], str, str]] = {
     "outcome": (lambda s: s.result.status.name, "how the (last) solve ended: CONVERGED, LIMIT, STALLED, CYCLING or "
                 "DIVERGED; always in the table", ""),
-    "cycles": (lambda s: s.cycles, "cycles, sweeps or Newton steps, of all load steps or meshes", ""),
-    "work_units": (lambda s: s.work_units, "passes over the finest matrix, of all load steps or meshes", ""),
+    "cycles": (lambda s: s.total("cycles"), "cycles, sweeps or Newton steps, of all load steps or meshes", ""),
+    "work_units": (lambda s: float(s.steps[-1].total_work_units) if s.steps else s.total("work_units"),
+                   "passes over the finest matrix, of all load steps or meshes", ""),
     "start_work_units": (lambda s: s.result.start_work_units, "of these, in the nested start of the last solve", ""),
     "solve_seconds": (lambda s: s.result.seconds, "wall time of the last solve, without meshes", "s"),
     "residual": (lambda s: s.result.residual, "natural residual of the contact conditions, relative", ""),
@@ -68,9 +78,10 @@ MEASURES: dict[str, tuple[Callable[[Solved], Scalar], str, str]] = {
                      "the same by the certificate, which is computed from the raw matrices", ""),
     "violation": (lambda s: s.result.certificate().worst.relative,
                   "the certificate's largest violation of a condition of the problem, relative", ""),
-    "estimate": (lambda s: s.estimate, "estimated discretisation error, relative, energy norm (with [adapt])", ""),
+    "estimate": (lambda s: s.steps[-1].estimate.relative if s.steps else None,
+                 "estimated discretisation error, relative, energy norm (with [adapt])", ""),
     "rate": (lambda s: s.result.rate, "asymptotic convergence rate of a cycle", ""),
-    "steps": (lambda s: s.steps, "load steps, or meshes of an adaptive loop; else 1", ""),
+    "steps": (lambda s: len(s.steps or s.results), "load steps, or meshes of an adaptive loop; else 1", ""),
     "levels": (lambda s: len(s.result.levels), "number of grids", ""),
     "nodes": (lambda s: len(s.result.displacement), "nodes of the finest mesh", ""),
     "contact_nodes": (lambda s: len(s.result.contact), "of these, nodes that may come into contact", ""),
@@ -101,27 +112,33 @@ def units_of(columns: Iterable[str]) -> dict[str, str]:
 
 def case_run(**settings: Value) -> dict[str, object]:
     """Compute one run: its outcome, the columns, forces and displacements of [measure], and the kept result."""
-    solved = _solved(settings)
-    measured = {name: MEASURES[name][0](solved)
+    found = solved(settings)
+    measured = {name: MEASURES[name][0](found)
                 for name in dict.fromkeys(("outcome", *settings.get("measure.columns", COLUMNS)))}
     measured |= {f"force_{axis}({name})": value for name in settings.get("measure.forces_on", ())
-                 for axis, value in _along(solved, name).items() if value is not None}
+                 for axis, value in _along(found, name).items() if value is not None}
     if points := section(settings, "measure.points"):
-        rows = solved.result.probe(list(points.values()))
+        rows = found.result.probe(list(points.values()))
         measured |= {f"{name}.{axis}": float(value) for name, row in zip(points, rows, strict=True)
                      for axis, value in zip("xyz", row, strict=False)}
-    return measured | ({"result": solved.result} if settings.get("measure.keep") else {})
+    return measured | ({"result": found.result} if settings.get("measure.keep") else {})
 
 
-def _solved(settings: Settings) -> Solved:
+def solved(settings: Settings, callback: Callable[[dict[str, float]], None] | None = None,
+           each: Callable[[am.Step], None] | None = None, store: str | os.PathLike[str] | None = None) -> Solved:
+    """Solve once, along a load path, or on meshes that follow the error.
+
+    ``callback`` is told of the progress, ``each`` of every step of an adaptive loop, which ``store`` keeps.
+    """
     problem, path = problem_of(section(settings, "case")), load_path(settings)
     if section(settings, "adapt"):
-        steps = list(am.adapt(problem, **adaptation(settings)))
-        return Solved(steps[-1].result, len(steps), sum(step.result.cycles for step in steps),
-                      float(steps[-1].total_work_units), steps[-1].estimate.relative)
+        steps = []
+        for step in am.adapt(problem, **adaptation(settings), progress=callback, store=store):
+            steps.append(step)
+            if each is not None:
+                each(step)
+        return Solved([steps[-1].result], steps[-1].hierarchy, steps)
     levels, solver = grids(problem, section(settings, "hierarchy")), solver_of(section(settings, "solver"))
     if path is None:
-        result = am.solve(levels, solver, throw=False)
-        return Solved(result, 1, result.cycles, result.work_units)
-    results = am.solve_path(levels, path, solver, throw=False)
-    return Solved(results[-1], len(results), sum(r.cycles for r in results), sum(r.work_units for r in results))
+        return Solved([am.solve(levels, solver, throw=False, callback=callback)], levels, [])
+    return Solved(list(am.solve_path(levels, path, solver, throw=False)), levels, [])
