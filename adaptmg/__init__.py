@@ -2,10 +2,10 @@
 
 ``import adaptmg as am``; names are loaded when first used, so that importing stays fast. SI units throughout.
 
-Problem     ContactProblem; Contact or ContactPair (obstacles Plane, GapFunction); Support, Pressure, Traction,
-            BodyForce, InitialStrain; Frictionless, Coulomb, Tresca; LoadPath
+Problem     ContactProblem; Contact or ContactPair (obstacles Plane, GapFunction); Support, Symmetry, Spring,
+            PointSupport, PointSpring; Pressure, Traction, BodyForce, InitialStrain; Frictionless, Coulomb, Tresca; LoadPath
 Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
-Domain      Rectangle, Polygon, Outline; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut, Fuse, Common, Moved;
+Domain      Rectangle, Circle, Polygon, Outline; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut, Fuse, Common, Moved;
             Assembly of several bodies; ready problems in cases, problem data in problem
 Grids       Hierarchy of Levels: uniform, graded, from_meshes, ...; transfers Interpolation, PseudoL2, L2, LumpedL2,
             QuasiInterpolation; mesh, MeshArrays, SizeNear
@@ -14,7 +14,8 @@ Ingredients Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel; corrections T
             modules multigrid, smoother, transfer, solver
 Result      Result, Status, NotConverged, Certificate, PathResult; contact states OPEN, SLIP, STICK
 Adapt       adapt, which yields Steps; indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
-            MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate, GoalEstimate; estimate
+            MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate, GoalEstimate;
+            module estimate
 Matrices    discretise, DiscreteProblem, ContactNodes; discrete
 Show        plot, export
 Sweep       Study; designs and tables in study
