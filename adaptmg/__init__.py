@@ -3,10 +3,11 @@
 ``import adaptmg as am``; names are loaded when first used, so that importing stays fast. SI units throughout.
 
 Problem     ContactProblem; Contact or ContactPair (obstacles Plane, GapFunction); Support, Symmetry, Spring,
-            PointSupport, PointSpring; Pressure, Traction, BodyForce, InitialStrain; Frictionless, Coulomb, Tresca; LoadPath
+            PointSupport, PointSpring; Pressure, Traction, BodyForce, InitialStrain; Frictionless, Coulomb, Tresca;
+            LoadPath
 Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
-Domain      Rectangle, Circle, Polygon, Outline; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut, Fuse, Common, Moved;
-            Assembly of several bodies; ready problems in cases, problem data in problem
+Domain      Rectangle, Circle, Polygon, Outline; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut, Fuse,
+            Common, Moved; Assembly of several bodies; ready problems in cases, problem data in problem
 Grids       Hierarchy of Levels: uniform, graded, from_meshes, ...; transfers Interpolation, PseudoL2, L2, LumpedL2,
             QuasiInterpolation; mesh, MeshArrays, SizeNear
 Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG

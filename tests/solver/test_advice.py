@@ -111,7 +111,8 @@ def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
         text for level, text in records if "CONVERGED after" in text]
     assert set(lines) < {text for _, text in records}
     steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}), progress=True)
-    assert [line.partition("=")[0] for line in capsys.readouterr().err.splitlines()] == [f"step {k} of 2 (left" for k in (0, 1)]
+    written = [line.partition("=")[0] for line in capsys.readouterr().err.splitlines()]
+    assert written == [f"step {k} of 2 (left" for k in (0, 1)]
     assert steps.complete
     meshes = list(am.adapt(grids.problem, max_nodes=300, progress=True))
     assert len(capsys.readouterr().err.splitlines()) == 2 * len(meshes)
