@@ -14,7 +14,8 @@ Ingredients Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel; corrections T
             modules multigrid, smoother, transfer, solver
 Result      Result, Status, NotConverged, Certificate, PathResult; contact states OPEN, SLIP, STICK
 Adapt       adapt, which yields Steps; indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
-            MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate, GoalEstimate; estimate
+            MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate, GoalEstimate;
+            module estimate
 Matrices    discretise, DiscreteProblem, ContactNodes; discrete
 Show        plot, export
 Sweep       Study; designs and tables in study

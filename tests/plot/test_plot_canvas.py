@@ -45,7 +45,7 @@ PICTURES = {
     "problem 3D from below": lambda: plot.problem(am.cases.greco_block()),
     "mesh 2D": lambda: plot.mesh(PLANE.mesh, contact=["upper.bottom"]),
     "mesh 3D": lambda: plot.mesh(SOLID.mesh, contact=["upper.bottom"]),
-    "grids 2D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(1, 2, 3, 4, 5))),
+    "grids 2D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 3, 4, 5, 6))),
     "grids 3D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_block(), divisions=(1, 2))),
     "contact 2D": lambda: plot.contact(PLANE),
     "contact 3D": lambda: plot.contact(SOLID),
