@@ -114,4 +114,4 @@ def test_modules_list_their_names():
     text = pydoc.plain(pydoc.render_doc(adaptmg))
     head = text[:text.index("\nPACKAGE CONTENTS")] if "\nPACKAGE CONTENTS" in text else text
     missing = {name for name in dir(adaptmg) if not name.startswith("_") and not re.search(rf"\b{name}\b", head)}
-    assert not missing and len(text.splitlines()) <= 150, (missing, len(text.splitlines()))
+    assert not missing and len(text.splitlines()) <= 75, (missing, len(text.splitlines()))

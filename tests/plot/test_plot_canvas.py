@@ -45,7 +45,7 @@ PICTURES = {
     "problem 3D from below": lambda: plot.problem(am.cases.greco_block()),
     "mesh 2D": lambda: plot.mesh(PLANE.mesh, contact=["upper.bottom"]),
     "mesh 3D": lambda: plot.mesh(SOLID.mesh, contact=["upper.bottom"]),
-    "grids 2D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(1, 2, 3, 4, 5))),
+    "grids 2D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 3, 4, 5, 6))),
     "grids 3D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_block(), divisions=(1, 2))),
     "contact 2D": lambda: plot.contact(PLANE),
     "contact 3D": lambda: plot.contact(SOLID),
@@ -86,10 +86,14 @@ def test_no_artist_leaves_the_canvas_and_no_title_covers_a_label(name):
     for one, other in combinations(headings, 2):
         first, second = one.get_window_extent(renderer), other.get_window_extent(renderer)
         assert not first.overlaps(second), (one.get_text(), other.get_text())
-    stream = io.BytesIO()
+
+
+def test_files_hold_the_whole_picture():
+    figure, stream = PICTURES["problem 3D"](), io.BytesIO()
     figure.savefig(stream, format="png", dpi=50)
     stream.seek(0)
-    assert not inked_border(matplotlib.image.imread(stream))
+    pixels = matplotlib.image.imread(stream)
+    assert not inked_border(pixels) and pixels.shape[1] < 50 * figure.get_figwidth()
 
 
 def test_every_function_is_among_these_pictures():
