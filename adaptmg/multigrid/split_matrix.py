@@ -38,7 +38,6 @@ class SplitMatrix:
     inverse: np.ndarray  # (n_nodes * dim * dim,)
     fixed: np.ndarray  # (n_fixed,) int64: fixed dofs
     nonzeros: int  # stored entries of the whole matrix, the unit of work on this level
-    nested: bool = False  # whether the mesh of the level is nested in the next: its own matrix is the Galerkin one
 
     @property
     def n_nodes(self) -> int:
@@ -158,10 +157,9 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
     result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
     for above, level, nodal in zip(reversed(hierarchy.levels[1:]), reversed(hierarchy.levels[:-1]),
                                    reversed(prolongations), strict=True):
-        nested = False
         if level.discrete is None:
             matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
-        elif nested := level.discrete.coupling is None and _nested(above, level, matrix, nodal):
+        elif level.discrete.coupling is None and _nested(above, level, matrix, nodal):
             matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
         else:
             finer = seen(nodal, finer)
@@ -169,7 +167,6 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
             fixed = level.discrete.fixed
         fine = level.discrete
         result.insert(0, split(matrix, fixed))
-        result[0].nested = nested
     return result
 
 

@@ -117,8 +117,6 @@ class TruncatedRun:
 
     #: cycles on a level of a complete nested start at most
     COMPLETE_LIMIT = 60
-    #: on nested meshes: the share of what a level changed by which the start of the next goes on
-    EXTRAPOLATED = 0.5
     def __init__(self, options: TruncatedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
         need_levels(hierarchy)
         if options.start is not None:
@@ -146,19 +144,14 @@ class TruncatedRun:
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,), Cartesian."""
-        unknowns, before = self._solve_coarsest(start), None
+        unknowns = self._solve_coarsest(start)
         for number in range(len(self.hierarchy) - 1):
             if number > 0:
                 unknowns = self._start_cycles(number, unknowns, start)
             with self.run.phase("start"):
-                coarse, fine, nodal = self.problems[number], self.problems[number + 1], self.cycle.prolongations[number]
+                coarse, fine = self.problems[number], self.problems[number + 1]
                 displacement = coarse.with_prescribed(unknowns).reshape(-1, coarse.dim)
-                extrapolated, last = displacement, number == len(self.hierarchy) - 2
-                # the discretisation error shows in the plain start
-                if before is not None and not (last and self.options.rtol == "discretisation"):
-                    extrapolated = displacement + self.EXTRAPOLATED * (displacement - before)
-                before = nodal @ displacement if self.cycle.levels[number].nested and not last else None
-                unknowns = fine.from_prescribed(nodal @ extrapolated)
+                unknowns = fine.from_prescribed(self.cycle.prolongations[number] @ displacement)
             self.run.visit(number + 1, "start")
         self.run.start_work_units = self.run.work_units
         return unknowns

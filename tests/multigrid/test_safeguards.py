@@ -115,7 +115,7 @@ def test_a_large_coarsest_grid_is_factorised_sparse():
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(30, 60))
     assert 2 * grids[0].discrete.n_nodes > CoarseFactors.DENSE
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
-    result = am.solve(grids, am.FullMultigrid(), reference=exact)
+    result = am.solve(grids, am.FullMultigrid(rtol=1e-9), reference=exact)
     assert result.history["true_error"][-1] < 1e-8
 
 
@@ -143,5 +143,5 @@ def test_a_stiff_slave_on_a_soft_master_is_handed_over(pull, ratio, finest):
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     for solver in (am.FullMultigrid(), am.Multigrid()):
         result = am.solve(grids, solver)
-        assert result.cycles < 45
+        assert result.cycles < 50
         assert np.abs(result.displacement - exact.displacement).max() <= 1e-6 * np.abs(exact.displacement).max()
