@@ -156,5 +156,5 @@ def point_meshes(domain: Domain, points: Sequence[Sequence[float]], *, size: flo
         # rounds on coarse meshes cost little, and their few elements follow the field less closely
         rounds = min(2 + deep + _CLOSER + 2 * level, max(_MOST, 2 + deep))
         meshes.append(sized(domain, SizeNear(points, size=near, radius=radius, grading=steep), most, rounds,
-                            grading=steep))
+                            grading=steep, mesher="netgen"))
     return meshes

@@ -25,10 +25,12 @@ from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.bisection.tables import as_initial
 from adaptmg.mesh.domains import check_domain, distance_to_boundaries, in_edges, plane_measures
-from adaptmg.mesh.netgen_guard import netgen
+from adaptmg.mesh.drafted import drafted
+from adaptmg.mesh.netgen_guard import NetgenUnfinished, netgen
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,
     SizeField,
+    equilateral_sizes,
     expected_nodes,
     finished,
     growth,
@@ -45,7 +47,7 @@ from adaptmg.mesh.structured import boundaries_of, merged, per_body
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
-__all__ = ["graded", "measures", "sized"]
+__all__ = ["MESHERS", "graded", "measures", "sized"]
 
 SizeFunction = float | Callable[[np.ndarray], np.ndarray]
 
@@ -53,10 +55,15 @@ _NETGEN_RATIO = 16.0
 # by which sizes may fall further in each round after the second, and the factor to the field for Netgen then: its
 # triangles have about 1.2 times the edges they are asked for
 _FURTHER, _FACTOR = 8.0, 0.85
+#: how many times larger than wanted the elements of a draft may be by dimension, elements that it has at least, and
+#: their least mean shape (long ones across thin parts keep theirs when they are refined)
+_FACTORS, _LEAST, _SHAPES = {2: (16, 4, 1), 3: (2, 1)}, {2: 100, 3: 30}, {2: 0.75, 3: 0.55}
+MESHERS = ("bisection", "netgen")
 
 
 def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries: str | Sequence[str] = (),
-           contact_ratio: float | Mapping[str, float] = 1.0, grading: float = 0.3, *, rounds: int = 1) -> MeshArrays:
+           contact_ratio: float | Mapping[str, float] = 1.0, grading: float = 0.3, *, rounds: int = 1,
+           mesher: str = "bisection") -> MeshArrays:
     """Mesh a domain, finer near some boundaries.
 
     Parameters
@@ -74,6 +81,9 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         Growth of the edge length per distance from contact, above 0 and at most 1.
     rounds : int
         How often Netgen meshes again by the size field (for ratios above 1; not of solids).
+    mesher : {"bisection", "netgen"}
+        What makes small elements: bisection of a coarse mesh by Netgen and improvement of shapes, which take a
+        twentieth of the time (:mod:`adaptmg.mesh.drafted`), or Netgen alone.
 
     Returns
     -------
@@ -108,13 +118,15 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         mine = {body: boundaries_of(body, names) for body in domain.bodies}
         if names and not isinstance(contact_ratio, Mapping):
             ratios = {body: ratio if mine[body] else 1.0 for body, ratio in ratios.items()}
-        return merged({body: graded(part, sizes[body], mine[body], ratios[body], grading, rounds=rounds)
+        return merged({body: graded(part, sizes[body], mine[body], ratios[body], grading, rounds=rounds,
+                              mesher=mesher)
                        for body, part in domain.parts.items()})
     size = checks.positive("size", size)
     ratio = _ratio(contact_ratio)
     if ratio > 1 and not names:
         raise ValueError(f"contact_ratio is {contact_ratio!r}, but contact_boundaries is empty")
-    return _graded_body(domain, size, names, ratio, growth(grading), checks.integer("rounds", rounds, 0))
+    return _graded_body(domain, size, names, ratio, growth(grading), checks.integer("rounds", rounds, 0),
+                        checks.choice("mesher", mesher, MESHERS))
 
 
 def _ratio(value: float) -> float:
@@ -139,33 +151,67 @@ def _contact_sizes(size: float | Mapping[str, float], names: Sequence[str], rati
 
 
 def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: float, grading: float,
-                 rounds: int) -> MeshArrays:
+                 rounds: int, mesher: str) -> MeshArrays:
     """See :func:`graded`; one body, checked arguments."""
-    if isinstance(domain, SolidDomain):
-        return solid_mesh(domain, size, dict.fromkeys(names, size / ratio), grading)
-    if ratio == 1:
-        return finished(domain, netgen_mesh(domain, lambda x: np.full(len(x), size), size, {}, grading, 0))
-
-    def field(contact_size: float) -> SizeField:
-        return lambda x: np.minimum(size, contact_size + grading * distance_to_boundaries(domain, names, x))
-
-    # the ratio asked from Netgen is the wanted one over a power of two: what bisection then makes up exactly
-    steps = max(0, math.ceil(math.log2(ratio / _NETGEN_RATIO)))
     near = size / ratio
-    start = near * 2**steps
+    if isinstance(domain, SolidDomain):
+        return solid_mesh(domain, size, dict.fromkeys(names, near), grading)
     # before Netgen works for minutes on a mesh that bisection would then find too large
-    refuse_too_many(guessed_nodes(domain, size, dict.fromkeys(names, near), grading), domain)
-    mesh = netgen_mesh(domain, field(start), size, dict.fromkeys(names, start), grading, rounds)
-    return _bisected_to(mesh, field(near), domain)
+    nodes = refuse_too_many(guessed_nodes(domain, size, dict.fromkeys(names, near) if ratio > 1 else {}, grading),
+                            domain)
+    # the ratio asked from Netgen is the wanted one over a power of two: what bisection then makes up exactly
+    start = near * 2 ** max(0, math.ceil(math.log2(ratio / _NETGEN_RATIO)))
+
+    def field(x: np.ndarray, contact_size: float = near, growth: float = grading) -> np.ndarray:
+        return (np.full(len(x), size) if ratio == 1 else
+                np.minimum(size, contact_size + growth * distance_to_boundaries(domain, names, x)))
+
+    def draft(factor: int) -> MeshArrays:
+        growth = min(1.0, factor * grading)
+        sides = dict.fromkeys(names, factor * start) if ratio > 1 else {}
+
+        def scaled(x: np.ndarray) -> np.ndarray:
+            return factor * field(x, start, growth / factor)
+
+        again = rounds if ratio > 1 else 0
+        return netgen_mesh(domain, scaled if mesher == "netgen" else [scaled] * again, factor * size, sides, growth,
+                           again)
+
+    return _made(domain, nodes, draft, field, mesher)
+
+
+def _made(domain: Domain, nodes: float, draft: Callable[[int], MeshArrays], field: SizeField, mesher: str
+          ) -> MeshArrays:
+    """A mesh of about ``nodes`` nodes of the coarsest draft that has enough elements and good shapes."""
+    if mesher == "netgen":
+        return _bisected_to(draft(1), field, domain)
+    for factor in _FACTORS[domain.dim]:
+        if factor == 1 or nodes > _LEAST[domain.dim] * factor**domain.dim:
+            try:
+                coarse = draft(factor)
+                if factor == 1 or _shape(coarse) > _SHAPES[domain.dim]:
+                    return drafted(domain, coarse, field)
+            except NetgenUnfinished:
+                raise
+            except ValueError:
+                if factor == 1:
+                    raise
+    raise AssertionError
+
+
+def _shape(mesh: MeshArrays) -> float:
+    """Mean of the size over the longest edge: 1 where all elements are equilateral."""
+    return float((equilateral_sizes(mesh.points[mesh.elements]) / mesh.element_sizes).mean())
 
 
 def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunction],
-          max_size: float | Mapping[str, float], rounds: int = 2, *, grading: float = 0.3) -> MeshArrays:
+          max_size: float | Mapping[str, float], rounds: int = 2, *, grading: float = 0.3,
+          mesher: str = "bisection") -> MeshArrays:
     """Mesh a domain by a size field.
 
     Parameters
     ----------
-    domain, grading
+    domain, grading, mesher
         As of :func:`graded`.
     size_function : callable or float; of an assembly also a mapping of str to these
         Points (n, dim) in m -> edge length (n,) in m, for instance an :class:`adaptmg.mesh.SizeNear`. It is read at
@@ -200,10 +246,10 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     if isinstance(domain, Assembly):
         fields, limits = (per_body(what, value, domain.bodies)
                           for what, value in (("size_function", size_function), ("max_size", max_size)))
-        return merged({body: sized(part, fields[body], limits[body], rounds, grading=grading)
+        return merged({body: sized(part, fields[body], limits[body], rounds, grading=grading, mesher=mesher)
                        for body, part in domain.parts.items()})
     max_size = checks.positive("max_size", max_size)
-    rounds = checks.integer("rounds", rounds, 1)
+    rounds, mesher = checks.integer("rounds", rounds, 1), checks.choice("mesher", mesher, MESHERS)
     grading = growth(grading)
     if isinstance(domain, SolidDomain):
         return solid_mesh(domain, max_size, None, grading, size_function)
@@ -212,14 +258,17 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
         return np.minimum(sizes_at(size_function, x), max_size)
 
     # Netgen alone sees a field that is cut off at the ratio it can take
-    def limited(factor: float, ratio: float) -> SizeField:
-        return lambda x: np.maximum(factor * wanted(x), max_size / ratio)
+    def limited(factor: float, ratio: float, coarser: int = 1) -> SizeField:
+        return lambda x: np.maximum(factor * wanted(x), coarser * max_size / ratio)
 
-    fields: SizeField | list[SizeField] = limited(1.0, _NETGEN_RATIO)
-    if rounds > 2:
-        fields = [limited(_FACTOR, _NETGEN_RATIO * _FURTHER**max(0, k - 1)) for k in range(rounds)]
-    mesh = netgen_mesh(domain, fields, max_size, {}, grading, rounds)
-    return _bisected_to(mesh, wanted, domain)
+    def draft(factor: int) -> MeshArrays:
+        if mesher == "netgen" and rounds <= 2:
+            return netgen_mesh(domain, limited(1.0, _NETGEN_RATIO), max_size, {}, grading, rounds)
+        fields = [limited(factor * (_FACTOR if rounds > 2 else 1.0), _NETGEN_RATIO * _FURTHER**max(0, k - 1), factor)
+                  for k in range(rounds)]
+        return netgen_mesh(domain, fields, factor * max_size, {}, min(1.0, factor * grading), rounds)
+
+    return _made(domain, guessed_nodes(domain, max_size, {}, grading), draft, wanted, mesher)
 
 
 def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArrays:

@@ -116,7 +116,7 @@ def halved(mesh: MeshArrays) -> MeshArrays:
     facets = on[:, [[0, 2], [2, 1]] if dim == 2 else _TRIANGLES]
     return trusted(replace(mesh, points=points, elements=elements.reshape(-1, dim + 1), facets=facets.reshape(-1, dim),
                            facet_labels=np.repeat(mesh.facet_labels, facets.shape[1]),
-                           element_body=np.repeat(mesh.element_body, elements.shape[1])), None, mesh.sound)
+                           element_body=np.repeat(mesh.element_body, elements.shape[1]), source=None), None, mesh.sound)
 
 
 def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
@@ -128,7 +128,7 @@ def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
     else:
         points, elements = moved_tetrahedra(mesh.points, mesh.elements, held, rounds), mesh.elements
     # neither a swap nor a move turns an element over
-    return trusted(replace(mesh, points=points, elements=elements), None, mesh.sound)
+    return trusted(replace(mesh, points=points, elements=elements, source=None), None, mesh.sound)
 
 
 #: volume that a step leaves, of that before, at least

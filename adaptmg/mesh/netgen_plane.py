@@ -24,9 +24,9 @@ from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 
-__all__ = ["MAX_BISECTIONS", "NODES_PER_CELL", "SizeField", "SizesAt", "expected_nodes", "finished", "growth",
-           "guessed_nodes", "netgen_error", "netgen_mesh", "one_mesh", "onto_outline", "refuse_too_many", "sizes_at",
-           "too_large", "unreachable"]
+__all__ = ["MAX_BISECTIONS", "NODES_PER_CELL", "SizeField", "SizesAt", "equilateral_sizes", "expected_nodes",
+           "facet_elements", "finished", "growth", "guessed_nodes", "netgen_error", "netgen_mesh", "one_mesh",
+           "onto_outline", "refuse_too_many", "sizes_at", "too_large", "unreachable"]
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 SizesAt = list[tuple[np.ndarray, np.ndarray]]
@@ -170,21 +170,37 @@ def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarra
     Facets are looked at as well because centroids lie off the boundary.
     """
     sizes = field(mesh.points[mesh.elements].mean(axis=1))
-    large = _equilateral_size(mesh.volumes, mesh.dim) > _TOO_LARGE * sizes
+    large = equilateral_sizes(mesh.points[mesh.elements]) > _TOO_LARGE * sizes
     corners = mesh.points[mesh.facets]
-    sides = corners[:, 1:] - corners[:, :1]
-    gram = np.linalg.det(sides @ sides.transpose(0, 2, 1))
-    facets = _equilateral_size(np.sqrt(gram) / (mesh.dim - 1), mesh.dim - 1)
-    facets_large = facets > _TOO_LARGE * field(corners.mean(axis=1))
-    table = facet_table(mesh.elements, mesh.n_nodes)
-    large[table.first[table.find(facet_keys(mesh.facets[facets_large], mesh.n_nodes))]] = True
+    facets_large = equilateral_sizes(corners) > _TOO_LARGE * field(corners.mean(axis=1))
+    large[facet_elements(mesh, mesh.facets[facets_large])] = True
     return large, sizes
 
 
-def _equilateral_size(measure: np.ndarray, dim: int) -> np.ndarray:
-    if dim == 1:
-        return measure
-    return np.sqrt(measure * 4 / math.sqrt(3)) if dim == 2 else np.cbrt(measure * 6 * math.sqrt(2))
+def facet_elements(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
+    """The elements that some boundary facets (n, dim) belong to."""
+    if not len(facets):
+        return np.empty(0, dtype=np.int64)
+    on = np.zeros(mesh.n_nodes, dtype=bool)
+    on[facets] = True
+    near = np.flatnonzero(on[mesh.elements].sum(axis=1) >= mesh.dim)
+    table = facet_table(mesh.elements[near], mesh.n_nodes)
+    return near[table.first[table.find(facet_keys(facets, mesh.n_nodes))]]
+
+
+def equilateral_sizes(corners: np.ndarray) -> np.ndarray:
+    """Edge length (n,) of the equilateral simplices with the same measures as some of corners (n, k, dim)."""
+    edges = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1)
+    # the square of the measure times (k - 1)!: Gram's determinant
+    gram = np.einsum("ikn,jkn->ijn", edges, edges)
+    if len(gram) == 1:
+        return np.sqrt(gram[0, 0])
+    square = gram[0, 0] * gram[1, 1] - gram[0, 1]**2
+    if len(gram) == 2:
+        return (square * (4 / 3)) ** 0.25
+    square = (gram[2, 2] * square - gram[0, 2] * (gram[0, 2] * gram[1, 1] - gram[0, 1] * gram[1, 2])
+              + gram[1, 2] * (gram[0, 2] * gram[0, 1] - gram[0, 0] * gram[1, 2]))
+    return (2 * square) ** (1 / 6)
 
 
 def unreachable(domain: Domain, large: np.ndarray) -> ValueError:

@@ -19,11 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, trusted
+from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.domains import extent, in_edges
+from adaptmg.mesh.drafted import onto_arcs
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_guard import MAX_NODES, Netgen, NetgenUnfinished, netgen
-from adaptmg.mesh.netgen_plane import SizesAt, finished, one_mesh, onto_outline
+from adaptmg.mesh.netgen_plane import SizesAt, finished, one_mesh
 from adaptmg.mesh.netgen_solid import CURVATURE, Shape, built_shape, check_volume, in_metres, ordered, shape_tables
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.mesh.step import step_contents, step_shapes
@@ -42,8 +43,6 @@ _STEPS_NAME = {2: "optsteps2d", 3: "optsteps3d"}
 _STEPS, _ALL_STEPS = {2: 0, 3: 2}, 3
 # rounds of improvement of a draft, and after refinement
 _ROUNDS, _ROUNDS_AFTER = {2: 8, 3: 1}, {2: 1, 3: 2}
-# area or volume that a refined element must have, over its longest edge to the power of the dimension
-_FLAT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,18 +122,10 @@ def _plane_or_box(domain: Domain, sizes: PointSizes, grading: float, refinements
     for _ in range(refinements):
         mesh = halved(mesh)
         if isinstance(domain, Outline):
-            mesh = _onto_arcs(domain, mesh)
+            mesh = onto_arcs(domain, mesh)
     if refinements:
         mesh = improved(mesh, _ROUNDS_AFTER[domain.dim])
     return finished(domain, mesh)
-
-
-def _onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
-    """A refined mesh with its boundary nodes on the outline; sound if none of its elements became flat."""
-    result = onto_outline(domain, mesh)
-    if not (result.volumes > _FLAT * result.element_sizes**2).all():
-        raise ValueError("elements at an arc became flat")
-    return trusted(result, None, mesh.sound)
 
 
 def _step(domain: StepFile, sizes: PointSizes | Mapping[str, PointSizes], grading: float, refinements: int

@@ -1,11 +1,15 @@
 """Graded meshes: the sizes asked for are achieved, domains are met exactly, the same arguments give the same arrays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from adaptmg.mesh import check_mesh, graded, quality, sized
+from adaptmg.mesh import check_mesh, graded, grading, quality, sized
 from adaptmg.mesh.domains import distance_to_boundaries, require_simple
-from adaptmg.problem import Box, Polygon, Rectangle
+from adaptmg.mesh.netgen_plane import equilateral_sizes
+from adaptmg.problem import Box, Outline, Polygon, Rectangle
 
 SQUARE = Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))
 ANGLE = Polygon(vertices=((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)), boundaries=("b", "r", "c", "c", "t", "l"))
@@ -34,6 +38,39 @@ def test_plane_sizes_are_achieved(domain, contact, size, ratio):
     assert quality(mesh).min_angle > 15
     # where the size grows fast, the centroid of an element at contact asks for less than its edge does
     assert domain is not ANGLE or edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c").max() < 1.5 * 2 / 60
+
+
+RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("foot", "outer", "side", "inner"),
+               arcs={1: (0, 0), 3: (0, 0)})
+
+
+@pytest.mark.parametrize(("domain", "contact", "size", "ratio"), [(SQUARE, "bottom", 1e-3, 2), (ANGLE, "c", 0.05, 4),
+                                                                  (RING, "inner", 0.03, 4), (BOX, "bottom", 3e-3, 2)],
+                         ids=["square", "angle", "ring", "box"])
+def test_a_small_draft_is_refined_to_the_sizes(domain, contact, size, ratio, monkeypatch):
+    drafts, original = [], grading.netgen_mesh
+    monkeypatch.setattr(grading, "netgen_mesh", lambda *given: drafts.append(original(*given)) or drafts[-1])
+    fine, coarse = (graded(domain, h, contact, ratio) for h in (size, 2 * size))
+    assert drafts[0].n_nodes < fine.n_nodes / 5
+    # whoever checked it: the arrays are sound
+    check_mesh(replace(fine, source=None), dict.fromkeys(domain.boundaries))
+    at = fine.points[fine.elements]
+    wanted = np.minimum(size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], at.mean(axis=1)))
+    relative = equilateral_sizes(at) / wanted
+    assert relative.max() < 1.6 and np.quantile(relative, 0.99) < (1.35 if fine.dim == 2 else 1.5) and np.median(relative) > 0.75
+    assert quality(fine).min_angle > (25 if fine.dim == 2 else 9)
+    if domain is RING:
+        for name, radius in (("outer", 2), ("inner", 1)):
+            np.testing.assert_allclose(np.linalg.norm(fine.points[fine.boundary_nodes(name)], axis=1), radius,
+                                       rtol=1e-14)
+    # not nested: inner nodes of the coarse mesh are not those of the fine one
+    inner = np.setdiff1d(np.arange(coarse.n_nodes), coarse.facets)
+    assert np.median(cKDTree(fine.points).query(coarse.points[inner])[0]) > 0.05 * size
+
+
+def test_long_elements_of_a_draft_are_not_kept():
+    strip = graded(Rectangle(width=1, height=0.02), 4e-3, "top", 2)
+    assert quality(strip).min_angle > 25 and strip.n_nodes > 2000
 
 
 def test_area_and_sides_are_exact():
@@ -97,6 +134,11 @@ def test_sized_catches_a_strong_field_at_a_corner():
     near = np.linalg.norm(mesh.points - SQUARE.lower, axis=1)
     assert np.sort(near)[1] < 4e-6
     assert mesh.n_nodes < 2000
+
+
+def test_an_unknown_mesher_is_refused():
+    with pytest.raises(ValueError, match="mesher must be one of 'bisection', 'netgen', got 'gmsh'"):
+        graded(SQUARE, 1e-3, mesher="gmsh")
 
 
 def test_a_field_that_tends_to_zero_is_refused():

@@ -1,0 +1,82 @@
+r"""drafted: meshes by a size field, made of a coarse draft of Netgen that is refined and improved in arrays.
+
+Netgen's draft has edges of :math:`k = 2, 4, 8` or 16 times the field f, which may then grow k times as fast; it is the
+only part that is not nested in other meshes, and takes :math:`k^{-d}` of the time that Netgen would take for the whole.
+With the size e of an element (the edge of the equilateral one of the same measure) and the mean w of f at its corners,
+it is refined until almost no element has :math:`e > 1.25 w` (tetrahedra :math:`\sqrt 2`), no boundary facet is longer than 1.4 f
+(also where no element is too large: one facet of twice the length next to a re-entrant corner doubles the rate of
+multigrid), and no element at all is larger than :math:`\sqrt 2 f`: all elements are cut where half of them are far too
+large, else those that are too large are bisected once. In the end, and after passes that change much, swaps and moves
+make better shapes. Nodes on arcs are put onto them after each pass.
+
+None of these steps can make a hole or a fold out of a sound mesh as long as all measures stay positive: the draft alone
+is checked.
+"""
+
+from __future__ import annotations
+
+from adaptmg.mesh.arrays import MeshArrays, trusted
+from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.improve import halved, improved
+from adaptmg.mesh.netgen_plane import (
+    MAX_BISECTIONS,
+    SizeField,
+    equilateral_sizes,
+    expected_nodes,
+    facet_elements,
+    finished,
+    onto_outline,
+    refuse_too_many,
+    unreachable,
+)
+from adaptmg.problem.plane_domains import Domain, Outline
+
+__all__ = ["drafted", "onto_arcs"]
+
+# elements and facets that are too large for the field, over it; by how much more most are before all are cut
+_LARGE, _LONG, _FAR = {2: 1.25, 3: 2**0.5}, 1.4, 1.3
+# share of the elements (of the facets) that may stay too large, though by less than this
+_LEFT, _NEVER = 0.01, 2**0.5
+# share of the elements that is improved after a pass if so many were too large; rounds in the end
+_MANY, _ROUNDS = {2: 0.3, 3: 0.0}, 3
+# area or volume that a refined element must have, over its longest edge to the power of the dimension
+_FLAT = 1e-3
+
+
+def drafted(domain: Domain, draft: MeshArrays, field: SizeField) -> MeshArrays:
+    """Refine a sound draft of a plane domain or box to a size field, m.
+
+    The boundaries of an outline are called by the numbers of its edges in the draft, by their names in the result.
+    """
+    mesh, dim = draft, draft.dim
+    for _ in range(dim * MAX_BISECTIONS):
+        at = field(mesh.points)
+        elements = equilateral_sizes(mesh.points[mesh.elements]) / at[mesh.elements].mean(axis=1)
+        facets = equilateral_sizes(mesh.points[mesh.facets]) / at[mesh.facets].mean(axis=1)
+        large, long = elements > _LARGE[dim], facets > _LONG
+        if max(large.mean(), long.mean()) <= _LEFT:
+            large, long = elements > _NEVER, facets > _NEVER
+            if not (large.any() or long.any()):
+                break
+        refuse_too_many(expected_nodes(mesh, at[mesh.elements].mean(axis=1)), domain)
+        many = large.mean() > _MANY[dim]
+        if (elements > _FAR * _LARGE[dim]).mean() > 0.5:
+            mesh = halved(mesh)
+        else:
+            large[facet_elements(mesh, mesh.facets[long])] = True
+            mesh = refined(mesh, large, 1).mesh
+        if isinstance(domain, Outline):
+            mesh = onto_arcs(domain, mesh)
+        if many:
+            mesh = improved(mesh, 1)
+    else:
+        raise unreachable(domain, large)
+    return finished(domain, improved(mesh, _ROUNDS))
+
+
+def onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
+    """A refined mesh with its boundary nodes on the outline; sound if none of its elements became flat."""
+    result = onto_outline(domain, mesh)
+    if not (result.volumes > _FLAT * result.element_sizes**2).all():
+        raise ValueError("elements at an arc became flat")
+    return trusted(result, None, mesh.sound)
